@@ -47,7 +47,6 @@ if TYPE_CHECKING:
         AttemptsReader,
         ResultsReader,
         preview_motion,
-        read_attempt,
         read_results,
     )
     from frictrack.flow.survey import Surveyed, survey_recording
@@ -57,7 +56,7 @@ if TYPE_CHECKING:
 _MODULE_OF = module_of(
     {
         "result_values": "EXCLUDED stored_values Values",
-        "stored_results": "AttemptsReader preview_motion read_attempt read_results ResultsReader",
+        "stored_results": "AttemptsReader preview_motion read_results ResultsReader",
         "command_history": "Change CommandHistory undo_stacks",
         "verdict_first": "change_and_diagnose conclude run_study",
         "new_study": "check_entered describe_keys propose_study start_study",

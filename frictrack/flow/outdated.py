@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from frictrack import store
-from frictrack.flow.pipeline import LATER_KEYS, RunPipeline, digest
+from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.tried_models import TriedModels
 from frictrack.number_format import format_number, format_plus_minus
-from frictrack.results import OutdatedPart, to_builtins
+from frictrack.results import OutdatedPart
 from frictrack.store import Provenance
 
 PICTURE_STAGES = ("recording", "track", "tracks")  # whose results are the positions in the picture
@@ -33,6 +33,21 @@ def report_key(inputs: str, results: str, group: str) -> str:
 
     """
     return f"{inputs} {results} {group}"
+
+
+def stored_report_key(path: Path) -> re.Match[str] | None:
+    """Return the key in the head of a report, its parts as groups 1 (results) and 2 (current model).
+
+    Parameters
+    ----------
+    path
+        The report; None is returned if it does not exist, or has no key.
+
+    """
+    if not path.exists():
+        return None
+    with path.open("rb") as file:
+        return REPORT_KEY.search(file.read(HEAD_BYTES).decode(errors="replace"))
 
 
 def results_key(models: TriedModels, pipelines: Iterable[RunPipeline]) -> str:
@@ -77,26 +92,12 @@ def find_outdated(pipelines: Sequence[RunPipeline], models: TriedModels) -> tupl
 
 def _outdated_runs(pipelines: Sequence[RunPipeline]) -> Iterator[OutdatedPart]:
     for pipeline in pipelines:
-        changes: dict[str, list[str]] = {}
-        for stage in pipeline.stages:
-            for key, words in _changed_settings(pipeline, stage):
-                changes.setdefault(key, []).extend((stage, words))
-        if not changes:
-            continue
-        picture = any(stage in PICTURE_STAGES for stage, *_ in changes.values())
-        reason = "; ".join(words for _, words, *_ in changes.values())
-        yield OutdatedPart("track" if picture else "motion", pipeline.run.name, reason, "run")
-
-
-def _changed_settings(pipeline: RunPipeline, stage: str) -> Iterator[tuple[str, str]]:
-    """Yield the keys of the study file that were others when a stage was computed, each with a clause."""
-    provenance = store.provenance(pipeline.path, stage)
-    if provenance is None:
-        return
-    then, now = json.loads(provenance.settings), to_builtins(pipeline.settings(stage))
-    for key in dict.fromkeys((*now, *LATER_KEYS)):
-        if then.get(key) != now.get(key):
-            yield key, _change(key, then.get(key), now.get(key))
+        by_stage = {stage: pipeline.changed_settings(stage) for stage in pipeline.stages}
+        first = {key: stage for stage, changed in reversed(by_stage.items()) for key in changed}
+        clauses = {key: _change(key, *values) for changed in by_stage.values() for key, values in changed.items()}
+        if clauses:
+            picture = any(stage in PICTURE_STAGES for stage in first.values())
+            yield OutdatedPart("track" if picture else "motion", pipeline.run.name, "; ".join(clauses.values()), "run")
 
 
 def _change(key: str, then: Any, now: Any) -> str:
@@ -209,8 +210,7 @@ def _outdated_report(
 
 def _report_reason(path: Path, results: str, group: str) -> str:
     """Return why a report does not show the results of now; "" if it does."""
-    with path.open("rb") as file:
-        found = REPORT_KEY.search(file.read(HEAD_BYTES).decode(errors="replace"))
+    found = stored_report_key(path)
     if found is None:
         return "an earlier version of frictrack wrote it"
     if found[2] != group:

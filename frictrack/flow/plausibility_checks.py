@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -78,9 +79,9 @@ class Findings:
 
     def save(self, pipelines: Sequence[RunPipeline]) -> None:
         """Store the findings beside the results, from which report and page read them."""
-        path, key = self.study.output / "study.h5", findings_key(pipelines)
+        path = self.study.output / "study.h5"
         if stored_findings(path, pipelines) != self.summary:
-            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, Provenance(key))})
+            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, _provenance(pipelines))})
 
     def check_study_file(self) -> None:
         """Check the numbers in the study file; a number that several runs inherit is reported once.
@@ -160,15 +161,17 @@ class Findings:
         return any(one.contradicts or not finding.contradicts for one in same)
 
 
-def findings_key(pipelines: Sequence[RunPipeline]) -> str:
-    """Return the hash of what the findings depend on: measured runs, and which of them are marked as checked."""
-    return digest([[p.run.name, p.run.plausible, p.key("motion"), p.key("friction")] for p in pipelines])
+def _provenance(pipelines: Sequence[RunPipeline]) -> Provenance:
+    """Return what the findings depend on: measured runs, and which of them are marked as checked."""
+    inputs = [(f"{p.path.name}:/{name}", p.key(name)) for p in pipelines for name in ("friction", "motion")]
+    key = digest([FINDINGS, inputs, [[p.run.name, p.run.plausible] for p in pipelines]])
+    return Provenance(key, digest(inputs), json.dumps(inputs))
 
 
 def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[str, Any]] | None:
     """Return the stored findings as JSON; None if there are none of these runs as they were measured last."""
     provenance = store.provenance(path, FINDINGS)
-    if provenance is None or provenance.key != findings_key(pipelines):
+    if provenance is None or provenance.key != _provenance(pipelines).key:
         return None
     return list(store.read(path, FINDINGS)["warnings"])
 

@@ -7,7 +7,6 @@ A run that was not measured completely is left out; a model that was not diagnos
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -90,7 +89,7 @@ class ResultsReader:
                 version=__version__,
                 runs=self._all_runs([pipeline for pipeline in pipelines if _is_measured(pipeline)], history),
                 models=results,
-                comparison=_summary(models, "comparison"),
+                comparison=models.stored_summary("comparison"),
                 diagnosis=current.diagnosis if current else None,
                 figures=current.figures if current else {},
                 papers=self._model(models, "papers") if has_papers else None,
@@ -149,28 +148,6 @@ def _repair_authors(history: CommandHistory) -> dict[str, str]:
     }
 
 
-def read_attempt(study: Study, effect: str) -> ModelResults | None:
-    """Read the current model with one more effect, as `Session.attempt` stored it.
-
-    Parameters
-    ----------
-    study
-        The study.
-    effect
-        Name of the effect.
-
-    Returns
-    -------
-    ModelResults or None
-        None if the current model of the present runs was not fitted with that effect.
-
-    """
-    models = _stored_models(study)
-    group = models.current_group
-    found = models.stored_attempt(models.request(group).edited(f"+{effect}")) if group else None
-    return model_results(*found) if found else None
-
-
 class AttemptsReader:
     """Read the fits of the current model with one more effect again and again; each is read once."""
 
@@ -188,7 +165,8 @@ class AttemptsReader:
             Names of the effects in question.
 
         """
-        models = _stored_models(study)
+        pipelines = [run_pipeline(study, run, stored_only=True) for run in study.runs]
+        models = TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
         with store.snapshot(models.path, *(study.output / f"{run.name}.h5" for run in study.runs)):
             group = models.current_group
             if group is None:
@@ -209,11 +187,6 @@ class AttemptsReader:
                 return None
             self._known[path] = model_results(*stored)
         return self._known[path]
-
-
-def _stored_models(study: Study) -> TriedModels:
-    pipelines = [run_pipeline(study, run, stored_only=True) for run in study.runs]
-    return TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
 
 
 def preview_motion(run: RunResults, cutoff: float) -> Array:
@@ -246,7 +219,7 @@ def _outdated_items(pipelines: list[RunPipeline], models: TriedModels) -> Iterat
     """
     runs: dict[str, list[str]] = {}
     for pipeline in pipelines:
-        for key in pipeline.changed_keys():
+        for key in {key: None for name in pipeline.stages for key in pipeline.changed_settings(name)}:
             runs.setdefault(key, []).append(pipeline.run.name)
     for key, names in runs.items():
         yield key if len(names) == len(pipelines) else f"{key} of {', '.join(names)}"
@@ -261,11 +234,6 @@ def _implausible(
     if any(part.what in ("track", "motion") for part in outdated):
         return ()
     return tuple(stored_findings(models.path, pipelines) or ())
-
-
-def _summary(models: TriedModels, group: str) -> Any:
-    there = group in store.names(models.path)
-    return json.loads(store.read(models.path, group)["summary"]) if there else None
 
 
 def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResults:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from frictrack import store
@@ -22,6 +23,7 @@ from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
 RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion, "convergence": Convergence}  # groups in that of a model
+NO_LINKS: Mapping[str, str] = MappingProxyType({})
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
@@ -321,6 +323,23 @@ class TriedModels:
             entry = self._group_content(request, self._fit(request), current=False)
             store.write(self.path, {"papers": entry})
         return self.results("papers")
+
+    def stored_summary(self, group: str, key: str | None = None) -> dict[str, Any] | None:
+        """Return the JSON that a group holds; None if there is none, or if it has another key than `key`."""
+        made = store.provenance(self.path, group)
+        if made is None or key not in (None, made.key):
+            return None
+        found: dict[str, Any] = json.loads(store.read(self.path, group, without=("figures",))["summary"])
+        return found
+
+    def keep_summary(
+        self, group: str, summary: Any, provenance: Provenance, links: Mapping[str, str] = NO_LINKS, **more: Any
+    ) -> dict[str, Any]:
+        """Store the JSON of something that was computed from the models, with more content of its group; return it."""
+        found: dict[str, Any] = to_builtins(summary)
+        content = GroupContent({"summary": json.dumps(found), **more}, provenance)
+        store.write(self.path, {group: content}, links=links)
+        return found
 
     def summary(self, group: str) -> dict[str, Any]:
         """Return the JSON of a fit; a model that is outdated is fitted again."""

@@ -149,9 +149,8 @@ def _study_faults(pipelines: list[RunPipeline], sound: set[Path]) -> Iterator[Fa
 
 def _run_faults(pipeline: RunPipeline) -> Iterator[Fault]:
     """Compare the keys and files of a run with those that its results were computed from."""
-    for name, provenance in ((n, s) for n in pipeline.stages if (s := store.provenance(pipeline.path, n)) is not None):
-        then, now = json.loads(provenance.settings), pipeline.settings(name)
-        if changed := [key for key in now if then.get(key) != now[key]]:
+    for name, provenance in ((n, s) for n in pipeline.stages if (s := pipeline.provenance(n)) is not None):
+        if changed := pipeline.changed_settings(name):
             words = f"was made with another {' and '.join(changed)} than the study file has now"
             yield Fault(pipeline.path, f"/{name}", words, RUN_AGAIN, "changed")
         else:
