@@ -18,13 +18,11 @@ from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
-from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.measured_runs import MeasuredRuns
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.predictions import Predictions
-from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
@@ -220,7 +218,7 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
-        from frictrack.flow.duplicate_runs import find_duplicate_runs  # noqa: PLC0415
+        from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
         from frictrack.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
@@ -376,7 +374,7 @@ class Session:
         """Find the effect that the current model lacks.
 
         The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it. Its
-        significance level follows from the tests that were made before; see `frictrack.flow.significance_budget`.
+        significance level follows from the tests that were made before; see `frictrack.flow.diagnosis_records`.
 
         Parameters
         ----------
@@ -435,8 +433,8 @@ class Session:
     ) -> dict[str, Any]:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
-        from frictrack.flow.auxiliary_signals import auxiliary_signals  # noqa: PLC0415
-        from frictrack.flow.contradictions import withhold_verdict  # noqa: PLC0415
+        from frictrack.flow.plausibility_checks import withhold_verdict  # noqa: PLC0415
+        from frictrack.flow.sensor_stage import auxiliary_signals  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
@@ -499,6 +497,8 @@ class Session:
 
     def _defined(self, effect: str) -> str:
         """Return the name of an effect; that of a formula is written into the study file first."""
+        from frictrack.flow.study_edits import choose_formula, formula_number  # noqa: PLC0415
+
         number = formula_number(effect)
         if number is None:
             return effect
@@ -596,8 +596,12 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
-        from frictrack.flow.outdated import report_key, results_key, stored_report_key  # noqa: PLC0415
-        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
+        from frictrack.flow.stored_results import (  # noqa: PLC0415
+            read_results,
+            report_key,
+            results_key,
+            stored_report_key,
+        )
 
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
