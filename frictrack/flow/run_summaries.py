@@ -29,7 +29,7 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
     pipeline
         The stages of the run.
     known
-        `track_quality` of the film, if it was computed already.
+        `film_quality`, if it was computed already.
 
     Returns
     -------
@@ -42,15 +42,19 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
         return {}
     film = pipeline.get("recording") if pipeline.run.video else None
     if film is not None:
-        known = (known or _quality(pipeline)) | _residual_shake(pipeline)
+        known = (known or film_quality(pipeline)) | _residual_shake(pipeline)
     found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
     made: dict[str, Any] = to_builtins(found.summary())
     return made
 
 
-def _quality(pipeline: RunPipeline) -> dict[str, Any]:
+def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
+    """Return `track_quality` of a film as JSON; empty for a table of positions."""
+    if not pipeline.run.video:
+        return {}
     pitch = pipeline.get("displacement").pixel_pitch
-    return track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
+    found = track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
+    return dict(to_builtins(found))
 
 
 def _residual_shake(pipeline: RunPipeline) -> dict[str, Any]:

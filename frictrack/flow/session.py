@@ -266,12 +266,12 @@ class Session:
         """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
         from frictrack.fit import analyse_uncertainty  # noqa: PLC0415
 
-        fitted, inside = self.models.fit(group), f"models/{group}/certainty"
-
+        inside = f"models/{group}/certainty"
+        self.models.bring_up_to_date(group)
         key = digest(["certainty", profiles, draws, seed, self.models.fit_key(self.models.request(group))])
         if self.models.stored_summary(inside, key) is None:
             asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "rng": seed}
-            found = analyse_uncertainty(fitted, **asked, progress=self.progress).summary()
+            found = analyse_uncertainty(self.models.fit(group), **asked, progress=self.progress).summary()
             known = self.models.stored_summary(inside) or {}
             self.models.keep_summary(inside, known | found, self.models.provenance(key, json.dumps({"seed": seed})))
 

@@ -23,15 +23,14 @@ from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import RunPipeline, digest, no_progress
 from frictrack.flow.plausibility_checks import duplicate_notes, stored_findings
-from frictrack.flow.run_summaries import run_budget
+from frictrack.flow.run_summaries import film_quality, run_budget
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import run_pipeline
-from frictrack.flow.track_quality import track_quality
 from frictrack.flow.tried_models import TriedModels, model_results
 from frictrack.motion import derivatives, low_pass
 from frictrack.number_format import format_number, format_plus_minus
 from frictrack.records import Array, RunEvents
-from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
+from frictrack.results import ModelResults, OutdatedPart, Results, RunResults
 from frictrack.store import Provenance
 from frictrack.study import Study
 from frictrack.version import __version__
@@ -82,13 +81,9 @@ def results_key(models: TriedModels, pipelines: Iterable[RunPipeline]) -> str:
 
     """
     group = models.current_group
-    runs = [[p.run.name, *(_stored_key(p.path, name) for name in ("motion", "friction"))] for p in pipelines]
+    made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in pipelines]
+    runs = [[name, *(stage.key if stage else "" for stage in stages)] for name, *stages in made]
     return digest([group, store.checksum(models.path, f"models/{group}"), runs])
-
-
-def _stored_key(path: Path, stage: str) -> str:
-    found = store.provenance(path, stage)
-    return found.key if found else ""
 
 
 def find_outdated(pipelines: Sequence[RunPipeline], models: TriedModels) -> tuple[OutdatedPart, ...]:
@@ -299,7 +294,6 @@ class ResultsReader:
                 figures=current.figures if current else {},
                 papers=self._model(models, "papers") if has_papers else None,
                 implausible=_implausible(models, pipelines, outdated),
-                outdated=tuple(_outdated_items(pipelines, models)),
                 outdated_parts=outdated,
             )
 
@@ -417,21 +411,6 @@ def _is_measured(pipeline: RunPipeline) -> bool:
     return all(pipeline.is_current(name) for name in pipeline.stages if name not in OPTIONAL_STAGES)
 
 
-def _outdated_items(pipelines: list[RunPipeline], models: TriedModels) -> Iterator[str]:
-    """List keys of runs that have changed in the study file since the results were computed, and outdated models.
-
-    The files that the keys name are not opened: a change of their content is noticed when the work is done again.
-    """
-    runs: dict[str, list[str]] = {}
-    for pipeline in pipelines:
-        for key in {key: None for name in pipeline.stages for key in pipeline.changed_settings(name)}:
-            runs.setdefault(key, []).append(pipeline.run.name)
-    for key, names in runs.items():
-        yield key if len(names) == len(pipelines) else f"{key} of {', '.join(names)}"
-    if models.is_current_outdated():
-        yield "what the model was fitted to"
-
-
 def _implausible(
     models: TriedModels, pipelines: list[RunPipeline], outdated: Iterable[OutdatedPart]
 ) -> tuple[dict[str, Any], ...]:
@@ -447,7 +426,7 @@ def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResult
     hashed = tuple(done)
     if "repaired" in pipeline.stages:
         done["track"] = done.pop("repaired", done.get("track"))  # a repair that was not computed yet
-    quality = _quality(done)
+    quality = film_quality(pipeline)
     notes = [note for name in ("recording", "track", "displacement") for note in getattr(done.get(name), "notes", ())]
     notes += sensor_summary(pipeline)["notes"]
     return RunResults(
@@ -471,13 +450,3 @@ def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResult
         hashes={name: pipeline.key(name) for name in hashed},
         notes=tuple(dict.fromkeys(notes)),
     )
-
-
-def _quality(done: dict[str, Any]) -> dict[str, Any]:
-    """Return `track_quality` of a film; empty for a table of positions."""
-    if "track" not in done:
-        return {}
-    found: dict[str, Any] = to_builtins(
-        track_quality(done["recording"], done["track"], done["tracks"], done["displacement"].pixel_pitch)
-    )
-    return found
