@@ -151,7 +151,7 @@ def test_another_version_makes_everything_again(
 def test_a_failing_stage_keeps_what_was_done(
     new_study_file: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(displacement: Any, **how: Any) -> Filtered:
+    def broken(displacement: Any, *how: Any, **more: Any) -> Filtered:
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:

@@ -248,7 +248,7 @@ def test_every_stage_says_where_it_comes_from(study: Path) -> None:
             assert provenance.version == __version__
             json.loads(provenance.settings)
     assert set(TABLE) == set(store.provenances(results / "slow.h5"))
-    assert {"models/1_coulomb+viscous", "comparison", "findings"} == set(store.provenances(results / "study.h5"))
+    assert {"models/1_coulomb+viscous", "comparison"} == set(store.provenances(results / "study.h5"))
     assert set(TABLE) < set(FILM)
 
 

@@ -11,7 +11,7 @@ from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.study import COLUMNS, RunTable, Study, find_header, load, read_sensor_table, table_headers
+from frictrack.study import COLUMNS, RunTable, Study, load
 
 
 def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
@@ -110,6 +110,8 @@ def table_needs_mass(run: RunTable) -> bool:
         If the table cannot be read.
 
     """
+    from frictrack.study import find_header, table_headers  # noqa: PLC0415 - not needed for stored results
+
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
@@ -142,6 +144,8 @@ def _check_files(pipeline: RunPipeline) -> None:
 
 def _check_sensor(pipeline: RunPipeline, *, key: str, wanted: tuple[str, ...]) -> None:
     """Read the table of a drive or a sensor, if there is one."""
+    from frictrack.study import read_sensor_table  # noqa: PLC0415
+
     given = getattr(pipeline.run, key)
     spec = {"table": given} if isinstance(given, Path) else given
     if not isinstance(spec, dict) or not isinstance(spec.get("table"), Path):

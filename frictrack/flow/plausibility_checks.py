@@ -81,7 +81,8 @@ class Findings:
     def save(self, pipelines: Sequence[RunPipeline]) -> None:
         """Store the findings beside the results, from which report and page read them."""
         path = self.study.output / "study.h5"
-        if stored_findings(path, pipelines) != self.summary:
+        is_empty = not self.summary and store.provenance(path, FINDINGS) is None
+        if not is_empty and stored_findings(path, pipelines) != self.summary:
             store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, _provenance(pipelines))})
 
     def check_study_file(self) -> None:
@@ -166,7 +167,7 @@ def _provenance(pipelines: Sequence[RunPipeline]) -> Provenance:
     """Return what the findings depend on: measured runs, and which of them are marked as checked."""
     inputs = [(f"{p.path.name}:/{name}", p.key(name)) for p in pipelines for name in ("friction", "motion")]
     key = digest([FINDINGS, inputs, [[p.run.name, p.run.plausible] for p in pipelines]])
-    return Provenance(key, digest(inputs), json.dumps(inputs))
+    return Provenance(key, digest([found for _, found in inputs]), json.dumps(inputs))
 
 
 def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[str, Any]] | None:
