@@ -93,7 +93,7 @@ class RunResults:
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
     quality: dict[str, Any] = field(default_factory=dict)  # how well the film was measured; see flow.track_quality
-    budget: dict[str, Any] = field(default_factory=dict)  # error budget of the friction force; see flow.run_budget
+    budget: dict[str, Any] = field(default_factory=dict)  # error budget of the friction force; see flow.run_summaries
     role: str = "fit"
     group: str = ""
     settings: dict[str, Any] = field(default_factory=dict)  # keys of the run, inherited ones included
@@ -176,13 +176,17 @@ class Results:
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be computed
     implausible: tuple[dict[str, Any], ...] = ()  # numbers of the study: JSON of `frictrack.plausibility.Finding`
-    outdated: tuple[str, ...] = ()  # what was changed in the study file since the results were computed
-    outdated_parts: tuple[OutdatedPart, ...] = ()  # the same result by result, each with its reason
+    outdated_parts: tuple[OutdatedPart, ...] = ()  # results that do not belong to the study file of now
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """The implausible numbers of the study as sentences."""
         return tuple(str(found["words"]) for found in self.implausible)
+
+    @property
+    def outdated(self) -> tuple[str, ...]:
+        """What was changed in the study file since the results were computed, each change once."""
+        return tuple(dict.fromkeys(part.reason for part in self.outdated_parts))
 
     @property
     def current(self) -> ModelResults | None:

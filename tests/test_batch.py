@@ -24,8 +24,7 @@ from scipy import stats
 
 from frictrack import workers
 from frictrack.batch import BatchState, batch, cluster, find_studies
-from frictrack.batch.journal import Journal
-from frictrack.batch.run_table import write_table
+from frictrack.batch.driver import Journal, write_table
 from frictrack.batch.scheduler import Scheduler
 from frictrack.batch.tasks import StudyOutcome
 from frictrack.batch.trends import find_trends, fit_slope

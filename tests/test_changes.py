@@ -184,11 +184,14 @@ def test_what_was_changed_since_the_results_were_made_is_told(study_file: Path) 
     session.apply("edit", table="run", which="slow", key="free", value=["0.01 s", "0.09 s"])
     session.apply("edit", table="effect", which="coulomb", key="fix", value={"F_c": 2.0})
     session.apply("edit", table="study", key="mass", value="0.4 kg")
-    assert told() == ("mass", "free of slow", "what the model was fitted to")
+    mass, slow, model = told()
+    assert mass == "mass was changed from 0.350 kg to 0.400 kg"
+    assert slow == f"{mass}; free was added"
+    assert model == f"{mass} (fast); {slow} (slow)"
     at_work(study_file).fit()
     assert told() == ()
     study_file.write_text(study_file.read_text().replace('"viscous"', '"drag"'))
-    assert told() == ("what the model was fitted to",)
+    assert told() == ("the study file names another model",)
 
 
 def test_an_unknown_command_names_the_nearest(study_file: Path) -> None:

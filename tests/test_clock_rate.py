@@ -15,7 +15,7 @@ from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span
 from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
 from frictrack.fit.pieces import pieces_of
-from frictrack.flow.contradictions import withhold_verdict
+from frictrack.flow.plausibility_checks import withhold_verdict
 from frictrack.plausibility import Finding
 from frictrack.simulate import Conditions, Start, simulate, simulate_displacement
 

@@ -25,7 +25,7 @@ from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.flow.predictions import Predictions, resolve_prediction
+from frictrack.flow.diagnosis_records import Predictions, resolve_prediction
 from frictrack.plan import choose_runs, default_setup, next_run
 from frictrack.verdicts import describe_predictions
 

@@ -7,8 +7,8 @@ import pytest
 
 import frictrack as ft
 from frictrack.batch import batch
-from frictrack.batch.conditions import condition_trends, read_condition
 from frictrack.batch.tasks import StudyOutcome
+from frictrack.batch.trends import condition_trends, read_condition
 from frictrack.errors import FrictrackError
 from frictrack.study import load
 

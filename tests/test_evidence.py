@@ -19,7 +19,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.auxiliary_signals import KnownFindings, assess_auxiliary_signals, evidence_curves
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.fit import fit
-from frictrack.flow.auxiliary_signals import auxiliary_signals
+from frictrack.flow.sensor_stage import auxiliary_signals
 from frictrack.records import Track
 
 LAW = ["coulomb", "viscous"]

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frictrack.flow.target_rotation import rotation_note
-from frictrack.flow.track_quality import lost_frames_note
+from frictrack.flow.track_quality import lost_frames_note, rotation_note
 from frictrack.records import Track
 from frictrack.tracking.checks import (
     forward_backward,

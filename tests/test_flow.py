@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as ndimage_shift
 
 from frictrack.errors import FrictrackError
-from frictrack.flow import FitRequest, Session, open_study, pipeline, stage_functions, tried_models
+from frictrack.flow import FitRequest, Session, open_study, pipeline, tried_models
 from frictrack.records import Filtered
 
 
@@ -155,7 +155,7 @@ def test_a_failing_stage_keeps_what_was_done(
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:
-        patch.setattr(stage_functions, "low_pass", broken)
+        patch.setattr("frictrack.motion.low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(new_study_file).bring_up_to("motion")
     assert made == ["slow displacement", "middle displacement", "fast displacement", "slow sensors"]

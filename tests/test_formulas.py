@@ -24,7 +24,7 @@ from frictrack.diagnose.formulas.shapes import KIND_POWERS
 from frictrack.diagnose.formulas.terms import Term, build_effect, coefficient_unit, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
 from frictrack.errors import FrictrackError
-from frictrack.flow.formula_effects import choose_formula, formula_number
+from frictrack.flow.study_edits import choose_formula, formula_number
 from frictrack.units import is_coherent
 
 FORMULA = {

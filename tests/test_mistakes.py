@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from frictrack.cli.batch_progress import LinePrinter
 from frictrack.cli.common import app
 from frictrack.cli.examples import EXAMPLES
 from frictrack.cli.progress_bars import ProgressDisplay
-from frictrack.flow import stage_functions
+from frictrack.flow import stages
 
 T = np.arange(300) / 4000
 X = 1.6 * T - 1.5 * T**2
@@ -34,7 +35,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder, in which nothing may be tracked or fitted: mistakes are found before."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(stage_functions, "make_track", lambda *inputs: pytest.fail("the film was tracked"))
+    untracked = replace(stages.FILM["track"], make=lambda *inputs: pytest.fail("the film was tracked"))
+    monkeypatch.setitem(stages.FILM, "track", untracked)
     return tmp_path
 
 

@@ -18,7 +18,7 @@ import tomlkit
 from range_server import serving
 
 from frictrack import remote
-from frictrack.batch.file_states import are_unchanged, file_states
+from frictrack.batch.tasks import are_unchanged, file_states
 from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study

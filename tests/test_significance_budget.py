@@ -10,7 +10,7 @@ import pytest
 from frictrack.cli import main
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, SignificanceBudget, open_study
-from frictrack.flow.significance_budget import (
+from frictrack.flow.diagnosis_records import (
     ALPHA_FIRST,
     CompletenessTest,
     alpha_spent,

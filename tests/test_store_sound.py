@@ -23,7 +23,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from frictrack import store
+from frictrack import store, study
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow import schema as written
@@ -430,9 +430,7 @@ def test_a_table_that_changes_while_it_is_read_is_measured_again(
     new_study_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was read is never said to be what came after."""
-    from frictrack.flow import stage_functions  # noqa: PLC0415
-
-    table, original = new_study_file.parent / "slow.csv", stage_functions.read_run_table
+    table, original = new_study_file.parent / "slow.csv", study.read_run_table
     late = table.read_text()[:-3] + "7\n"
 
     def changed_meanwhile(run: Any) -> Any:
@@ -442,7 +440,7 @@ def test_a_table_that_changes_while_it_is_read_is_measured_again(
         return found
 
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(stage_functions, "read_run_table", changed_meanwhile)
+        meanwhile.setattr(study, "read_run_table", changed_meanwhile)
         Session(open_study(new_study_file)).bring_up_to("displacement")
     work = Session(open_study(new_study_file)).runs[[r.name for r in open_study(new_study_file).runs].index("slow")]
     assert not work.is_current("displacement")

@@ -11,8 +11,7 @@ changed since is not computed again.
     .frictrack/frictrack_batch.jsonl the journal of finished studies
 """
 
-from frictrack.batch.driver import batch
+from frictrack.batch.driver import batch, find_studies
 from frictrack.batch.scheduler import BatchState
-from frictrack.batch.study_search import find_studies
 
 __all__ = ["BatchState", "batch", "find_studies"]

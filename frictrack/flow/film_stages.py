@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.calibration import calibrate, plane_map
 from frictrack.errors import FrictrackError
-from frictrack.flow.track_quality import correct_track, residual_shake
 from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import BACKWARD, RecordingInfo
-from frictrack.sampling import is_even, moved_to_grid, screened
 
 if TYPE_CHECKING:
     from frictrack.calibration import PlaneMap
@@ -281,6 +278,8 @@ def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
         If the calibration is wrong.
 
     """
+    from frictrack.calibration import plane_map  # noqa: PLC0415
+
     run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
     of_target = [isinstance(one, dict) and "target" in one for one in several]
@@ -291,7 +290,7 @@ def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
     return maps[0] if len(maps) == 1 and not any(of_target) else None
 
 
-def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Track]) -> Displacement:
+def make_film_displacement(pipeline: RunPipeline, tracks: dict[str, Track], track: Track) -> Displacement:
     """Compute the displacement from the first to the last frame that shows the target.
 
     Camera shake is subtracted, and the times are corrected where frames are missing or doubled.
@@ -300,8 +299,8 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
     ----------
     pipeline
         The stages of the run.
-    track, tracks
-        The track of the target, and the further tracks by name.
+    tracks, track
+        The further tracks by name, and the track of the target.
 
     Returns
     -------
@@ -309,6 +308,9 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
         In m, without lens distortion, along the course.
 
     """
+    from frictrack.calibration import calibrate, plane_map  # noqa: PLC0415
+    from frictrack.flow.track_quality import correct_track, residual_shake  # noqa: PLC0415
+    from frictrack.sampling import screened  # noqa: PLC0415
     from frictrack.tracking import align_track  # noqa: PLC0415
 
     run, anchor = pipeline.run, pipeline.anchor
@@ -338,6 +340,8 @@ def make_displacement(pipeline: RunPipeline, track: Track, tracks: dict[str, Tra
 
 def _on_grid(displacement: Displacement) -> Displacement:
     """Return a displacement whose frames have uneven times with the positions at the nearest points of an even grid."""
+    from frictrack.sampling import is_even, moved_to_grid  # noqa: PLC0415
+
     columns = (displacement.x, displacement.y, displacement.angle)
     moved = None if is_even(displacement.t) else moved_to_grid(displacement.t, columns)
     if moved is None:

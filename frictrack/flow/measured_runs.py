@@ -66,7 +66,7 @@ class MeasuredRuns:
     def _check_inputs(self, stage: str) -> None:
         """Check all inputs once, and the units of tables before films are tracked."""
         if not self._inputs_checked:
-            from frictrack.flow.input_checks import check_inputs  # noqa: PLC0415 - not needed for stored results
+            from frictrack.flow.opening import check_inputs  # noqa: PLC0415 - not needed for stored results
 
             check_inputs(self.pipelines)
             self._inputs_checked = True

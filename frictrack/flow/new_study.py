@@ -10,8 +10,7 @@ from typing import Any
 
 from frictrack.calibration import parse_scale
 from frictrack.errors import FrictrackError
-from frictrack.flow.input_checks import check_inputs
-from frictrack.flow.opening import open_study
+from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey_recording
 from frictrack.number_format import format_plus_minus

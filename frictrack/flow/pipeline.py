@@ -177,13 +177,13 @@ class RunPipeline:
 
     def is_current(self, name: str) -> bool:
         """Return whether a stage is stored with the key that it would get today."""
-        provenance = self._provenance(name)
+        provenance = self.provenance(name)
         return provenance is not None and (self.stored_only or provenance.key == self.key(name))
 
     def key(self, name: str) -> str:
         """Return the hash of everything that a stage depends on."""
         if self.stored_only:
-            provenance = self._provenance(name)
+            provenance = self.provenance(name)
             return provenance.key if provenance else "never made"
         if name not in self._keys:
             hashes = [found for _, found in self.inputs(name)]
@@ -210,7 +210,7 @@ class RunPipeline:
         inside = value.is_relative_to(self.study.folder)
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
-    def _provenance(self, name: str) -> Provenance | None:
+    def provenance(self, name: str) -> Provenance | None:
         """Return the provenance of a stored stage; with `stored_only` it is read once."""
         if not self.stored_only:
             return store.provenance(self.path, name)
@@ -218,16 +218,14 @@ class RunPipeline:
             self._provenances[name] = store.provenance(self.path, name)
         return self._provenances[name]
 
-    def changed_keys(self) -> list[str]:
-        """Return the keys of the study file whose values have changed since the stored stages were computed."""
-        provenances = {name: provenance for name in self.stages if (provenance := self._provenance(name)) is not None}
-        pairs = (
-            (json.loads(provenance.settings), to_builtins(self.settings(name)))
-            for name, provenance in provenances.items()
-        )
-        return list(
-            dict.fromkeys(key for then, now in pairs for key in (*now, *LATER_KEYS) if then.get(key) != now.get(key))
-        )
+    def changed_settings(self, name: str) -> dict[str, tuple[Any, Any]]:
+        """Return the keys of the study file that were others when a stage was computed: values then and now."""
+        made = self.provenance(name)
+        if made is None:
+            return {}
+        then, now = json.loads(made.settings), to_builtins(self.settings(name))
+        values = {key: (then.get(key), now.get(key)) for key in (*now, *LATER_KEYS)}
+        return {key: (before, after) for key, (before, after) in values.items() if before != after}
 
     def inputs(self, name: str) -> list[tuple[str, str]]:
         """Return what a stage is computed from.
@@ -247,7 +245,7 @@ class RunPipeline:
             if name in STAGES_FROM_ANCHOR and self.anchor:
                 groups.append((f"{self.anchor.path.name}:/track", self.anchor.key("track")))
             paths = self.input_files(stage)
-            stored = self._provenance(name) if self.run.video in paths else None  # only a film has a former hash
+            stored = self.provenance(name) if self.run.video in paths else None  # only a film has a former hash
             known = dict(json.loads(stored.inputs or "[]")) if stored else {}
             files = [(self.as_written(path), self.content_hash(path, known)) for path in paths]
             self._inputs[name] = groups + files

@@ -1,10 +1,10 @@
-"""Check the numbers of a study before any further computation: those in the study file, each run, all runs together."""
+"""Check a study before any further computation: the numbers in its file, each run, and all runs together."""
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,9 @@ from frictrack.plausibility import (
     path_angle,
     wrong_incline,
 )
-from frictrack.records import Run, Track
+from frictrack.records import Displacement, Run, Track
 from frictrack.results import to_builtins
+from frictrack.sampling import copies
 from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study, read_toml
 from frictrack.units import lacks_unit
@@ -79,13 +80,10 @@ class Findings:
 
     def save(self, pipelines: Sequence[RunPipeline]) -> None:
         """Store the findings beside the results, from which report and page read them."""
-        path, key = self.study.output / "study.h5", findings_key(pipelines)
-        held = store.provenance(path, FINDINGS)
-        if stored_findings(path, pipelines) == self.summary or (held is None and not self.summary):
-            return
-        inputs = [(f"{p.path.name}:/{stage}", p.key(stage)) for p in pipelines for stage in ("motion", "friction")]
-        made = Provenance(key, digest([found for _, found in inputs]), json.dumps(inputs), "{}")
-        store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, made)})
+        path = self.study.output / "study.h5"
+        is_empty = not self.summary and store.provenance(path, FINDINGS) is None
+        if not is_empty and stored_findings(path, pipelines) != self.summary:
+            store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, _provenance(pipelines))})
 
     def check_study_file(self) -> None:
         """Check the numbers in the study file; a number that several runs inherit is reported once.
@@ -165,15 +163,17 @@ class Findings:
         return any(one.contradicts or not finding.contradicts for one in same)
 
 
-def findings_key(pipelines: Sequence[RunPipeline]) -> str:
-    """Return the hash of what the findings depend on: measured runs, and which of them are marked as checked."""
-    return digest([[p.run.name, p.run.plausible, p.key("motion"), p.key("friction")] for p in pipelines])
+def _provenance(pipelines: Sequence[RunPipeline]) -> Provenance:
+    """Return what the findings depend on: measured runs, and which of them are marked as checked."""
+    inputs = [(f"{p.path.name}:/{name}", p.key(name)) for p in pipelines for name in ("friction", "motion")]
+    key = digest([FINDINGS, inputs, [[p.run.name, p.run.plausible] for p in pipelines]])
+    return Provenance(key, digest([found for _, found in inputs]), json.dumps(inputs))
 
 
 def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[str, Any]] | None:
     """Return the stored findings as JSON; None if there are none of these runs as they were measured last."""
     provenance = store.provenance(path, FINDINGS)
-    if provenance is None or provenance.key != findings_key(pipelines):
+    if provenance is None or provenance.key != _provenance(pipelines).key:
         return None
     return list(store.read(path, FINDINGS)["warnings"])
 
@@ -270,3 +270,82 @@ def _raw_tables(study: Study) -> dict[str, Any]:
 def _run_name(table: dict[str, Any]) -> str:
     """Return the name of a run; without one, the stem of its recording."""
     return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
+
+
+def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
+    """Return a note for every run that is the same recording as an earlier one, by the name of the run."""
+    displacements = {pipeline.run.name: pipeline.get("displacement") for pipeline in pipelines}
+    films = {pipeline.run.name: pipeline.get("recording").hash for pipeline in pipelines if pipeline.run.video}
+    return duplicate_notes(displacements, films)
+
+
+def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
+    """Return a note for every run that repeats an earlier one.
+
+    Parameters
+    ----------
+    displacements
+        Displacement by name of the run.
+    contents
+        Hash of the film by name of the run, if it is known.
+
+    """
+    names = list(displacements)
+    pairs = [(names[i], names[j]) for i, j in copies(list(displacements.values()))]
+    found: dict[str, str] = {}
+    for i, one in enumerate(names):
+        for other in names[i + 1 :]:
+            if other not in found and ((one, other) in pairs or _same_content(contents.get(one), contents.get(other))):
+                found[other] = (
+                    f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
+                    "held-out error too low; remove one of them"
+                )
+    return found
+
+
+def _same_content(one: str | None, other: str | None) -> bool:
+    return one is not None and one == other
+
+
+def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
+    """Return a diagnosis with the verdict "undetermined" if findings contradict the study file.
+
+    Parameters
+    ----------
+    diagnosis
+        JSON of `diagnose`.
+    findings
+        Implausible numbers of the study.
+
+    Returns
+    -------
+    dict
+        The same diagnosis if nothing is contradicted, or if an effect of the same cause is in the model or missing.
+        Otherwise the verdict is "undetermined", nothing is missing, and the contradictions come first in
+        "undetermined".
+
+    Examples
+    --------
+    >>> from frictrack.plausibility import Finding
+    >>> diagnosis = {"verdict": "missing", "missing": ["collision"], "model": ["coulomb"], "undetermined": []}
+    >>> finding = Finding("mass", "the mass is 10 times too large", run="a", contradicts=True)
+    >>> withhold_verdict(diagnosis, [finding])["verdict"]
+    'undetermined'
+
+    """
+    contradictions = [f for f in findings if f.contradicts]
+    if not contradictions:
+        return dict(diagnosis)
+    # an effect of the same cause in the model, or found missing, has dealt with the contradiction
+    named = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
+    explained = {e.same_cause_as for name, e in effects.known().items() if name in named}
+    first = [_undetermined_entry(f) for f in contradictions if f.kind not in explained]
+    if not first:
+        return dict(diagnosis)
+    return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
+
+
+def _undetermined_entry(finding: Finding) -> dict[str, Any]:
+    """Return a contradiction as an entry of "undetermined"."""
+    what = f'run "{finding.run}"' if finding.run else "what was typed"
+    return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from frictrack import store
 from frictrack.flow.command_history import Change, CommandHistory
+from frictrack.flow.diagnosis_records import ALPHA_FIRST
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.session import Session
-from frictrack.flow.significance_budget import ALPHA_FIRST
 from frictrack.study import Study
 
 HEAD = '''"""Repeat the analysis of {name}: every fit and every choice of the history, in order.

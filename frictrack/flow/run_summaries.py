@@ -1,21 +1,66 @@
-"""Summarise each run after `track`, `motion` or `friction`: one row of their JSON per run."""
+"""Summarise each run after `track`, `motion` or `friction`: one row of their JSON, with its error budget."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.error_budget import budget
 from frictrack.errors import FrictrackError
-from frictrack.flow.duplicate_runs import find_duplicate_runs
-from frictrack.flow.film_stages import BACKWARD, contact_sheet_path, overlay_path
+from frictrack.flow.film_stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.flow.run_budget import run_budget
+from frictrack.flow.plausibility_checks import find_duplicate_runs
 from frictrack.flow.sensor_stage import sensor_summary
 from frictrack.flow.summaries import CutoffSummary, Events
-from frictrack.flow.track_quality import track_quality
+from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.records import CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import to_builtins
+
+if TYPE_CHECKING:
+    from frictrack.flow.pipeline import RunPipeline
+
+
+def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Compute the error budget of the friction force of one run.
+
+    Parameters
+    ----------
+    pipeline
+        The stages of the run.
+    known
+        `film_quality`, if it was computed already.
+
+    Returns
+    -------
+    dict
+        JSON of the budget; empty without a mass and without measured friction.
+
+    """
+    run = pipeline.to_run()
+    if run.mass is None and run.friction_N is None:
+        return {}
+    film = pipeline.get("recording") if pipeline.run.video else None
+    if film is not None:
+        known = (known or film_quality(pipeline)) | _residual_shake(pipeline)
+    found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
+    made: dict[str, Any] = to_builtins(found.summary())
+    return made
+
+
+def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
+    """Return `track_quality` of a film as JSON; empty for a table of positions."""
+    if not pipeline.run.video:
+        return {}
+    pitch = pipeline.get("displacement").pixel_pitch
+    found = track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
+    return dict(to_builtins(found))
+
+
+def _residual_shake(pipeline: RunPipeline) -> dict[str, Any]:
+    """Return the camera shake that may be left in the displacement, px rms along x."""
+    left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
+    return {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))
 
 
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:

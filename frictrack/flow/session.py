@@ -18,18 +18,16 @@ from frictrack.costs import DEFAULT_COSTS
 from frictrack.errors import FrictrackError
 from frictrack.files import lock_work
 from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
-from frictrack.flow.formula_effects import choose_formula, formula_number
 from frictrack.flow.measured_runs import MeasuredRuns
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.predictions import Predictions
-from frictrack.flow.significance_budget import SignificanceBudget, alpha_spent
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
 from frictrack.search import METHODS, read_settings
-from frictrack.store import GroupContent, Provenance
+from frictrack.store import Provenance
 from frictrack.study import Study, suggest
 from frictrack.verdicts import describe_no_run, describe_tests
 from frictrack.version import __version__
@@ -220,7 +218,7 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
-        from frictrack.flow.duplicate_runs import find_duplicate_runs  # noqa: PLC0415
+        from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
         from frictrack.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
@@ -268,16 +266,14 @@ class Session:
         """Store profiles and bootstrap intervals of a fit beside it; those computed before are kept."""
         from frictrack.fit import analyse_uncertainty  # noqa: PLC0415
 
-        fitted, inside = self.models.fit(group), f"models/{group}/certainty"
-
-        def make() -> dict[str, Any]:
-            stored = json.loads(store.read(self.path, inside)["summary"]) if store.provenance(self.path, inside) else {}
-            asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "rng": seed}
-            found = analyse_uncertainty(fitted, **asked, progress=self.progress)
-            return {"summary": json.dumps(stored | to_builtins(found.summary()))}
-
+        inside = f"models/{group}/certainty"
+        self.models.bring_up_to_date(group)
         key = digest(["certainty", profiles, draws, seed, self.models.fit_key(self.models.request(group))])
-        self._stored_summary(inside, make, key, seed)
+        if self.models.stored_summary(inside, key) is None:
+            asked: dict[str, Any] = {"profiles": profiles, "draws": draws, "rng": seed}
+            found = analyse_uncertainty(self.models.fit(group), **asked, progress=self.progress).summary()
+            known = self.models.stored_summary(inside) or {}
+            self.models.keep_summary(inside, known | found, self.models.provenance(key, json.dumps({"seed": seed})))
 
     def _scale_error(self) -> float:
         """Relative standard deviation that the scale adds to every force computed from acceleration, all runs alike."""
@@ -302,26 +298,26 @@ class Session:
 
         """
         if self.models.groups and not self.models.is_current_outdated():
-            stored = self._read_summary("comparison", self._history_key())
+            stored = self.models.stored_summary("comparison", self._history_key())
             if stored is not None:
                 return stored
+        from frictrack.compare import compare  # noqa: PLC0415
+
         self.bring_up_to("friction")
         self.models.current()
-        entries = [self._tried_model(group) for group in self.models.groups]
-        return self._stored_summary("comparison", lambda: self._compare(entries), self._history_key())
+        entries = [self._tried_model(group) for group in self.models.groups]  # those that are outdated are fitted again
+        found = self.models.stored_summary("comparison", key := self._history_key())
+        if found is None:
+            fails = compare([self.models.fit(self.models.current()[0])]).summary()
+            provenance = self.models.provenance(key, "{}")
+            found = self.models.keep_summary("comparison", {**fails, "models": entries}, provenance)
+        return found
 
     def _tried_model(self, group: str) -> dict[str, Any]:
         """Return the entry of a model: name, effects, settings and errors."""
         summary, request = self.models.summary(group), self.models.request(group)
         settings = request.model(self.study.effects).settings
         return {"name": group, "model": summary["model"], "settings": settings, "errors": summary["errors"]}
-
-    def _compare(self, entries: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the entries with the spans where the current model fails."""
-        from frictrack.compare import compare  # noqa: PLC0415
-
-        found = compare([self.models.fit(self.models.current()[0])]).summary()
-        return {"summary": json.dumps(to_builtins({**found, "models": entries}))}
 
     @exclusive
     def history(self) -> dict[str, Any]:
@@ -349,7 +345,7 @@ class Session:
 
         group, request = self.models.current()
         fitted = self.models.fit(group)
-        found = self._stored_diagnosis(group)
+        found = self.models.stored_summary(f"models/{group}/diagnosis")
         if found is None:
             return {"next": None, "next_reason": "run `frictrack diagnose` first: it says what is open"}
         named = next_run(fitted, found, self.study.costs)
@@ -378,7 +374,7 @@ class Session:
         """Find the effect that the current model lacks.
 
         The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it. Its
-        significance level follows from the tests that were made before; see `frictrack.flow.significance_budget`.
+        significance level follows from the tests that were made before; see `frictrack.flow.diagnosis_records`.
 
         Parameters
         ----------
@@ -412,7 +408,7 @@ class Session:
         test = test if alpha is None else replace(test, alpha=alpha)
         spent = alpha_spent([*self.budget.tests, test])
         more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._measured.notes()}
-        found = self._read_summary(inside, key)
+        found = self.models.stored_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
             announce = _once(on_verdict, more)
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
@@ -437,16 +433,15 @@ class Session:
     ) -> dict[str, Any]:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
-        from frictrack.flow.auxiliary_signals import auxiliary_signals  # noqa: PLC0415
-        from frictrack.flow.contradictions import withhold_verdict  # noqa: PLC0415
+        from frictrack.flow.plausibility_checks import withhold_verdict  # noqa: PLC0415
+        from frictrack.flow.sensor_stage import auxiliary_signals  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
         def keep(diagnosis: Diagnosis) -> dict[str, Any]:
-            summary = to_builtins(withhold_verdict(diagnosis.summary(), self.findings.contradictions))
-            content = {"summary": json.dumps(summary), "figures": diagnosis.figures}
-            store.write(self.path, {inside: GroupContent(content, provenance)}, links={"diagnosis": f"/{inside}"})
-            return dict(summary)
+            summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
+            links = {"diagnosis": f"/{inside}"}
+            return self.models.keep_summary(inside, summary, provenance, links, figures=diagnosis.figures)
 
         own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
         seed = json.loads(provenance.settings)["seed"]
@@ -463,12 +458,7 @@ class Session:
             quick=quick,
             on_verdict=lambda verdict: announce(keep(verdict)),
         )
-        return keep(diagnosis) if diagnosis.complete else self._read(inside)
-
-    def _stored_diagnosis(self, group: str) -> dict[str, Any] | None:
-        """Return the diagnosis of a model; None if there is none."""
-        inside = f"models/{group}/diagnosis"
-        return self._read(inside) if store.provenance(self.path, inside) is not None else None
+        return keep(diagnosis) if diagnosis.complete else self.models.stored_summary(inside) or {}
 
     def _diagnosis_inputs(self) -> list[Any]:
         """What a diagnosis depends on besides the fit: sensors, further tracks, contradictions, `[[effect]]` tables."""
@@ -507,11 +497,13 @@ class Session:
 
     def _defined(self, effect: str) -> str:
         """Return the name of an effect; that of a formula is written into the study file first."""
+        from frictrack.flow.study_edits import choose_formula, formula_number  # noqa: PLC0415
+
         number = formula_number(effect)
         if number is None:
             return effect
         group, request = self.models.current()
-        found = self._stored_diagnosis(group)
+        found = self.models.stored_summary(f"models/{group}/diagnosis")
         taken = [table.effect for table in self.study.effects]
         keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
         self._edit_study("define", effect=keys)
@@ -604,15 +596,19 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
-        from frictrack.flow.outdated import report_key, results_key  # noqa: PLC0415
-        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
+        from frictrack.flow.stored_results import (  # noqa: PLC0415
+            read_results,
+            report_key,
+            results_key,
+            stored_report_key,
+        )
 
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
         inputs = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
         key = report_key(inputs, results_key(self.models, self.runs), self.models.current()[0])
-        if anew or not _has_key(path, key):
+        if anew or (written := stored_report_key(path)) is None or written[0] != key:
             self.progress(0, 0, f"writing {path.name}")
             from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw
 
@@ -711,26 +707,6 @@ class Session:
         keys = (self.models.fit_key(self.models.request(group)) for group in self.models.groups)
         return digest([self._current_index(), *keys])
 
-    def _stored_summary(
-        self, group: str, make: Callable[[], dict[str, Any]], key: str, seed: int | None = None
-    ) -> dict[str, Any]:
-        """Return a stored summary; it is computed again if its key has changed."""
-        stored = self._read_summary(group, key)
-        if stored is not None:
-            return stored
-        provenance = self.models.provenance(key, json.dumps({} if seed is None else {"seed": seed}))
-        store.write(self.path, {group: GroupContent(make(), provenance)})
-        return self._read(group)
-
-    def _read_summary(self, group: str, key: str) -> dict[str, Any] | None:
-        """Return a stored summary; None if there is none, or if it was computed from something else."""
-        held = store.provenance(self.path, group)
-        return None if held is None or held.key != key else self._read(group)
-
-    def _read(self, group: str) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(store.read(self.path, group)["summary"])
-        return found
-
 
 def _once(call: Callable[[dict[str, Any]], None] | None, more: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
     """Return a function that calls `call` the first time, with the JSON and `more`."""
@@ -741,11 +717,3 @@ def _once(call: Callable[[dict[str, Any]], None] | None, more: dict[str, Any]) -
             calls.pop()({**summary, **more})
 
     return announce
-
-
-def _has_key(path: Path, key: str) -> bool:
-    """Return whether a page was made with this key, which is written in its head."""
-    if not path.exists():
-        return False
-    with path.open("rb") as file:
-        return key.encode() in file.read(2000)

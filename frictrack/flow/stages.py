@@ -1,30 +1,119 @@
-"""Define the stages of one run: two tables, one for films and one for tables of measured positions."""
+"""The stages of one run: what computes each of them, and two tables of them, for films and for tables of positions.
+
+Every function takes the pipeline and the results of the stage's inputs. They import the science that they need when
+they are called, so that stored results are read without it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from frictrack import models
+from frictrack.errors import FrictrackError
 from frictrack.filters import SETTINGS as FILTER_SETTINGS
-from frictrack.flow.pipeline import Progress, RunPipeline, Stage, no_progress
-from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, RunEvents, Track
+from frictrack.flow.film_stages import (
+    make_film_displacement,
+    make_further_tracks,
+    make_recording,
+    make_repaired,
+    make_track,
+)
+from frictrack.flow.pipeline import Progress, RunPipeline, Stage, make_run, no_progress
+from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
 from frictrack.study import RunTable, Study
 
 if TYPE_CHECKING:
     from frictrack.workers import WorkerPool
 
+MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
-def _function(name: str) -> Callable[..., Any]:
-    """Return a function of `stage_functions`; that module, which loads the science, is imported when it is called."""
 
-    def make(pipeline: RunPipeline, *inputs: Any) -> Any:
-        from frictrack.flow import stage_functions  # noqa: PLC0415
+def make_table_displacement(pipeline: RunPipeline) -> Displacement:
+    """Compute the displacement of a table of positions."""
+    from frictrack.repairing import repaired_rows  # noqa: PLC0415
+    from frictrack.study import read_run_table  # noqa: PLC0415
+    from frictrack.tables import displacement_of_table  # noqa: PLC0415
 
-        return getattr(stage_functions, name)(pipeline, *inputs)
+    run = pipeline.run
+    found = displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
+    return repaired_rows(found, run.repair)
 
-    return make
+
+def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
+    """Read the drive and the sensors at the times of the frames."""
+    from frictrack.flow.sensor_stage import read_sensors  # noqa: PLC0415
+
+    return read_sensors(pipeline.run, displacement)
+
+
+def make_filtered(pipeline: RunPipeline, displacement: Displacement, sensors: Sensors) -> Filtered:
+    """Low-pass the displacement, with the acceleration of a sensor if it agrees with the camera."""
+    from frictrack.flow.sensor_stage import fused_acceleration  # noqa: PLC0415
+    from frictrack.motion import low_pass  # noqa: PLC0415
+
+    return low_pass(displacement, method=pipeline.run.filter_choice, acceleration=fused_acceleration(sensors))
+
+
+def make_motion(pipeline: RunPipeline, filtered: Filtered) -> Motion:
+    """Differentiate the filtered displacement."""
+    from frictrack.motion import differentiate  # noqa: PLC0415
+
+    return differentiate(filtered)
+
+
+def make_cutoff(
+    pipeline: RunPipeline, displacement: Displacement, filtered: Filtered, motion: Motion
+) -> CutoffTradeOff:
+    """Compute what another cut-off frequency would change."""
+    from frictrack.motion import cutoff_tradeoff  # noqa: PLC0415
+
+    return cutoff_tradeoff(displacement, filtered, motion)
+
+
+def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
+    """Compute the friction force; an unknown mass is estimated first."""
+    from frictrack.friction import friction  # noqa: PLC0415
+
+    run = make_run(pipeline.run, displacement, motion, sensors)
+    if run.mass is not None or run.friction_N is not None:
+        return _friction_or_missing_incline(pipeline, run)
+    weighed, says = _with_fitted_mass(run)
+    found = friction(weighed)
+    return replace(found, reason=f"{found.reason}; {says}")
+
+
+def make_events(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> RunEvents:
+    """Find release, stops and reversals."""
+    from frictrack.friction import find_events  # noqa: PLC0415
+
+    return find_events(make_run(pipeline.run, displacement, motion, sensors))
+
+
+def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
+    """Compute the friction force of a run; if it has no free section because the incline is missing, say so."""
+    from frictrack.friction import friction  # noqa: PLC0415
+    from frictrack.plausibility import missing_incline, path_angle  # noqa: PLC0415
+
+    try:
+        return friction(run)
+    except FrictrackError as e:
+        lacks = missing_incline(run, path_angle(pipeline.final_track) if "track" in pipeline.stages else None)
+        if lacks is None:
+            raise
+        raise FrictrackError(lacks.words) from e
+
+
+def _with_fitted_mass(run: Run) -> tuple[Run, str]:
+    """Return a run of unknown mass with the mass that its drive determines, and a sentence for the user."""
+    from frictrack.fit import fit  # noqa: PLC0415 - a second that runs of known mass need not wait for
+
+    found = fit(models.parse(MASS_FIT_MODEL), [run]).parameters["mass.m"]
+    if found.value is None or found.std is None:
+        raise FrictrackError(f'mass = "fit": {found.reason}')
+    says = f"mass {found.value:.4g} ± {found.std:.2g} kg, fitted to the drive with Coulomb and viscous friction"
+    return replace(run, mass=found.value, sigma_mass=found.std), says
 
 
 def _stage_table(*head: Stage) -> dict[str, Stage]:
@@ -34,30 +123,30 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
             "sensors",
             ("displacement",),
             ("drive", "sensor"),
-            _function("make_sensors"),
+            make_sensors,
             Sensors,
         ),
-        Stage("filtered", ("displacement", "sensors"), FILTER_SETTINGS, _function("make_filtered"), Filtered),
-        Stage("motion", ("filtered",), (), _function("make_motion"), Motion),
+        Stage("filtered", ("displacement", "sensors"), FILTER_SETTINGS, make_filtered, Filtered),
+        Stage("motion", ("filtered",), (), make_motion, Motion),
         Stage(
             "cutoff",
             ("displacement", "filtered", "motion"),
             (),
-            _function("make_cutoff"),
+            make_cutoff,
             CutoffTradeOff,
         ),
         Stage(
             "friction",
             ("displacement", "motion", "sensors"),
             ("mass", "incline", "normal_load", "free"),
-            _function("make_friction"),
+            make_friction,
             Friction,
         ),
         Stage(
             "events",
             ("displacement", "motion", "sensors"),
             ("mass", "incline", "normal_load", "free"),
-            _function("make_events"),
+            make_events,
             RunEvents,
         ),
     )
@@ -65,23 +154,21 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
 
 
 FILM = _stage_table(
-    Stage("recording", (), ("video", "fps"), _function("make_recording"), RecordingInfo),
-    Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), _function("make_track"), Track),
-    Stage(
-        "tracks", ("recording", "track"), ("reference", "targets", "obstacles"), _function("make_further_tracks"), dict
-    ),
+    Stage("recording", (), ("video", "fps"), make_recording, RecordingInfo),
+    Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), make_track, Track),
+    Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), make_further_tracks, dict),
     Stage(
         "displacement",
         ("tracks", "track"),
         ("scale", "lens", "axis", "origin_px", "x_offset", "repair"),
-        _function("make_video_displacement"),
+        make_film_displacement,
         Displacement,
     ),
 )
 # Repairs come after the track, which stays stored as it was: undoing a repair does not track the film again.
 FILM_REPAIRED = _stage_table(
     *(FILM[name] for name in ("recording", "track", "tracks")),
-    Stage("repaired", ("recording", "track", "tracks"), ("repair",), _function("make_repaired"), Track),
+    Stage("repaired", ("recording", "track", "tracks"), ("repair",), make_repaired, Track),
     replace(FILM["displacement"], inputs=("tracks", "repaired")),
 )
 TABLE = _stage_table(
@@ -89,7 +176,7 @@ TABLE = _stage_table(
         "displacement",
         (),
         ("table", "columns", "fps", "scale", "x_offset", "repair"),
-        _function("make_table_displacement"),
+        make_table_displacement,
         Displacement,
     ),
 )

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from frictrack import store
 from frictrack.errors import FrictrackError
-from frictrack.flow.attempts import attempt_path, make_attempts_folder, stored_attempt
+from frictrack.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
@@ -22,6 +24,10 @@ from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study
 
 RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion, "convergence": Convergence}  # groups in that of a model
+ATTEMPTS_FOLDER = "attempts"  # in the internal folder of the results: fits of the current model with one more effect
+MAX_ATTEMPTS = 60  # files; the oldest are removed first
+KEY_LENGTH = 32  # characters of the hash in the name of such a file
+NO_LINKS: Mapping[str, str] = MappingProxyType({})
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
@@ -195,20 +201,33 @@ class TriedModels:
         return {f"runs/{pipeline.run.name}": pipeline.path.name for pipeline in self._pipelines}
 
     def attempt_path(self, request: FitRequest) -> Path:
-        """Return the file that holds the fit of a request if it was attempted; see `attempts`."""
-        return attempt_path(self.study.output, self.fit_key(request))
+        """Return the file that holds the fit of a request if it was attempted.
+
+        Its name is the hash of all that the fit depends on: that of other runs or other settings is never found.
+        """
+        name = f"{self.fit_key(request)[:KEY_LENGTH]}.h5"
+        return self.study.output / INTERNAL_FOLDER / ATTEMPTS_FOLDER / name
 
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
-        """Return file and group of the attempted fit of a request; None if there is none."""
-        return stored_attempt(self.study.output, self.fit_key(request))
+        """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
+        path = self.attempt_path(request)
+        try:
+            group = next(iter(store.names(path, "models")), None)
+            made = store.provenance(path, f"models/{group}") if group else None
+        except FrictrackError:
+            return None
+        return (path, str(group)) if made is not None and made.key == self.fit_key(request) else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
-        """Fit a model into a file of its own, unless it is there already: JSON of `fit`; see `attempts`."""
+        """Fit a model into a file of its own, unless it is there already: JSON of `fit`.
+
+        So a candidate is shown, or added, without fitting again.
+        """
         found = self.stored_attempt(request)
         if found is None:
             entry = self._group_content(request, self._fit(request), current=False)
             standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
-            make_attempts_folder(self.study.output)
+            _make_room_for_attempt(self.study.output)
             found = self.attempt_path(request), f"attempt_{request.name}"
             store.write(found[0], {f"models/{found[1]}": standalone})
         return model_results(*found).summary
@@ -322,6 +341,23 @@ class TriedModels:
             store.write(self.path, {"papers": entry})
         return self.results("papers")
 
+    def stored_summary(self, group: str, key: str | None = None) -> dict[str, Any] | None:
+        """Return the JSON that a group holds; None if there is none, or if it has another key than `key`."""
+        made = store.provenance(self.path, group)
+        if made is None or key not in (None, made.key):
+            return None
+        found: dict[str, Any] = json.loads(store.read(self.path, group, without=("figures",))["summary"])
+        return found
+
+    def keep_summary(
+        self, group: str, summary: Any, provenance: Provenance, links: Mapping[str, str] = NO_LINKS, **more: Any
+    ) -> dict[str, Any]:
+        """Store the JSON of something that was computed from the models, with more content of its group; return it."""
+        found: dict[str, Any] = to_builtins(summary)
+        content = GroupContent({"summary": json.dumps(found), **more}, provenance)
+        store.write(self.path, {group: content}, links=links)
+        return found
+
     def summary(self, group: str) -> dict[str, Any]:
         """Return the JSON of a fit; a model that is outdated is fitted again."""
         self.bring_up_to_date(group)
@@ -348,6 +384,15 @@ class TriedModels:
             **({"convergence": fitted.convergence} if fitted.convergence else {}),
         }
         return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+
+
+def _make_room_for_attempt(output: Path) -> None:
+    """Create the folder of the attempts and remove the oldest of too many."""
+    folder = make_subfolder(make_internal_folder(output), ATTEMPTS_FOLDER)
+    files = sorted(folder.glob("[!.]*.h5"), key=lambda path: path.stat().st_mtime_ns)
+    for path in files[: max(len(files) - MAX_ATTEMPTS + 1, 0)]:
+        with suppress(OSError):
+            path.unlink()
 
 
 def model_results(path: Path, group: str) -> ModelResults:

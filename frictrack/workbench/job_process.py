@@ -150,7 +150,7 @@ ACTIONS: dict[str, Any] = {
 IMPORTED_FIRST = (  # what most jobs need; the process that waits has it ready
     *("frictrack.flow.session", "frictrack.flow.stored_results", "frictrack.flow.film_stages", "frictrack.flow.stages"),
     *("frictrack.fit", "frictrack.diagnose", "frictrack.compare", "frictrack.tracking", "frictrack.recording"),
-    *("frictrack.motion", "frictrack.friction", "frictrack.flow.plausibility_checks", "frictrack.flow.input_checks"),
+    *("frictrack.motion", "frictrack.friction", "frictrack.flow.plausibility_checks", "frictrack.flow.opening"),
 )
 
 

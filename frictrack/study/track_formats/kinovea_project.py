@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.study.table_cells import TableFile
+from frictrack.study.table_cells import TableFile, read_limited, read_xml
 from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
-from frictrack.study.xml_files import read_limited, read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.study.table_cells import TableFile
+from frictrack.study.table_cells import TableFile, read_limited, read_xml
 from frictrack.study.track_formats.track_table import SECONDS, TargetPositions, table_of_tracks
-from frictrack.study.xml_files import read_limited, read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

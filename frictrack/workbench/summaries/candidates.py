@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.flow import read_attempt
+from frictrack.flow import AttemptsReader
 from frictrack.number_format import describe_change
 from frictrack.plots.style import BAND_SIGMAS
 from frictrack.records import Array
@@ -55,7 +55,8 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     results = snapshot.results
     if snapshot.study is None or results is None or results.current is None:
         return None
-    tried = snapshot.attempted.get(effect) or read_attempt(snapshot.study, effect)  # any effect can be tried
+    tried = snapshot.attempted.get(effect)
+    tried = tried or AttemptsReader().read(snapshot.study, [effect]).get(effect)  # any effect can be tried
     if tried is None:
         return None
     columns = candidate_columns(results.runs, results.current, tried)

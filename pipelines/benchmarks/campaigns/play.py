@@ -17,7 +17,7 @@ from frictrack.costs import Costs
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.fit import Fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
-from frictrack.flow.significance_budget import CompletenessTest, named_effects, plan_test
+from frictrack.flow.diagnosis_records import CompletenessTest, named_effects, plan_test
 from frictrack.plan import next_run
 
 MAX_RUNS, N_FIRST = 6, 2

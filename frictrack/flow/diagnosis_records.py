@@ -1,11 +1,15 @@
-"""Bound the probability that any effect named in the whole work on a study is false, however often it is diagnosed.
+"""What a study remembers of its diagnoses: the tests made of its models, and what was predicted of runs to film.
 
+The probability that any effect named in the whole work on a study is false is bounded, however often it is diagnosed.
 Every diagnosis tests the hypothesis that its model is complete. Diagnoses form sequences: a test continues a sequence
 if it has the same data, and its model adds to the last model of the sequence only effects that the last test named. A
 sequence is tested at one significance level alpha in every step: a false effect can be named only at its first
 complete model, so all its steps together err with a probability of at most alpha (fixed-sequence testing). Any other
 test (an alternative model, changed data, another seed) begins a new sequence at a smaller alpha. The probability that
 any named effect is false is at most the sum of alpha over the sequences (Bonferroni).
+
+A run that `frictrack plan` names is kept with the evidence that is expected of it. The first diagnosis of the same
+model with exactly one run more fills in what was realised.
 
 References
 ----------
@@ -16,16 +20,78 @@ Foster & Stine (2008), Alpha-investing, J. R. Statist. Soc. B 70, 429 (a level f
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from frictrack.flow.kept_rows import KeptRows
+from frictrack.errors import FrictrackError
+from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
 
-FILE_NAME = "tests.json"
+Row = TypeVar("Row")
+TESTS_FILE = "tests.json"
+PREDICTIONS_FILE = "predictions.json"
 ALPHA_FIRST = 0.01  # of the first sequence of tests
 MIN_ALPHA = 0.001  # of a later one; a smaller level would take many more draws
+
+
+class KeptRows(Generic[Row]):
+    """Rows in ``.frictrack/NAME`` of the folder of the results.
+
+    Parameters
+    ----------
+    folder
+        Folder of the results.
+    name
+        Name of the file.
+    read_row
+        Make a row of an entry; a damaged one raises ValueError, TypeError, KeyError or AttributeError.
+    write_row
+        Make an entry of the file of a row.
+    afterwards
+        What follows when a damaged file is deleted, as the end of a sentence.
+
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        read_row: Callable[[Any], Row],
+        write_row: Callable[[Row], dict[str, Any]],
+        afterwards: str,
+    ) -> None:
+        self._folder, self._name = folder, name
+        self._read_row, self._write_row, self._afterwards = read_row, write_row, afterwards
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._folder / INTERNAL_FOLDER / self._name
+
+    def read(self) -> list[Row]:
+        """Return all rows, oldest first.
+
+        Raises
+        ------
+        FrictrackError
+            If the file is damaged.
+
+        """
+        try:
+            return [self._read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
+        except FileNotFoundError:
+            return []
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
+            raise FrictrackError(f"{self.path} is damaged; delete it, and {self._afterwards}") from e
+
+    def change(self, change: Callable[[list[Row]], list[Row]]) -> None:
+        """Replace the rows by what `change` makes of them, while no other process changes them."""
+        make_internal_folder(self._folder)
+        with lock_folder(self._folder):
+            rows = [self._write_row(row) for row in change(self.read())]
+            replace_text(self.path, json.dumps(rows, indent=0))
 
 
 @dataclass(frozen=True)
@@ -137,7 +203,7 @@ class SignificanceBudget:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._kept = KeptRows(folder, FILE_NAME, _read_test, asdict, "the tests are counted from now on")
+        self._kept = KeptRows(folder, TESTS_FILE, _read_test, asdict, "the tests are counted from now on")
 
     @property
     def path(self) -> Path:
@@ -207,3 +273,106 @@ def _read_test(row: Mapping[str, Any]) -> CompletenessTest:
     if not (isinstance(row["sequence"], int) and isinstance(row["alpha"], int | float)):
         raise ValueError("expected numbers")
     return CompletenessTest(**{**row, "model": tuple(names[0]), "named": None if names[1] is None else tuple(names[1])})
+
+
+class Predictions:
+    """The runs that were named, in a file of the results.
+
+    Parameters
+    ----------
+    folder
+        Folder of the results.
+
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._kept = KeptRows(folder, PREDICTIONS_FILE, _read_row, dict, "predictions are kept from now on")
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._kept.path
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """All entries, oldest first: JSON `predictions` of `frictrack history`.
+
+        Raises `FrictrackError` if the file is damaged.
+        """
+        return self._kept.read()
+
+    def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
+        """Keep the prediction of a named run; another one for the same model and runs replaces it.
+
+        Parameters
+        ----------
+        named
+            The run; see `frictrack.plan.next_run`.
+        model
+            Effects of the model.
+        runs
+            Names of the runs so far.
+
+        """
+        entry = {**named, "model": list(model), "runs": list(runs), "filmed": None, "realised": None}
+
+        def with_entry(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+            others = [row for row in rows if (row["model"], row["runs"]) != (entry["model"], entry["runs"])]
+            return [*others, entry]
+
+        self._kept.change(with_entry)
+
+    def resolve(self, diagnosis: Mapping[str, Any], runs: Sequence[str]) -> None:
+        """Fill in the realised evidence of the run that was added since, from a new diagnosis.
+
+        Parameters
+        ----------
+        diagnosis
+            JSON of the diagnosis.
+        runs
+            Names of the runs that it used.
+
+        """
+        found = [resolve_prediction(row, diagnosis, runs) for row in self.rows]
+        if any(row is not None for row in found):
+            self._kept.change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
+
+
+def _read_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Read one entry of the file."""
+    return {**row, "runs": list(row["runs"]), "model": list(row["model"])}
+
+
+def resolve_prediction(
+    row: Mapping[str, Any], diagnosis: Mapping[str, Any], runs: Sequence[str]
+) -> dict[str, Any] | None:
+    """Return an entry with its realised evidence; None if this diagnosis does not answer it.
+
+    Of the explanations that were predicted for, the one that is best now counts as true. The prediction is the least
+    over its rivals, and what was realised is the difference of BIC from that rival.
+
+    Parameters
+    ----------
+    row
+        The entry.
+    diagnosis
+        JSON of the diagnosis.
+    runs
+        Names of the runs that it used.
+
+    """
+    added = set(runs) - set(row["runs"])
+    if row["realised"] is not None or row["model"] != list(diagnosis["model"]) or len(added) != 1:
+        return None
+    if set(row["runs"]) - set(runs):
+        return None
+    gains = {c["effect"]: c["delta_bic"] for c in diagnosis["candidates"] if c["delta_bic"] is not None}
+    known = [p for p in row["predictions"] if p["true"] in gains and p["rival"] in gains]
+    best = max((p["true"] for p in known), key=lambda name: gains[name], default=None)
+    least = min((p for p in known if p["true"] == best), key=lambda p: p["expected"], default=None)
+    if least is None:
+        return None
+    gained = gains[least["true"]] - gains[least["rival"]]
+    factor = gained / least["expected"] if least["expected"] > 0 and gained > 0 else None
+    answer = {name: least[name] for name in ("true", "rival", "expected", "interval")}
+    return {**row, "filmed": added.pop(), "realised": {**answer, "delta_bic": gained, "factor": factor}}
