@@ -5,13 +5,13 @@ page = report.write(results, Path("report.html"))
 report.print_pdf(page)  # report.pdf
 """
 
+from frictrack.error_rows import held_out_error
 from frictrack.report.campaign_page import write_campaign
 from frictrack.report.markup import mark_code, mark_equation
 from frictrack.report.measurement_quality import failed_checks, is_good
 from frictrack.report.page import render, write
 from frictrack.report.pdf import print_pdf
 from frictrack.report.plan_page import write_plan
-from frictrack.report.tables import held_out_error
 from frictrack.report.templates import SvgEmbedder, page_template
 from frictrack.report.verdict_text import study_verdict
 

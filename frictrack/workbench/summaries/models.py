@@ -7,10 +7,11 @@ from functools import lru_cache
 from typing import Any, TypedDict
 
 from frictrack.effects import catalogue
+from frictrack.error_rows import held_out_error
 from frictrack.flow import user_effects
 from frictrack.number_format import format_quantity
 from frictrack.plots import has_law, numbered_name, residual_unit
-from frictrack.report import held_out_error, mark_equation
+from frictrack.report import mark_equation
 from frictrack.results import ModelResults, to_builtins
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
