@@ -102,7 +102,7 @@ def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
         Path of the study file.
 
     """
-    return f"{_TEXTS['report']}. {_next_step(diagnosis, study)}"
+    return f"the first screen of the report; --details prints more here. {_next_step(diagnosis, study)}"
 
 
 def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:

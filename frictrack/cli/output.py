@@ -9,12 +9,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frictrack.candidates import candidate_rows
 from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, plan, verdict  # noqa: F401
-from frictrack.cli.fit_output import compare, edit, fit, history  # noqa: F401 - `print_result` looks the function up here
+from frictrack.cli.fit_output import compare, edit, fit, history, parameters  # noqa: F401 - `print_result` looks the function up here
 from frictrack.cli.measurement_output import stages, track  # noqa: F401
 from frictrack.cli.tables import cell, table
+from frictrack.error_rows import error_rows
 from frictrack.number_format import format_plain, format_plus_minus
+from frictrack.verdicts import CHECK_FIRST, describe_verdict, force_without_effect
 
+MAX_NAMED, MAX_PARAMETERS = 3, 6  # that `frictrack run` prints without --details
+BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 SHARES = (  # words, and where they stand
     ("one hidden: named first", ("one", "named_first")),
     ("one hidden: first, or in its group", ("one", "in_group")),
@@ -224,6 +229,35 @@ def run_verdict(out: Console, result: dict[str, Any]) -> None:
 def run_rest(out: Console, result: dict[str, Any]) -> None:
     """Print what follows from a verdict that was printed before."""
     diagnosis_rest(out, result["diagnose"])
+
+
+def run_brief(out: Console, result: dict[str, Any]) -> None:
+    """Print the verdict with its evidence, the parameters, and the most important warning."""
+    found, fitted = result["diagnose"], result["fit"]
+    warnings = [f"{CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
+    warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
+    warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
+    for line in warnings[:1]:
+        out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
+    out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
+    for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
+        error = [f"held-out error {row.held_out}"] if row.held_out else []
+        out.print(escape(f"{row.effect}: {'; '.join([', '.join(row.parameters), row.evidence, *error])}"))
+    if (left := force_without_effect(found)) and left.get("words"):
+        out.print(escape(left["words"]))
+    errors = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
+    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in errors)
+    out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
+    shared = [(name, one) for name, one in fitted["parameters"].items() if "[" not in name][:MAX_PARAMETERS]
+    out.print(parameters(dict(shared)))
+    if left_out := _more(len(fitted["parameters"]) - len(shared), "parameter"):
+        out.print(left_out.strip())
+    if fitted.get("misfit"):
+        out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
+
+
+def _more(count: int, what: str) -> str:
+    return f" (and {count} more {what}{'s' * (count > 1)}: --details)" if count > 0 else ""
 
 
 def demo(out: Console, result: dict[str, Any]) -> None:
