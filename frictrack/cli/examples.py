@@ -18,7 +18,7 @@ EXAMPLES = {
     "fit": (
         "frictrack fit study.toml --model tustin,texture",
         "frictrack fit study.toml --domain force --search sga --seed 1",
-        "frictrack fit study.toml --search mga --set generations=500 --set P_const=0.05",
+        "frictrack fit study.toml --search mga --set generations=500",
     ),
     "compare": ("frictrack compare study.toml", "frictrack compare study.toml --json > errors.json"),
     "diagnose": ("frictrack diagnose study.toml", "frictrack diagnose study.toml --quick"),
