@@ -17,8 +17,14 @@ from frictrack.motion_axes import AXES
 from frictrack.number_format import describe_change, format_change, format_interval, format_number, format_share
 from frictrack.plots.style import BAND_SIGMAS
 from frictrack.records import Array
-from frictrack.report import mark_code, study_verdict
-from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
+from frictrack.report import (
+    CandidateCard,
+    candidate_cards,
+    inseparable,
+    mark_code,
+    separating_experiments,
+    study_verdict,
+)
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import Study
 from frictrack.verdicts import describe_formula, describe_verdict, force_without_effect
