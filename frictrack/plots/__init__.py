@@ -64,7 +64,6 @@ __all__ = [
     "next_experiments",
     "noise_um",
     "numbered_name",
-    "of_fit",
     "pair_separation",
     "passes",
     "pdf",
