@@ -173,7 +173,17 @@ def test_effects_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"name", "acts_on", "equation", "parameters", "looks_like", "mistaken_for"} <= set(listed["texture"])
     code, out, _ = run(capsys, "effects")
     assert code == 0
-    assert "texture" in out
+    assert len(out.splitlines()) == len(listed) + 2  # one line each, a head, and what to do next
+    assert [e["name"] for e in answer(capsys, "effects", "texture", "study.toml")["effects"]] == ["texture"]
+    code, out, _ = run(capsys, "effects", "texture")
+    assert code == 0
+    assert out.startswith(f"texture: {listed['texture']['what']}")
+    assert f"  equation: {listed['texture']['equation']}" in out
+    assert "mistaken for: " in out
+    assert [e["name"] for e in answer(capsys, "effects", "atm2:3", "vibration:2")["effects"]] == ["vibration", "atm2:2"]
+    code, err = refused(capsys, "effects", "texure")
+    assert code == 2
+    assert 'did you mean "texture"?' in err
 
 
 def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[str], here: Path) -> None:

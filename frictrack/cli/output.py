@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -294,7 +293,7 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:
-    """Print what each effect adds, looks like, and is confused with.
+    """Print one line per effect.
 
     Parameters
     ----------
@@ -304,14 +303,33 @@ def effects(out: Console, result: dict[str, Any]) -> None:
         JSON of `frictrack effects`.
 
     """
-    rows = table("effect", "equation", "parameters", "looks like", "mistaken for", box=box.SQUARE, show_lines=True)
+    rows = table("effect", "what it is")
+    longest = max(len(e["name"]) for e in result["effects"])
+    rows.columns[1].no_wrap, rows.columns[1].overflow = True, "ellipsis"
+    rows.columns[1].max_width = out.width - longest - 1
     for e in result["effects"]:
-        units = "\n".join(f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"])
-        units += "".join(f"\nneeds {what}" for what in e["needs"])
-        cells = e["name"], e["equation"], units, e["looks_like"], e["mistaken_for"]
-        rows.add_row(*(escape(text) for text in cells))
+        rows.add_row(escape(e["name"]), escape(e["what"]))
     out.print(rows)
-    out.print("`frictrack add STUDY EFFECT` adds an effect to the model")
+    out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
+
+
+def described_effects(out: Console, result: dict[str, Any]) -> None:
+    """Print what each effect adds, looks like, and is confused with."""
+    for e in result["effects"]:
+        units = [f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"]]
+        lines = {
+            "equation": e["equation"],
+            "parameters": "; ".join(units),
+            "needs": "; ".join(e["needs"]),
+            "looks like": e["looks_like"],
+            "mistaken for": e["mistaken_for"],
+            "confirm": e["confirm"],
+            "source": e["source"],
+        }
+        out.print(f"[bold]{escape(e['name'])}[/bold]: {escape(e['what'])}")
+        for head, text in lines.items():
+            if text:
+                out.print(f"  {head}: {escape(text)}")
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
