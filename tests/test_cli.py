@@ -387,13 +387,13 @@ def test_run_prints_fifteen_lines_and_with_details_the_rest(
     lines = brief.splitlines()
     assert code == 0
     assert len(lines) <= 17  # fifteen with five parameters, and without a warning
-    assert lines[0] == "Check first: a mass of 350 kg is implausible (and 2 more warnings: --details)"
+    assert lines[0] == "Check first: a mass of 350 kg is implausible (and 2 more warnings in the report)"
     assert lines[1] == "an effect is missing: patch"
     text = " ".join(brief.split())
     assert "patch: F 0.408 ± 0.008 N, x_c 0.22000 ± 0.00010 m; p at most 1/1000" in text
     assert "held-out error 214 to 9.85 µm" in text
     assert "coulomb + stribeck: held out, rms 214 µm; reduced chi² 29.2" in text
-    assert "(and 3 more parameters: --details)" in text
+    assert "(and 3 more parameters in the report)" in text
     assert "† the model is rejected: it misses a force" in lines
     assert "frictrack add study.toml patch" in text
     assert lines[-1] == "results: study_results/report.html"

@@ -232,18 +232,8 @@ def run_rest(out: Console, result: dict[str, Any]) -> None:
 
 def run_brief(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
-    found, fitted = result["diagnose"], result["fit"]
-    warnings = [f"{CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
-    warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
-    warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
-    for line in warnings[:1]:
-        out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
-    out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
-    for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
-        error = [f"held-out error {row.held_out}"] if row.held_out else []
-        out.print(escape(f"{row.effect}: {'; '.join([', '.join(row.parameters), row.evidence, *error])}"))
-    if (left := force_without_effect(found)) and left.get("words"):
-        out.print(escape(left["words"]))
+    fitted = result["fit"]
+    _brief_verdict(out, result["diagnose"])
     errors = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in errors)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
@@ -255,14 +245,29 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
 
 
+def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
+    """Print the most important warning, the verdict, and the effects that it names with their evidence."""
+    warnings = [f"{CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
+    warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
+    warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
+    for line in warnings[:1]:
+        out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
+    out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
+    for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
+        error = [f"held-out error {row.held_out}"] if row.held_out else []
+        out.print(escape(f"{row.effect}: {'; '.join([', '.join(row.parameters), row.evidence, *error])}"))
+    if (left := force_without_effect(found)) and left.get("words"):
+        out.print(escape(left["words"]))
+
+
 def _more(count: int, what: str) -> str:
-    return f" (and {count} more {what}{'s' * (count > 1)}: --details)" if count > 0 else ""
+    return f" (and {count} more {what}{'s' * (count > 1)} in the report)" if count > 0 else ""
 
 
 def demo(out: Console, result: dict[str, Any]) -> None:
     """Print the steps of the demonstration."""
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
-    diagnose(out, result["diagnose"])
+    _brief_verdict(out, result["diagnose"])
     if result["add"]:
         out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
         edit(out, result["add"])
