@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.workbench.plot_layers import PlotData, axis, band, dots, line, plot, span
+from frictrack.workbench.plot_data import PlotData, axis, band, dots, line, plot, span
 
 STATIC = Path(str(files("frictrack.workbench").joinpath("static")))
 RUNS = ("v1", "v2", "v3")

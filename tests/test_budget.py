@@ -20,7 +20,7 @@ from frictrack.flow.stored_results import run_results
 from frictrack.friction import friction
 from frictrack.motion import Smoother, covariance, differentiate, low_pass
 from frictrack.records import Displacement, Run
-from frictrack.report import budgets
+from frictrack.report import tables
 from frictrack.results import RecordingInfo, RunResults
 from frictrack.simulate.scene import read_scene
 from frictrack.simulate.scene import study_writer as scene
@@ -430,6 +430,6 @@ def test_the_figure_and_the_table_tell_the_same(study):
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts[[part["source"] for part in row["budget"]].index("time base")] == "not known"
     run: RunResults = run_results(session.runs[0])
-    assert "v4" in budgets.budget_sentences([run])[0]
-    assert len(budgets.source_table([run]).rows) == len(row["budget"])
-    assert budgets.source_table([replace(run, budget={})]).rows == ()
+    assert "v4" in tables.budget_sentences([run])[0]
+    assert len(tables.source_table([run]).rows) == len(row["budget"])
+    assert tables.source_table([replace(run, budget={})]).rows == ()

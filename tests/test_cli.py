@@ -173,7 +173,17 @@ def test_effects_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"name", "acts_on", "equation", "parameters", "looks_like", "mistaken_for"} <= set(listed["texture"])
     code, out, _ = run(capsys, "effects")
     assert code == 0
-    assert "texture" in out
+    assert len(out.splitlines()) == len(listed) + 2  # one line each, a head, and what to do next
+    assert [e["name"] for e in answer(capsys, "effects", "texture", "study.toml")["effects"]] == ["texture"]
+    code, out, _ = run(capsys, "effects", "texture")
+    assert code == 0
+    assert out.startswith(f"texture: {listed['texture']['what']}")
+    assert f"  equation: {listed['texture']['equation']}" in out
+    assert "mistaken for: " in out
+    assert [e["name"] for e in answer(capsys, "effects", "atm2:3", "vibration:2")["effects"]] == ["vibration", "atm2:2"]
+    code, err = refused(capsys, "effects", "texure")
+    assert code == 2
+    assert 'did you mean "texture"?' in err
 
 
 def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[str], here: Path) -> None:
@@ -334,6 +344,65 @@ def test_the_demo_tells_the_whole_story(
     assert code == 0
     assert "an effect is missing: drag" in out
     assert "2_coulomb+viscous+drag" in out
+
+
+PATCH = {
+    "effect": "patch",
+    "parameters": {"F": {"value": 0.408, "std": 0.008, "unit": "N"}, "x_c": {"value": 0.22, "std": 1e-4, "unit": "m"}},
+    "p": 0.001,
+    "delta_bic": 167256.9,
+    "heldout_rms_before_um": 214.0,
+    "heldout_rms_after_um": 9.85,
+    "passes": True,
+}
+
+
+def test_run_prints_fifteen_lines_and_with_details_the_rest(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [*(f"effect.{name}" for name in "abcdefgh"), "vibration.phase[slow]"]
+    friction = {"value": 3.012, "std": 0.049, "std_misfit": 0.053, "unit": "N"}
+    fitted = {
+        "model": ["coulomb", "stribeck"],
+        "domain": "displacement",
+        "search": "varpro",
+        "parameters": dict.fromkeys(names, friction),
+        "errors": {"rms_displacement_um": 54.2, "heldout_rms_um": 214.0, "reduced_chi2": 29.2},
+        "misfit": {"words": "the model is rejected: it misses a force. A standard deviation means nothing then"},
+    }
+    found = {
+        "verdict": "missing",
+        "missing": ["patch"],
+        "candidates": [PATCH],
+        "reduced_chi2": 29.2,
+        "noise_um": 9.9,
+        "warnings": [{"words": "a mass of 350 kg is implausible"}],
+        "findings": [{"run": name, "words": "2 frames lost"} for name in ("slow", "fast")],
+        "fails_at": [{"run": "slow", "t": [0.01, 0.02], "share_of_error": 0.8, "p": 1e-9}],
+    }
+    result = {"fit": fitted, "diagnose": found, "output": "study_results"}
+    monkeypatch.setattr(Session, "run", lambda *_, **__: result)
+    monkeypatch.setenv("COLUMNS", "80")
+    code, brief, _ = run(capsys, "run", "study.toml")
+    lines = brief.splitlines()
+    assert code == 0
+    assert len(lines) <= 17  # fifteen with five parameters, and without a warning
+    assert lines[0] == "Check first: a mass of 350 kg is implausible (and 2 more warnings in the report)"
+    assert lines[1] == "an effect is missing: patch"
+    text = " ".join(brief.split())
+    assert "patch: F 0.408 ± 0.008 N, x_c 0.22000 ± 0.00010 m; p at most 1/1000" in text
+    assert "held-out error 214 to 9.85 µm" in text
+    assert "coulomb + stribeck: held out, rms 214 µm; reduced chi² 29.2" in text
+    assert "(and 3 more parameters in the report)" in text
+    assert "† the model is rejected: it misses a force" in lines
+    assert "frictrack add study.toml patch" in text
+    assert lines[-1] == "results: study_results/report.html"
+    assert "fails in" not in text
+    code, details, _ = run(capsys, "run", "study.toml", "--details")
+    assert code == 0
+    for shown in ("fails in", "slow: 2 frames lost", "effect.h", "vibration.phase[slow]", "displacement, rms"):
+        assert shown in details
+    assert answer(capsys, "run", "study.toml") == result  # JSON has everything, with and without --details
 
 
 NUMBERS = {"rms_displacement_um": 12.58, "heldout_rms_um": 12.64, "free_run_rms_um": 0.6432, "rms_acceleration": 0.6112,

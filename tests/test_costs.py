@@ -14,7 +14,7 @@ from runs import FPS, MASS, PITCH
 from test_next_experiment import AMBIGUOUS, LAW, explained, law_with, runs_with, take
 
 from frictrack import effects, study
-from frictrack.cli import plan_output
+from frictrack.cli import diagnosis_output
 from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.experiments import selection
@@ -231,7 +231,7 @@ def test_the_text_names_the_run_its_cost_and_its_evidence(ambiguous):
     named = next_run(made, found, Costs(film=5, camera=math.inf))
     out = io.StringIO()
     shown = {"next": named, "next_reason": None, "assumed": [], "done": [], "runs": [], "pairs_before": 0}
-    plan_output.plan(
+    diagnosis_output.plan(
         Console(file=out, width=200), {**shown, "left": [], "unseen": [], "not_planned": {}, "detection_limits": {}}
     )
     text = out.getvalue()

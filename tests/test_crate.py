@@ -26,12 +26,10 @@ from frictrack import effects, store
 from frictrack.cli import main
 from frictrack.content_hash import CACHE_VARIABLE
 from frictrack.crate import CrateOptions, payload, reproduce_crate, write_crate
-from frictrack.crate.authorship import read_authorship
-from frictrack.crate.comparison import compare_files, tolerance_of
-from frictrack.crate.inputs import find_inputs
-from frictrack.crate.reading import Crate, CrateFile, read_crate
-from frictrack.crate.unit_codes import UNIT_CODES
-from frictrack.crate.unpacking import safe_place, unpack
+from frictrack.crate.metadata import UNIT_CODES, read_authorship
+from frictrack.crate.payload import safe_place, unpack
+from frictrack.crate.reading import Crate, CrateFile, find_inputs, read_crate
+from frictrack.crate.reproducing import compare_files, tolerance_of
 from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, stored_values
 from frictrack.records import Friction
@@ -337,7 +335,7 @@ def test_a_path_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
 def test_bombs_links_and_twins_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("zeros", bytes(4_000_000))
-    monkeypatch.setattr("frictrack.crate.unpacking.MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("frictrack.crate.payload.MAX_UNPACKED_BYTES", 1_000_000)
     assert "unpack to" in refused(tmp_path / "bomb.zip", tmp_path / "1")
     with zipfile.ZipFile(tmp_path / "link.zip", "w") as file:
         info = zipfile.ZipInfo("link")

@@ -20,9 +20,9 @@ from tracker_program import read_project, world_positions
 from frictrack import export
 from frictrack.errors import FrictrackError
 from frictrack.export import FORMATS, ExportedFiles, export_results
-from frictrack.export.columns import all_columns, describe, motion_columns, own_motion, track_columns
-from frictrack.export.tracker_axes import PIXEL_CENTRE, tracker_axes
-from frictrack.export.workbook import sheet_names
+from frictrack.export.table_files import sheet_names
+from frictrack.export.tables import all_columns, describe, motion_columns, own_motion, track_columns
+from frictrack.export.tracker_project import PIXEL_CENTRE, tracker_axes
 from frictrack.flow import Session, open_study, read_results
 from frictrack.records import Displacement, Track
 from frictrack.results import Results

@@ -106,7 +106,7 @@ def test_from_films_to_the_named_effect_and_the_falling_error(films: Server, tab
     page.idle()  # what comes after the verdict does not hold the user up
     page.picture("6_verdict")
     films_seen = json.loads(page.page.evaluate("fetch('/api/state').then((r) => r.text())"))
-    before = films_seen["falling"][-1]["reduced_chi2"]
+    before = films_seen["models"][-1]["errors"]["reduced_chi2"]
 
     act.click("Add patch")
     strip = page.page.locator(".ui-strip svg")
@@ -119,7 +119,7 @@ def test_from_films_to_the_named_effect_and_the_falling_error(films: Server, tab
     verdict(page)  # diagnosed again by itself
     state = json.loads(page.page.evaluate("fetch('/api/state').then((r) => r.text())"))
     assert state["model"]["label"].endswith("Tustin + patch")
-    assert state["falling"][-1]["reduced_chi2"] < before / 10
+    assert state["models"][-1]["errors"]["reduced_chi2"] < before / 10
     assert state["diagnosis"] is not None
     page.picture("7_added")
 

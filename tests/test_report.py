@@ -17,7 +17,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.parameters import SCATTER_BOUNDS
 from frictrack.report import markup, tables, verdict_text
 from frictrack.report import measurement_quality as of_measurement
-from frictrack.report.next_step_text import next_steps
+from frictrack.report.fit_text import next_steps
 
 MINUS = "\N{MINUS SIGN}"
 

@@ -14,8 +14,7 @@ from frictrack import models, plots
 from frictrack.candidates import candidate_rows
 from frictrack.diagnose.residual_curves import residual_series
 from frictrack.plots import failed_model
-from frictrack.plots.verdict import _spans
-from frictrack.plots.verdict_data import HeldOutError, data_of_diagnosis, data_of_study
+from frictrack.plots.verdict import HeldOutError, _spans, data_of_diagnosis, data_of_study
 from frictrack.report import tables
 
 PATCH = {"F": 2.0, "x_c": 0.2, "w": 0.008}

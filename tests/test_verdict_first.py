@@ -18,7 +18,7 @@ from frictrack.diagnose import Diagnosis, conclusion, diagnose
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study, read_results
-from frictrack.report.next_step_text import next_steps
+from frictrack.report.fit_text import next_steps
 from frictrack.results import to_builtins
 from frictrack.verdicts import VERDICT_ONLY
 

@@ -27,7 +27,7 @@ EXAMPLES = {
     "plan": ("frictrack plan study.toml", "frictrack plan study.toml --json > plan.json"),
     "report": ("frictrack report study.toml", "frictrack report study.toml --pdf"),
     "export": ("frictrack export study.toml --to netcdf", "frictrack export study.toml --to crate --license CC-BY-4.0"),
-    "effects": ("frictrack effects", "frictrack effects study.toml"),
+    "effects": ("frictrack effects", "frictrack effects study.toml texture"),
     "render": ("frictrack render scene.toml -o films", "frictrack render scene.toml -o films --seed 3"),
     "app": ("frictrack app study.toml", "frictrack app study.toml --port 8080 --no-browser"),
     "batch": ("frictrack batch campaign", 'frictrack batch "campaign/*/study.toml" -o all --workers 8'),

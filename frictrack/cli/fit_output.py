@@ -12,21 +12,11 @@ from rich.table import Table
 
 from frictrack.cli.tables import break_name
 from frictrack.cli.tables import table as _table
+from frictrack.error_rows import error_rows
 from frictrack.number_format import format_plain, format_plus_minus, format_share
 from frictrack.verdicts import describe_predictions, describe_tests
 
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
-ERRORS = {
-    "rms_displacement_um": ("displacement, rms", "x / µm", 1.0),
-    "rms_N": ("friction force, rms", "F / N", 1.0),
-    "noise_N": ("noise of the measured force", "noise / N", 1.0),
-    "heldout_rms_um": ("held out, rms", "held out / µm", 1.0),
-    "heldout_rms_N": ("held out, rms, N", "held out / N", 1.0),
-    "free_run_rms_um": ("free run, rms", "free run / µm", 1.0),
-    "rms_acceleration": ("acceleration, rms", "a / m/s²", 1.0),
-    "relative_force_error": ("relative force error", "force / %", 100.0),
-    "reduced_chi2": ("reduced chi²", "chi²", 1.0),
-}  # key of `errors` -> description, column head with its unit, factor
 
 
 def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
@@ -161,22 +151,11 @@ def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
         Head of the column, and "errors" of the model.
 
     """
-    columns = list(columns)
-    table = _table("error", *(title for title, _ in columns), "unit")
-    for key, cells in _errors([e for _, e in columns]).items():
-        words, head, _ = ERRORS[key]
-        table.add_row(words, *cells, head.partition(" / ")[2])
+    titles, models = zip(*columns, strict=True)
+    table = _table("error", *titles, "unit")
+    for row in (one for one in error_rows(models) if one.short):
+        table.add_row(row.name, *map(format_plain, row.values), row.unit)
     return table
-
-
-def _errors(models: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return the errors that any of the models has, as texts, one per model."""
-    cells = {}
-    for key, (*_, factor) in ERRORS.items():
-        values = [e.get(key) for e in models]
-        if any(v is not None for v in values):
-            cells[key] = [format_plain(None if v is None else v * factor) for v in values]
-    return cells
 
 
 def compare(out: Console, result: dict[str, Any]) -> None:
@@ -214,11 +193,11 @@ def history(out: Console, result: dict[str, Any]) -> None:
 
 def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
     """Return a table with one row per model; `write` formats its name."""
-    cells = _errors([model["errors"] for model in models])
-    table = _table("model", *(ERRORS[key][1] for key in cells))
-    for model, *values in zip(models, *cells.values(), strict=True):
+    rows = [row for row in error_rows(model["errors"] for model in models) if row.short]
+    table = _table("model", *(f"{row.short} / {row.unit}" if row.unit else row.short for row in rows))
+    for k, model in enumerate(models):
         name = "\n  ".join([write(model["name"]), *model.get("settings", [])])
-        table.add_row(escape(name), *values)
+        table.add_row(escape(name), *(format_plain(row.values[k]) for row in rows))
     return table
 
 

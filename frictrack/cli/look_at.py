@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from frictrack.error_rows import held_out_error
 from frictrack.number_format import describe_change
 
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
@@ -71,9 +72,8 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
         Path of the study file.
 
     """
-    unit = "N" if result["error_after"].get("heldout_rms_um") is None else "um"
-    before, after = (result[key].get(f"heldout_rms_{unit}") for key in ("error_before", "error_after"))
-    change = describe_change(before, after, unit.replace("u", "µ"))
+    (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
+    change = describe_change(before, after, unit)
     return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
@@ -102,7 +102,7 @@ def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
         Path of the study file.
 
     """
-    return f"{_TEXTS['report']}. {_next_step(diagnosis, study)}"
+    return f"the first screen of the report; --details prints more here. {_next_step(diagnosis, study)}"
 
 
 def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:

@@ -49,6 +49,9 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
     fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,
     workers: FilmWorkers = 1,
     seed: Seed = 0,
+    details: Annotated[
+        bool, typer.Option("--details", help="print also all candidates, where the model fails and what to film next")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Measure, fit, compare, diagnose and write the report.
@@ -59,9 +62,11 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
     path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
     with open_with_progress(path, workers) as (session, progress):
         result, shown = _streamed(
-            lambda announce: session.run(seed, on_verdict=announce), print_verdict(progress, as_json, "run_verdict")
+            lambda announce: session.run(seed, on_verdict=announce),
+            print_verdict(progress, as_json, "run_verdict" if details else "run_brief"),
         )
-    show, look = "run_rest" if shown else "run", after_run(result["diagnose"], path)
+    rest, whole = ("run_rest", "run") if details else ("", "run_brief")
+    show, look = rest if shown else whole, after_run(result["diagnose"], path)
     print_result(result, as_json, show, session.study.output / "report.html", look)
 
 

@@ -21,19 +21,27 @@ TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
 @command()
 def effects(
-    study: Annotated[
-        Path | None, typer.Argument(metavar="[STUDY]", help="study whose own effects are listed, too")
+    given: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[STUDY] [EFFECT]...", help="study whose own effects are listed, too; effects to describe"
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the effects that a model can have.
+    """List the effects that a model can have, or describe some.
 
-    Shows equation, parameters with units, what an effect looks like and what it is confused with. Reads the study file
-    if one is given. Writes nothing.
+    One line each; of an effect that is named, also equation, parameters with units, what it looks like, what it is
+    confused with, how to confirm it, and the source. Reads the study file if one is given. Writes nothing.
     """
-    from frictrack.effects import catalogue  # noqa: PLC0415
+    from frictrack.effects import catalogue, get  # noqa: PLC0415
 
-    print_result({"effects": catalogue(_own_effects(study) if study else ())}, as_json, "effects")
+    studies = [name for name in given or () if name.endswith(".toml") or (Path(name) / "study.toml").exists()]
+    own = [effect for study in studies for effect in _own_effects(Path(study))]
+    named = [get(name, own) for name in given or () if name not in studies]
+    names = {name for effect in named for name in (effect.name, effect.name.partition(":")[0])}
+    found = [e for e in catalogue(own) if not names or names & {e["name"], e["name"].partition(":")[0]}]
+    print_result({"effects": found}, as_json, "described_effects" if names else "effects")
 
 
 def _own_effects(study: Path) -> list[Any]:

@@ -6,11 +6,11 @@ In Python, a crate is written from a session and reproduced in a new folder.
     write_crate(Session(open_study("study.toml")), Path("study.crate.zip"), CrateOptions(licence="CC-BY-4.0"))
     reproduce_crate(Path("study.crate.zip"), Path("again"))["equal"]
 
-    payload, tables                 what is in a crate
-    metadata, unit_codes, authorship, platform_versions         its description in JSON-LD
-    writing                         write it
-    unpacking, reading, inputs      open it safely, find and check the recordings
-    comparison, reproducing         compute its results again and compare them
+    payload      what is in a crate; open it safely
+    metadata     its description in JSON-LD: authors, units, versions, columns of tables
+    writing      write it
+    reading      read it, find and check the recordings
+    reproducing  compute its results again and compare them
 """
 
 from frictrack.crate.reproducing import reproduce_crate

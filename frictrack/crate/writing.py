@@ -14,11 +14,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from frictrack.crate.authorship import Authorship, read_authorship
-from frictrack.crate.metadata import METADATA, Described, describe_crate
+from frictrack.crate.metadata import (
+    METADATA,
+    Authorship,
+    Described,
+    describe_crate,
+    platform_versions,
+    read_authorship,
+    table_files,
+)
 from frictrack.crate.payload import Part, Payload, list_payload
-from frictrack.crate.platform_versions import platform_versions
-from frictrack.crate.tables import table_files
 from frictrack.errors import FrictrackError
 from frictrack.files import atomic_write
 from frictrack.flow import Session

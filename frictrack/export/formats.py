@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from frictrack.errors import FrictrackError
+from frictrack.lazy import imported
+
+if TYPE_CHECKING:
+    from frictrack.results import Results
 
 _DIAGNOSIS = "diagnosis and comparison of the models, which are in the report and in study.h5"
 _PICTURES = "first frame of the film and picture of the target"
@@ -71,13 +76,13 @@ FORMATS = {
     "csv": ExportFormat(
         "a CSV file per run with its curves, and parameters, errors and error budgets; units in the headers",
         'pandas.read_csv("csv/v3.csv")',
-        "frictrack.export.text_tables:write_csv",
+        "frictrack.export.table_files:write_csv",
         _NOT_IN_TABLES,
     ),
     "xlsx": ExportFormat(
         "the same as one Excel workbook, a sheet per table",
         'pandas.read_excel("study.xlsx", sheet_name="v3")',
-        "frictrack.export.workbook:write_xlsx",
+        "frictrack.export.table_files:write_xlsx",
         ("the 17th digit of numbers, which Excel does not store", *_NOT_IN_TABLES),
     ),
     "netcdf": ExportFormat(
@@ -95,7 +100,7 @@ FORMATS = {
     "parquet": ExportFormat(
         "a Parquet file per kind of table, with a column for the run; units in the metadata of the columns",
         "duckdb.sql(\"SELECT run, max(v) FROM 'parquet/curves.parquet' GROUP BY run\")",
-        "frictrack.export.parquet_tables:write_parquet",
+        "frictrack.export.table_files:write_parquet",
         (
             "settings, versions and hashes of the inputs, except the version of frictrack",
             _DIAGNOSIS,
@@ -112,7 +117,7 @@ FORMATS = {
     "txt": ExportFormat(
         "a text per run as Tracker exports it: t in s, x and y in m; frictrack reads it as a table, too",
         "Tracker, or any program that reads columns",
-        "frictrack.export.tracker_text:write_txt",
+        "frictrack.export.tracker_project:write_txt",
         _NOT_IN_TRACKER,
     ),
     "svg": ExportFormat(
@@ -152,3 +157,48 @@ def find_format(name: str) -> ExportFormat:
     if name not in FORMATS:
         raise FrictrackError(f"expected one of the formats {', '.join(FORMATS)} but got {name!r}", usage=True)
     return FORMATS[name]
+
+
+def export_results(results: Results, to: str) -> ExportedFiles:
+    """Write the results of a study for another tool, and say what its format cannot hold.
+
+    Parameters
+    ----------
+    results
+        Results of a study; the files are written into its folder of results.
+    to
+        Name of a format; one of `frictrack.export.FORMATS`.
+
+    Returns
+    -------
+    ExportedFiles
+        The files, and what was lost.
+
+    Raises
+    ------
+    FrictrackError
+        If the format is unknown, if its library is not installed, or if the results cannot be written.
+
+    """
+    found = find_format(to)
+    written: ExportedFiles = imported(found.writer)(results)
+    return ExportedFiles(written.files, tuple(dict.fromkeys((*found.lost, *written.lost))))
+
+
+def write(results: Results, to: str) -> list[Path]:
+    """Write the results of a study for another tool; see `export_results`.
+
+    Parameters
+    ----------
+    results
+        Results of a study; the files are written into its folder of results.
+    to
+        Name of a format; one of `frictrack.export.FORMATS`.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    """
+    return list(export_results(results, to).files)

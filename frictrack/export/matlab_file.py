@@ -17,19 +17,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.errors import FrictrackError
-from frictrack.export.columns import (
+from frictrack.export.formats import ExportedFiles
+from frictrack.export.tables import (
     Column,
     all_columns,
+    budget_table,
     model_attributes,
     motion_columns,
     own_motion,
+    parameters_table,
     run_attributes,
     study_attributes,
     track_columns,
     tracks_of,
 )
-from frictrack.export.formats import ExportedFiles
-from frictrack.export.tables import budget_table, parameters_table
 from frictrack.files import atomic_write
 from frictrack.results import ModelResults, Results, RunResults
 

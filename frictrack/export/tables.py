@@ -4,14 +4,221 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import Field, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from frictrack.export.columns import Column, curve_columns, own_motion
-from frictrack.results import ModelResults, Results, RunResults
+import numpy as np
+from numpy.typing import NDArray
+
+from frictrack.records import ModelledMotion, Track
+from frictrack.results import ModelResults, Results, RunResults, to_builtins
 
 if TYPE_CHECKING:
     import pandas as pd
+
+SIGMA, MODEL = "sigma_", "_model"
+MAX_TIME_DIFFERENCE_S = 1e-9  # between two records of the same frame
+NOTHING: Mapping[str, str] = {}
+_REPAIRED = "0 as measured, 1 tracked again, 2 interpolated, 3 left out"
+MEANINGS = {
+    "t": "time",
+    "x_measured": "measured displacement along the course",
+    "y_measured": "measured displacement across the course",
+    "angle": "rotation of the target, counter-clockwise",
+    "valid": "whether the frame was measured and is no outlier",
+    "repaired": _REPAIRED,
+    "x": "smoothed displacement along the course",
+    "v": "velocity",
+    "a": "acceleration",
+    "a_y": "acceleration across the course",
+    "F": "friction force",
+    "free": "whether the mass slides freely",
+    "drive": "measured drive force",
+    "a_sensor": "acceleration of the accelerometer",
+    "friction_sensor": "measured friction force",
+    "a_known": "acceleration of the accelerometer without gain and bias",
+    "x_px": "position in the picture, to the right",
+    "y_px": "position in the picture, downward",
+    "angle_picture": "rotation of the target in the picture, clockwise",
+    "score": "match score",
+    "reason": "why the target was lost",
+    "blow": "whether the frame belongs to an unresolved collision",
+    "segment": "number of the segment",
+}  # by name of a column without `SIGMA` and `MODEL`
+_RENAMED_DISPLACEMENT = {
+    "x": "x_measured",
+    "y": "y_measured",
+    "sigma_x": "sigma_x_measured",
+    "sigma_y": "sigma_y_measured",
+}
+_RENAMED_SENSORS = {"a": "a_sensor", "friction_N": "friction_sensor", "known_a": "a_known"}
+_RENAMED_TRACK = {"sigma_px": "sigma_x_px", "angle": "angle_picture", "sigma_angle": "sigma_angle_picture"}
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    name
+        Its name, without unit.
+    values
+        One value per row, (n,).
+    unit
+        Unit of the values; empty for truth values and texts.
+
+    """
+
+    name: str
+    values: NDArray[Any]
+    unit: str
+
+    @property
+    def meaning(self) -> str:
+        """What the column holds, in words."""
+        return describe(self.name)
+
+
+def describe(name: str) -> str:
+    """Return what a column holds, in words.
+
+    Examples
+    --------
+    >>> describe("sigma_v_model")
+    'standard deviation of velocity by the current model'
+
+    """
+    bare = name.removeprefix(SIGMA).removesuffix(MODEL)
+    by_model = " by the current model" if name.endswith(MODEL) else ""
+    return ("standard deviation of " if name.startswith(SIGMA) else "") + MEANINGS[bare] + by_model
+
+
+def curve_columns(run: RunResults, own: ModelledMotion | None) -> list[Column]:
+    """Return time, displacement, motion and friction of one run, with the motion by the current model.
+
+    Parameters
+    ----------
+    run
+        The run.
+    own
+        Its motion by the current model. Frames that were not fitted are NaN.
+
+    """
+    t = run.displacement.t
+    found = [Column("t", t, "s"), Column("x_measured", run.displacement.x, "m")]
+    for record in (run.motion, run.friction):
+        found += _columns_of(record)
+    if own is not None:
+        rows = np.searchsorted(t, own.t - MAX_TIME_DIFFERENCE_S)
+        for one in _columns_of(own):
+            if one.unit:
+                whole = np.full(len(t), np.nan)
+                whole[rows] = one.values
+                found.append(Column(one.name + MODEL, whole, one.unit))
+    return _each_once(found)
+
+
+def all_columns(run: RunResults, own: ModelledMotion | None) -> list[Column]:
+    """Return all that is known of a run at the frames of its displacement: `curve_columns`, and how it was measured.
+
+    Parameters
+    ----------
+    run, own
+        As for `curve_columns`.
+
+    """
+    curves = curve_columns(run, own)
+    measured = _columns_of(run.displacement, _RENAMED_DISPLACEMENT)
+    return _each_once([curves[0], *measured, *_columns_of(run.sensors, _RENAMED_SENSORS), *curves[1:]])
+
+
+def track_columns(track: Track) -> list[Column]:
+    """Return time, position in the picture and quality of a target in every frame of the film."""
+    return [Column("t", track.t, "s"), *_columns_of(track, _RENAMED_TRACK)]
+
+
+def tracks_of(run: RunResults) -> dict[str, Track]:
+    """Return all tracks of a film by name, that of the target first; none for a table."""
+    return {} if run.track is None else {run.track.name: run.track, **run.tracks}
+
+
+def motion_columns(motion: ModelledMotion) -> list[Column]:
+    """Return the motion of a run by one model, at the frames that were fitted or predicted."""
+    return [Column("t", motion.t, "s"), *_columns_of(motion)]
+
+
+def own_motion(results: Results) -> dict[str, ModelledMotion]:
+    """Return the motion by the current model, by run."""
+    return {motion.run: motion for motion in results.current.motion} if results.current else {}
+
+
+def run_attributes(run: RunResults) -> dict[str, Any]:
+    """Return numbers and texts that describe a run; lists and dictionaries as JSON."""
+    d = run.displacement
+    found = {
+        "run": run.name,
+        "source": run.source,
+        "role": run.role,
+        "group": run.group,
+        "mass_kg": run.mass,
+        "cutoff_Hz": run.motion.cutoff,
+        "guard_frames": run.motion.guard,
+        "pixel_pitch_m": d.pixel_pitch,
+        "relative_scale_error": d.relative_scale_error,
+        "systematic_error_m": d.systematic,
+        "resolution_m": d.resolution,
+        "fps_Hz": run.film.fps if run.film else None,
+        "film_sha256": run.film.hash if run.film else None,
+        "free_section": run.friction.reason if run.friction else None,
+        "events": as_json(run.events.events),
+        "settings": as_json(run.settings),
+        "stage_hashes": as_json(run.hashes),
+        "notes": as_json(run.notes),
+    }
+    return {name: value for name, value in found.items() if value not in (None, "")}
+
+
+def study_attributes(results: Results) -> dict[str, str]:
+    """Return texts that describe a study."""
+    notes = as_json([*results.notes, *results.warnings])
+    about = {
+        "title": results.name,
+        "source": f"frictrack {results.version}",
+        "study": results.path.name,
+        "notes": notes,
+    }
+    return about | ({} if results.comparison is None else {"comparison": as_json(results.comparison)})
+
+
+def model_attributes(model: ModelResults) -> dict[str, str]:
+    """Return texts that describe a model: its equation and, if it was diagnosed, the diagnosis as JSON."""
+    about = {"equation": model.equation}
+    return about | ({} if model.diagnosis is None else {"diagnosis": as_json(model.diagnosis)})
+
+
+def _columns_of(record: Any, renamed: Mapping[str, str] = NOTHING) -> Iterator[Column]:
+    """Yield the columns of a record that were measured, without its time."""
+    for f in fields(record) if record is not None else ():
+        values = getattr(record, f.name)
+        if f.metadata.get("column") and f.name != "t" and values is not None:
+            yield Column(renamed.get(f.name, f.name), np.asarray(values), _unit(f))
+
+
+def _unit(field: Field[Any]) -> str:
+    return str(field.metadata["unit"])
+
+
+def _each_once(columns: Iterable[Column]) -> list[Column]:
+    """Return columns without repeated names; the last one of a name is kept, at the place of the first."""
+    return list({column.name: column for column in columns}.values())
+
+
+def as_json(value: Any) -> str:
+    """Return a value as JSON."""
+    return json.dumps(to_builtins(value), ensure_ascii=False)
+
 
 SUMMARIES = ("parameters", "errors", "budget")
 

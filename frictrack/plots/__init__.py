@@ -6,31 +6,25 @@ plots.motion(run).savefig("v3.pdf")
 from frictrack.candidates import passes
 from frictrack.plots.budget import budget, budgets, budgets_title
 from frictrack.plots.campaign import trends
-from frictrack.plots.candidates import candidates
+from frictrack.plots.candidates import candidates, has_limits, has_scan, limits, scan
 from frictrack.plots.convergence import convergence
 from frictrack.plots.cutoff import cutoff, cutoffs, filters
 from frictrack.plots.drawn_data import plotted_data
-from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.figure_list import study_figures
 from frictrack.plots.held_out import history
 from frictrack.plots.inputs import AnyModel as AnyModel
 from frictrack.plots.inputs import AnyRun as AnyRun
 from frictrack.plots.inputs import as_model, as_runs
-from frictrack.plots.law import has_law, law, law_title
-from frictrack.plots.loops import loops
-from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title
-from frictrack.plots.missing_force import has_missing_force, missing_force
+from frictrack.plots.law import has_law, law, law_title, loops
+from frictrack.plots.measured import film, friction, friction_title, motion, motions, motions_title, table
+from frictrack.plots.missing_force import correlated_signal, has_missing_force, missing_force, unexplained
 from frictrack.plots.model import failing, fit, modelled_force, noise_um, residual_unit, residuals, routes
 from frictrack.plots.modelled import modelled
-from frictrack.plots.next_experiments import next_experiments
 from frictrack.plots.notebook import html
-from frictrack.plots.plan import pair_separation, remaining_pairs
+from frictrack.plots.plan import next_experiments, pair_separation, remaining_pairs
 from frictrack.plots.profiles import profiles
 from frictrack.plots.style import numbered_name, pdf, plain_name, png, svg, svg_file
-from frictrack.plots.table import table
-from frictrack.plots.unexplained import correlated_signal, unexplained
-from frictrack.plots.verdict import verdict
-from frictrack.plots.verdict_data import failed_model, is_rejected
+from frictrack.plots.verdict import failed_model, is_rejected, verdict
 
 __all__ = [
     "as_model",

@@ -8,20 +8,17 @@ from functools import partial
 from matplotlib.figure import Figure
 
 from frictrack.plots.budget import budgets
-from frictrack.plots.candidates import candidates
+from frictrack.plots.candidates import candidates, has_limits, has_scan, limits, scan
 from frictrack.plots.convergence import convergence
 from frictrack.plots.cutoff import cutoff, filters
-from frictrack.plots.evidence import has_limits, has_scan, limits, scan
 from frictrack.plots.held_out import history
-from frictrack.plots.law import has_law, law
-from frictrack.plots.loops import loops
+from frictrack.plots.law import has_law, law, loops
 from frictrack.plots.measured import film, friction, motion, motions
-from frictrack.plots.missing_force import has_missing_force, missing_force
+from frictrack.plots.missing_force import has_missing_force, missing_force, unexplained
 from frictrack.plots.model import failing, fit, routes
 from frictrack.plots.modelled import modelled
 from frictrack.plots.profiles import profiles
 from frictrack.plots.style import run_styles
-from frictrack.plots.unexplained import unexplained
 from frictrack.plots.verdict import verdict
 from frictrack.results import ModelResults, Results, RunResults
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ from matplotlib.patches import Patch, Polygon
 from frictrack.number_format import format_number, format_range
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyRun, as_run, as_runs
-from frictrack.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
+from frictrack.plots.style import axis_label, axis_scale, draw_band, new_figure, panel_grid, styled
 from frictrack.polygons import polygon
-from frictrack.records import Array, Mask, Motion, stretches
+from frictrack.records import Array, FrameTable, Mask, Motion, stretches
 from frictrack.results import RunResults
 
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
@@ -283,3 +284,53 @@ def friction_title(runs: Sequence[RunResults]) -> str:
         f"Friction between {format_number(low, 2)} and {format_number(high, 2)} N "
         f"at speeds from {format_number(float(speed.min()), 2)} to {format_number(float(speed.max()), 2)} m/s"
     )
+
+
+PANEL_HEIGHT_IN = 1.7
+
+
+@styled
+def table(record: FrameTable) -> Figure:
+    """Draw the measured columns of a record over time, one panel each.
+
+    Parameters
+    ----------
+    record : FrameTable
+        A track, displacement, motion or friction force. A column ``x`` has its standard deviation in ``sigma_x``.
+
+    """
+    columns = [f for f in fields(record) if _is_drawn(record, f.name, f.metadata)]  # type: ignore[arg-type]
+    name = getattr(record, "name", "") or getattr(record, "run", "")
+    title = f"{type(record).__name__} of {name}" if name else type(record).__name__
+    figure = new_figure(PANEL_HEIGHT_IN * len(columns) + 0.7, title)
+    panels = figure.subplots(len(columns), 1, squeeze=False, sharex=True)[:, 0]
+    t: Array = record.t  # type: ignore[attr-defined]
+    for ax, f in zip(panels, columns, strict=True):
+        _draw_column(ax, 1e3 * t, getattr(record, f.name), _sigma_of(record, f.name), (f.name, f.metadata["unit"]))
+    panels[-1].set_xlabel(axis_label("time t", "ms"))
+    figure.align_ylabels(panels)
+    return figure
+
+
+def _is_drawn(record: Any, name: str, meta: Any) -> bool:
+    """Whether a column is a measured number with some known values, not the time or a standard deviation."""
+    values = getattr(record, name)
+    if not meta.get("column") or values is None or name == "t" or name.startswith("sigma"):
+        return False
+    return values.dtype.kind == "f" and bool(np.any(np.isfinite(values)))
+
+
+def _sigma_of(record: Any, name: str) -> Array | None:
+    """Standard deviation (n,) of a column: ``sigma_x`` of ``x``, ``sigma_px`` of ``x_px``; None if it has none."""
+    named = f"sigma_{name}".replace("sigma_x_px", "sigma_px")
+    found: Array | None = getattr(record, named, None)
+    return found
+
+
+def _draw_column(ax: Axes, t: Array, values: Array, sigma: Array | None, written: tuple[str, str]) -> None:
+    name, unit = written
+    factor, shown = axis_scale(values, unit)
+    if sigma is not None:
+        draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
+    ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
+    ax.set_ylabel(axis_label(name, shown))

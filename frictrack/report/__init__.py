@@ -6,25 +6,27 @@ report.print_pdf(page)  # report.pdf
 """
 
 from frictrack.report.campaign_page import write_campaign
-from frictrack.report.markup import mark_code, mark_equation
+from frictrack.report.markup import SvgEmbedder, mark_code, mark_equation, page_template
 from frictrack.report.measurement_quality import failed_checks, is_good
 from frictrack.report.page import render, write
 from frictrack.report.pdf import print_pdf
 from frictrack.report.plan_page import write_plan
-from frictrack.report.tables import held_out_error
-from frictrack.report.templates import SvgEmbedder, page_template
+from frictrack.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
 from frictrack.report.verdict_text import study_verdict
 
 __all__ = [
+    "CandidateCard",
     "SvgEmbedder",
+    "candidate_cards",
     "failed_checks",
-    "held_out_error",
+    "inseparable",
     "is_good",
     "mark_code",
     "mark_equation",
     "page_template",
     "print_pdf",
     "render",
+    "separating_experiments",
     "study_verdict",
     "write",
     "write_campaign",

@@ -12,8 +12,8 @@ from markupsafe import Markup
 from frictrack import plots
 from frictrack.files import replace_text
 from frictrack.number_format import format_number, format_quantity
+from frictrack.report.markup import SvgEmbedder, now, page_template
 from frictrack.report.tables import Cell, TextTable, code_cell, make_table
-from frictrack.report.templates import SvgEmbedder, now, page_template
 
 MAX_STUDIES_SHOWN = 1000  # in the table of the page; the files hold all
 MAX_PANELS = 12  # trends drawn, the most significant first

@@ -14,19 +14,15 @@ from frictrack.candidates import MAIN_KINDS, candidate_rows
 from frictrack.files import replace_text
 from frictrack.records import Array
 from frictrack.report import (
-    budgets,
     failures,
     fit_text,
     measurement_quality,
-    next_step_text,
     provenance,
     section_lines,
     tables,
-    unexplained,
     verdict_text,
 )
-from frictrack.report.markup import mark_equation
-from frictrack.report.templates import SvgEmbedder, now, page_template
+from frictrack.report.markup import SvgEmbedder, mark_equation, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.verdicts import CHECK_FIRST
 
@@ -111,7 +107,7 @@ def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:
         "verdict_figure": figure,
         **_law(model, results, draw),
         "model": model,
-        "next_steps": next_step_text.next_steps(results),
+        "next_steps": fit_text.next_steps(results),
         "scale_error": fit_text.scale_error(results),
         "scale_line": fit_text.scale_line(results),
     }
@@ -174,8 +170,8 @@ def _measurement_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]
         "friction": draw(plots.friction(results.runs)) if _has_force(results) else None,
         "has_measured_friction": fit_text.has_measured_friction(results),
         "budgets": draw(plots.budgets(found)) if found else Markup(""),
-        "budget_sentences": budgets.budget_sentences(results.runs),
-        "budget_table": budgets.source_table(results.runs),
+        "budget_sentences": tables.budget_sentences(results.runs),
+        "budget_table": tables.source_table(results.runs),
         "measurement": measurement_quality.measurement(results.runs),
     }
 
@@ -241,8 +237,8 @@ def _rejected_model(model: ModelResults, draw: SvgEmbedder) -> dict[str, Any]:
         candidates=tables.candidate_table(rows),
         cards=tables.candidate_cards([row for row in rows if row.kind in MAIN_KINDS]),
         scan=draw(plots.scan(best, curves)) if plots.has_scan(curves) else Markup(""),
-        unexplained=unexplained.unexplained_force(diagnosis, draw),
-        correlated_signals=unexplained.correlated_signals(diagnosis, model.figures, draw),
+        unexplained=failures.unexplained_force(diagnosis, draw),
+        correlated_signals=failures.correlated_signals(diagnosis, model.figures, draw),
         importance=tables.importance_table(diagnosis),
         undetermined=tables.undetermined_table(diagnosis),
     )

@@ -9,9 +9,8 @@ from typing import Any
 from frictrack import plots
 from frictrack.files import replace_text
 from frictrack.number_format import format_size
-from frictrack.report.markup import mark_code
+from frictrack.report.markup import SvgEmbedder, mark_code, now, page_template
 from frictrack.report.tables import TextTable, code_cell, make_table
-from frictrack.report.templates import SvgEmbedder, now, page_template
 
 
 def write_plan(plan: Mapping[str, Any], path: Path) -> Path:

@@ -8,12 +8,12 @@ import numpy as np
 
 from frictrack import plots
 from frictrack.candidates import candidate_rows
+from frictrack.error_rows import held_out_error
 from frictrack.motion_axes import AXES
 from frictrack.number_format import describe_change, format_number, format_range, format_share, join_words
 from frictrack.report import provenance, tables
 from frictrack.report.fit_text import scatter_words
 from frictrack.report.measurement_quality import failed_checks
-from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 
 MAX_LIMITS_NAMED = 3

@@ -10,11 +10,11 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from frictrack.candidates import CandidateRow, candidate_rows
+from frictrack.error_rows import held_out_error
 from frictrack.motion_axes import AXES
 from frictrack.number_format import describe_change, format_number, join_words, lower_first
 from frictrack.plots import noise_um, plain_name
 from frictrack.report.markup import mark_code
-from frictrack.report.tables import held_out_error
 from frictrack.results import ModelResults, Results
 from frictrack.verdicts import certain_effects, describe_alternatives, indistinguishable_effects
 

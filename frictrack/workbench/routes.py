@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from frictrack.workbench.data_handlers import (
-    CandidateHandler,
-    DownloadHandler,
-    FilmHandler,
-    FrameHandler,
-    PictureHandler,
-    PlotsHandler,
-)
 from frictrack.workbench.handlers import (
     STATIC,
     CancelHandler,
+    CandidateHandler,
     ChangeHandler,
     CheckHandler,
+    DownloadHandler,
     EffectsHandler,
     EventsHandler,
+    FilmHandler,
+    FrameHandler,
     NewStudyHandler,
     PageFiles,
+    PictureHandler,
+    PlotsHandler,
     SampleHandler,
     StartJobHandler,
     StateHandler,

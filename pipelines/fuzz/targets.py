@@ -20,10 +20,9 @@ from seeds import CAMERAS, ROOT
 from frictrack import effects, store
 from frictrack.calibration import parse_scale
 from frictrack.calibration.lens import read_lens
-from frictrack.crate.inputs import find_inputs, set_up_study
 from frictrack.crate.metadata import METADATA
-from frictrack.crate.reading import read_crate
-from frictrack.crate.unpacking import unpack
+from frictrack.crate.payload import unpack
+from frictrack.crate.reading import find_inputs, read_crate, set_up_study
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.errors import FrictrackError
 from frictrack.flow import open_study, run_pipeline

@@ -2,19 +2,15 @@
 
 state = state_of(read_snapshot(Path("study.toml")))
 
-snapshot        read study file, results, history and recordings as their files are
-fields          mass, frame rate, scale: the value as read, warnings, errors
-recordings      the recordings in the folder
-readiness       what is missing before the analysis can run
-runs            quality of the measurement, suspect frames, `repairs`, smoothing
-models          models tried, parameters and settings of the current one, falling error
-candidates      curves and errors of the model with one more effect
-diagnosis       verdict, candidates, formulas, next experiments
-outdated        results that do not belong to the study file or the model of now
-history         changes in plain words
+snapshot   read study file, results, history and recordings as their files are
+fields     mass, frame rate, scale: the value as read, warnings, errors
+runs       quality of the measurement, suspect frames, repairs, smoothing; what is missing before the analysis can run
+models     models tried, parameters and settings of the current one, outdated results
+diagnosis  verdict, candidates, formulas, next experiments; curves and errors of the model with one more effect
+state      all of it, with the changes in plain words
 """
 
-from frictrack.workbench.summaries.candidates import candidate_curves
+from frictrack.workbench.summaries.diagnosis import candidate_curves
 from frictrack.workbench.summaries.fields import check_fields, new_study, refuse_implausible
 from frictrack.workbench.summaries.models import effect_library
 from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader, read_snapshot

@@ -2,19 +2,168 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
+from frictrack.flow import Change, undo_stacks
+from frictrack.plots import numbered_name
+from frictrack.plots.style import joined_name
 from frictrack.results import to_builtins
-from frictrack.verdicts import CHECK_FIRST
+from frictrack.verdicts import CHECK_FIRST, describe_tests
 from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis
 from frictrack.workbench.summaries.fields import Field, study_fields
-from frictrack.workbench.summaries.history import HistorySummary, summarise_history
-from frictrack.workbench.summaries.models import ModelEntry, current_model, falling_error, list_models
-from frictrack.workbench.summaries.outdated import OutdatedEntry, list_outdated, report_state
-from frictrack.workbench.summaries.readiness import Readiness, readiness
-from frictrack.workbench.summaries.recordings import RecordingEntry, list_recordings
-from frictrack.workbench.summaries.runs import RunSummary, summarise_runs
-from frictrack.workbench.summaries.snapshot import Snapshot
+from frictrack.workbench.summaries.models import (
+    ModelEntry,
+    OutdatedEntry,
+    current_model,
+    list_models,
+    list_outdated,
+    report_state,
+)
+from frictrack.workbench.summaries.runs import Readiness, RunSummary, readiness, summarise_runs
+from frictrack.workbench.summaries.snapshot import RecordingEntry, Snapshot, list_recordings
+
+AUTHORS = {"cli": "command line", "page": "page", "python": "Python"}
+KEY_NAMES = {
+    "fps": "frame rate",
+    "free": "free section",
+    "cutoff": "cut-off",
+    "causal": "forward only",
+    "repair": "repairs",
+    "fix": "fixed values",
+}
+ALL_RUNS = ("study", "camera", "motion")  # tables whose keys hold for all runs
+MAX_VALUE_TEXT = 60  # characters
+
+
+class HistorySummary(TypedDict):
+    """The changes of a study.
+
+    Attributes
+    ----------
+    entries
+        "n" (number from 1), "words", "author" and "at" (ISO 8601, local time) of each change, oldest first.
+    tests
+        Sentences on the tests that were made of the models.
+    can_undo, can_redo
+        Whether there is such a change.
+    undo_words, redo_words
+        What would be undone or redone; "" if nothing.
+
+    """
+
+    entries: list[dict[str, Any]]
+    tests: list[str]
+    can_undo: bool
+    can_redo: bool
+    undo_words: str
+    redo_words: str
+
+
+def summarise_history(snapshot: Snapshot) -> HistorySummary:
+    """Tell the history of a study.
+
+    Parameters
+    ----------
+    snapshot
+        The study as its files are.
+
+    """
+    changes = snapshot.changes
+    done, undone = _stacks(changes)
+    return HistorySummary(
+        entries=[_entry(change, changes) for change in changes],
+        tests=describe_tests(snapshot.tests),
+        can_undo=bool(done),
+        can_redo=bool(undone),
+        undo_words=f"Undo: {change_words(done[-1])}" if done else "",
+        redo_words=f"Redo: {change_words(undone[-1])}" if undone else "",
+    )
+
+
+def change_words(change: Change) -> str:
+    """Describe one change of a study in plain words.
+
+    Parameters
+    ----------
+    change
+        The change.
+
+    Examples
+    --------
+    >>> change_words(Change(1, "", "page", "add", {"effect": "texture", "seed": 0}))
+    'add texture to the model'
+
+    """
+    describe = _WORDS.get(change.command)
+    try:
+        return describe(change.arguments) if describe else change.text
+    except (KeyError, TypeError, AttributeError):  # arguments of another version
+        return change.text
+
+
+def _stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
+    try:
+        return undo_stacks(changes)
+    except ValueError:  # a damaged log: Undo itself says so
+        return [], []
+
+
+def _entry(change: Change, changes: Sequence[Change]) -> dict[str, Any]:
+    words = change_words(change)
+    if change.command in ("undo", "redo"):
+        of = change.arguments.get("of")
+        target = changes[of - 1] if isinstance(of, int) and 0 < of <= len(changes) else None
+        words = f"{change.command}: {change_words(target)}" if target else change.command
+    author = AUTHORS.get(change.author, change.author)
+    return {"n": change.revision, "words": words[:1].upper() + words[1:], "author": author, "at": change.time}
+
+
+# --- words of each command
+
+
+def _edit(arguments: Mapping[str, Any]) -> str:
+    key, value, which, table = (arguments.get(name) for name in ("key", "value", "which", "table"))
+    name = KEY_NAMES.get(str(key), str(key).replace("_", " "))
+    whose = f"of {which}" if which else "of all runs" if table in ALL_RUNS and key in ("mass", "fps", "scale") else ""
+    what = f"{name} {whose}".strip()
+    if key == "repair" and value:
+        spans = ", ".join(f"{one['from']} to {one['to']}" for one in value)
+        return f"repair the frames {spans} of {which}"
+    if not value and value != 0:
+        return f"remove the {what}"
+    return f"set the {what} to {_value(key, value)}" if _is_short(value) else f"set the {what}"
+
+
+def _is_short(value: Any) -> bool:
+    return not isinstance(value, dict) and len(str(value)) <= MAX_VALUE_TEXT
+
+
+def _value(key: Any, value: Any) -> str:
+    if isinstance(value, list):
+        return " to ".join(map(str, value)) if key == "free" else f"[{', '.join(map(str, value))}]"
+    units = {"mass": " kg", "fps": " /s", "scale": " m/px"}
+    return f"{value:g}{units.get(str(key), '')}" if isinstance(value, int | float) else str(value)
+
+
+def _fit(arguments: Mapping[str, Any]) -> str:
+    model = arguments.get("model")
+    name = joined_name([part.strip() for part in model.split(",")]) if isinstance(model, str) and model else "the model"
+    how = ", ".join(f"{key} {arguments[key]}" for key in ("domain", "search", "per") if arguments.get(key))
+    return f"fit {name} ({how})" if how else f"fit {name}"
+
+
+_WORDS: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "edit": _edit,
+    "take_in": lambda a: f"add the recordings {', '.join(a['recordings'])}",
+    "leave_out": lambda a: f"remove the run {a['run']}",
+    "define": lambda a: f"define the effect {a['effect']['effect']}",
+    "use": lambda a: f"make {numbered_name(a['model'])} the current model",
+    "fit": _fit,
+    "add": lambda a: f"add {a['effect']} to the model",
+    "remove": lambda a: f"remove {a['effect']} from the model",
+    "restart": lambda a: "remove all models",
+}
 
 
 class StudyState(TypedDict):
@@ -51,7 +200,6 @@ class StudyState(TypedDict):
     model: dict[str, Any] | None
     diagnosis: DiagnosisSummary | None
     check_first: list[str]
-    falling: list[dict[str, Any]]
     outdated: list[OutdatedEntry]
     report: dict[str, Any]
     history: HistorySummary
@@ -84,7 +232,6 @@ def state_of(snapshot: Snapshot) -> StudyState:
             model=current_model(snapshot),
             diagnosis=summarise_diagnosis(snapshot),
             check_first=[f"{CHECK_FIRST} {words}." for words in implausible],
-            falling=falling_error(snapshot),
             outdated=list_outdated(snapshot),
             report=report_state(snapshot),
             history=summarise_history(snapshot),

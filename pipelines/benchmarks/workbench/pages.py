@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frictrack.workbench.plot_layers import PlotData, axis, dots, plot
+from frictrack.workbench.plot_data import PlotData, axis, dots, plot
 
 QUANTITIES = ("t", "x", "v", "F", "phase")
 FRAMES, WIDTH, HEIGHT = 4000, 640, 360

@@ -15,18 +15,18 @@ function heights(values) {
 }
 
 /** Models with a comparable error, and its name: the held-out error, else the misfit. */
-function series(falling) {
-  const held = falling.filter((one) => one.heldout !== null && one.heldout !== undefined);
-  if (held.length >= 2 || (held.length && held.length === falling.length)) {
-    return { name: "Held-out error", rows: held, value: (one) => one.heldout, unit: held[0].unit };
+function series(models) {
+  const known = (key) => models.filter((one) => one.errors[key] !== null && one.errors[key] !== undefined);
+  const held = known("heldout");
+  if (held.length >= 2 || (held.length && held.length === models.length)) {
+    return { name: "Held-out error", rows: held, value: (one) => one.errors.heldout, unit: held[0].errors.heldout_unit };
   }
-  const rows = falling.filter((one) => one.reduced_chi2 !== null && one.reduced_chi2 !== undefined);
-  return { name: "Reduced χ²", rows, value: (one) => one.reduced_chi2, unit: "" };
+  return { name: "Reduced χ²", rows: known("reduced_chi2"), value: (one) => one.errors.reduced_chi2, unit: "" };
 }
 
 export function ErrorStrip() {
-  const falling = useStore((s) => s.study?.falling || []);
-  const { name, rows, value, unit } = series(falling);
+  const models = useStore((s) => s.study?.models || []);
+  const { name, rows, value, unit } = series(models);
   if (rows.length < 2) return null;
   const values = rows.map(value), at = heights(values);
   const x = (k) => SIDE + ((WIDTH - 2 * SIDE) * k) / (rows.length - 1);

@@ -1,24 +1,91 @@
-"""Export results as Parquet files, one per kind of table, which pandas, Polars, DuckDB and Spark read.
+"""Export tables as CSV files, as one Excel workbook, and as Parquet files for pandas, Polars, DuckDB and Spark.
 
-Curves of all runs are one table with a column `run`. The unit and the meaning of a column are in the metadata of its
-Arrow field (`unit`, `description`); pandas finds the units in ``attrs["units"]``.
+Curves of all runs are one Parquet table with a column `run`. The unit and the meaning of a column are in the metadata
+of its Arrow field (`unit`, `description`); pandas finds the units in ``attrs["units"]``.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from frictrack.errors import FrictrackError
-from frictrack.export.columns import Column, all_columns, motion_columns, own_motion, track_columns, tracks_of
 from frictrack.export.formats import ExportedFiles
-from frictrack.export.tables import summary_tables
+from frictrack.export.tables import (
+    Column,
+    all_columns,
+    motion_columns,
+    own_motion,
+    plain_tables,
+    summary_tables,
+    track_columns,
+    tracks_of,
+)
 from frictrack.files import atomic_write, make_subfolder
 from frictrack.results import Results
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+def write_csv(results: Results) -> ExportedFiles:
+    """Write CSV files into the folder `csv`."""
+    folder = make_subfolder(results.output, "csv")
+    paths = []
+    for name, table in plain_tables(results).items():
+        paths.append(folder / f"{name}.csv")
+        with atomic_write(paths[-1]) as part:
+            table.to_csv(part, index=False)
+    return ExportedFiles(tuple(paths))
+
+
+MAX_SHEET_NAME, MAX_ROWS = 31, 1 << 20  # of Excel
+
+
+def write_xlsx(results: Results) -> ExportedFiles:
+    """Write the workbook."""
+    import pandas as pd  # noqa: PLC0415 - slow to load
+
+    tables, path = plain_tables(results), results.output / f"{results.path.stem}.xlsx"
+    long = [name for name, table in tables.items() if len(table) >= MAX_ROWS]
+    if long:
+        raise FrictrackError(
+            f'expected tables of less than {MAX_ROWS} rows but "{long[0]}" has {len(tables[long[0]])}, which Excel '
+            "cannot hold; export --to parquet"
+        )
+    sheets = sheet_names(tables)
+    try:
+        with atomic_write(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
+            for name, table in tables.items():
+                table.to_excel(book, sheet_name=sheets[name], index=False)
+    except ImportError as e:
+        raise FrictrackError("writing Excel needs openpyxl; pip install frictrack[xlsx]") from e
+    shortened = tuple(f'name of the sheet "{name}", shortened to "{s}"' for name, s in sheets.items() if s != name)
+    return ExportedFiles((path,), shortened)
+
+
+def sheet_names(names: Iterable[str]) -> dict[str, str]:
+    """Return names that Excel allows for sheets: short enough, and different also without upper case.
+
+    Examples
+    --------
+    >>> sheet_names(["a", "A", "x" * 40])["A"]
+    'A (2)'
+
+    """
+    sheets: dict[str, str] = {}
+    used: set[str] = set()
+    for name in names:
+        sheet, number = name[:MAX_SHEET_NAME], 1
+        while sheet.lower() in used:
+            number += 1
+            end = f" ({number})"
+            sheet = name[: MAX_SHEET_NAME - len(end)] + end
+        used.add(sheet.lower())
+        sheets[name] = sheet
+    return sheets
+
 
 Rows = tuple[Mapping[str, str], list[Column]]  # constants of a part of the table, and its columns
 

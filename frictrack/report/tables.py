@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.candidates import MAIN_KINDS, CandidateRow
+from frictrack.error_rows import error_rows
 from frictrack.number_format import (
     DASH,
     format_interval,
@@ -241,33 +242,6 @@ def _percent(share: float | None) -> float | None:
 
 
 MIN_P_SHOWN = 1e-6  # smaller p-values get no digits: the distribution of the noise is not known that far out
-ERRORS = (
-    ("rms_displacement_um", "displacement, rms", "µm", 1.0),
-    ("rms_N", "friction force, rms", "N", 1.0),
-    ("noise_N", "noise of the measured force", "N", 1.0),
-    ("heldout_rms_um", "held out, rms", "µm", 1.0),
-    ("heldout_rms_N", "held out, rms", "N", 1.0),
-    ("free_run_rms_um", "free run over the whole record, rms", "µm", 1.0),
-    ("free_run_relative", "free run, relative", "%", 100.0),
-    ("rms_acceleration", "acceleration, rms", "m/s²", 1.0),
-    ("sse_acceleration", "acceleration, sum of squares", "m²/s⁴", 1.0),
-    ("relative_force_error", "relative force error", "%", 100.0),
-    ("reduced_chi2", "reduced chi²", "", 1.0),
-)  # key of a fit's `errors`, its name, unit, factor
-
-
-def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
-    """Select the held-out error of a fit and its unit.
-
-    Examples
-    --------
-    >>> held_out_error({"heldout_rms_um": None, "heldout_rms_N": 0.02})
-    (0.02, 'N')
-
-    """
-    if errors.get("heldout_rms_um") is not None:
-        return errors["heldout_rms_um"], "µm"
-    return errors.get("heldout_rms_N"), "N"
 
 
 def history_table(models: Sequence[ModelResults]) -> TextTable:
@@ -279,19 +253,13 @@ def history_table(models: Sequence[ModelResults]) -> TextTable:
         All models of the study. Errors that no model has get no column.
 
     """
-    used = [e for e in ERRORS if any(m.summary["errors"].get(e[0]) is not None for m in models)]
-    heads = (
-        "model",
-        *(f"{name} / {_unit_in_brackets(unit)}" if unit else name for _, name, unit, _ in used),
-        "verdict",
-    )
+    errors = error_rows(m.summary["errors"] for m in models)
+    heads = ("model", *(f"{e.name} / {_unit_in_brackets(e.unit)}" if e.unit else e.name for e in errors), "verdict")
     rows = []
-    for k, m in enumerate(models, 1):
-        errors = m.summary["errors"]
-        cells = [format_number(None if errors.get(key) is None else f * errors[key]) for key, _, _, f in used]
-        name = Markup("{}. {}{}").format(k, plain_name(m.name), " (current)" if m.current else "")
-        rows.append((name, *cells, (m.diagnosis or {}).get("verdict", "")))
-    return make_table(heads, rows, range(1, len(used) + 1))
+    for k, m in enumerate(models):
+        name = Markup("{}. {}{}").format(k + 1, plain_name(m.name), " (current)" if m.current else "")
+        rows.append((name, *(format_number(e.values[k]) for e in errors), (m.diagnosis or {}).get("verdict", "")))
+    return make_table(heads, rows, range(1, len(errors) + 1))
 
 
 def _unit_in_brackets(unit: str) -> str:
@@ -317,11 +285,8 @@ def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
         for name, p in default.summary["parameters"].items()
         if not PER_RUN_NAME.match(name)
     ]
-    for key, name, unit, factor in ERRORS:
-        values = [m.summary["errors"].get(key) for m in (default, papers)]
-        if any(value is not None for value in values):
-            cells = (format_number(None if value is None else factor * value) for value in values)
-            rows.append((name, *(f"{cell} {unit}".strip() for cell in cells)))
+    for e in error_rows(m.summary["errors"] for m in (default, papers)):
+        rows.append((e.name, *(f"{format_number(value)} {e.unit}".strip() for value in e.values)))
     heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
     return make_table(heads, rows, (1, 2))
 
@@ -612,3 +577,52 @@ def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
     kind = effects.known().get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
     return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
+
+
+BUDGET_HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one frame / N", "common to")
+
+
+def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
+    """Describe each run's error of the force, its largest source, and what would halve it.
+
+    Returns
+    -------
+    list of Markup
+        One sentence per run that has an error budget.
+
+    """
+    return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
+
+
+def source_table(runs: Sequence[RunResults]) -> TextTable:
+    """Table of all error sources of all runs.
+
+    Standard deviations are those of the mean force and of one frame, N.
+    """
+    rows: list[Sequence[Cell]] = []
+    for run in runs:
+        for k, row in enumerate(run.budget.get("rows", ())):
+            rows.append((run.name if k == 0 else "", *_budget_cells(row)))
+    return make_table(BUDGET_HEADS, rows, (4, 5, 6))
+
+
+def _budget_cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    last = row["source"] == "total"
+    size = (
+        ""
+        if last
+        else "not known"
+        if row["size"] is None
+        else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
+    )
+    share = "" if row["share_mean"] is None or last else f"{100 * row['share_mean']:.0f} %"
+    name: Cell = Markup("<b>total</b>") if last else row["source"]
+    return (
+        name,
+        size,
+        row["told"],
+        format_number(row["mean_N"], 2),
+        share,
+        format_number(row["frame_N"], 2),
+        row["common"],
+    )
