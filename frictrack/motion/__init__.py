@@ -4,7 +4,6 @@
 """
 
 from frictrack.filters import METHOD_NAMES
-from frictrack.motion.cutoff_trade import cutoff_tradeoff
 from frictrack.motion.derivative import (
     Derivatives,
     best_smoothing,
@@ -13,14 +12,11 @@ from frictrack.motion.derivative import (
     differentiate,
     filtered_acceleration,
 )
-from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
-from frictrack.motion.filter_comparison import FilteredMotion, compare_filters
-from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
-from frictrack.motion.filter_settings import Smoother
-from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.known_acceleration import KnownAcceleration
+from frictrack.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
+from frictrack.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
+from frictrack.motion.filter_methods import FilterMethod, Smoother, interpolate_missing, unit_responses
+from frictrack.motion.grid import STENCIL_FRAMES, FrameGrid, frame_grid, stencil_start, stencil_weights, stencils
 from frictrack.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
-from frictrack.motion.stencil import STENCIL_FRAMES, stencil_start, stencil_weights, stencils
 
 __all__ = [
     "METHOD_NAMES",
@@ -50,4 +46,5 @@ __all__ = [
     "stencil_start",
     "stencil_weights",
     "stencils",
+    "unit_responses",
 ]

@@ -1,9 +1,8 @@
 """Smooth positions by a structural model: a trend of varying stiffness, lines, events, and coloured noise."""
 
-from frictrack.motion.smoother.equations import FactoredSmoother, factor_smoother, variances_of
+from frictrack.motion.smoother.equations import FactoredSmoother, variances_of
 from frictrack.motion.smoother.place_forces import Course, PlaceForce, find_place_forces, place_force_errors
 from frictrack.motion.smoother.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
-from frictrack.motion.smoother.record_windows import MAX_WHOLE_FRAMES, find_structure, window_data
 from frictrack.motion.smoother.smoother_data import (
     TREND_ORDER,
     LineParameters,
@@ -11,6 +10,7 @@ from frictrack.motion.smoother.smoother_data import (
     SmootherData,
     cutoff_of,
     penalty,
+    response,
 )
 from frictrack.motion.smoother.structure import Event, Structure
 from frictrack.motion.smoother.structure_average import (
@@ -20,7 +20,14 @@ from frictrack.motion.smoother.structure_average import (
     alternatives,
     mean_shift,
 )
-from frictrack.motion.smoother.structure_search import ScoredStructure, StructureSearch, undetectable_amplitude
+from frictrack.motion.smoother.structure_search import (
+    MAX_WHOLE_FRAMES,
+    ScoredStructure,
+    StructureSearch,
+    find_structure,
+    undetectable_amplitude,
+    window_data,
+)
 
 __all__ = [
     "MAX_WHOLE_FRAMES",
@@ -41,13 +48,13 @@ __all__ = [
     "alternatives",
     "cutoff_of",
     "deviations",
-    "factor_smoother",
     "find_place_forces",
     "find_structure",
     "line_frequency_errors",
     "mean_shift",
     "penalty",
     "place_force_errors",
+    "response",
     "undetectable_amplitude",
     "variances_of",
     "weighted_cubic",
