@@ -18,17 +18,11 @@ from frictrack.motion import (
     low_pass,
     noise_level,
 )
-from frictrack.motion.smoother import (
-    FactoredSmoother,
-    LineParameters,
-    ScoredStructure,
-    SmootherData,
-    Structure,
-    StructureSearch,
-    cutoff_of,
-    deviations,
-    penalty,
-)
+from frictrack.motion.posterior_deviations import deviations
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_search import ScoredStructure, StructureSearch
 from frictrack.records import Displacement
 
 FPS = 4000.0

@@ -8,8 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencil_start, stencil_weights, unit_responses
-from frictrack.motion.smoother import FactoredSmoother, Structure
+from frictrack.motion import (
+    STENCIL_FRAMES,
+    Derivatives,
+    FactoredSmoother,
+    FilterMethod,
+    Structure,
+    stencil_start,
+    stencil_weights,
+    unit_responses,
+)
 from frictrack.records import Array, Motion
 
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held

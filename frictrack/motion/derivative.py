@@ -22,19 +22,13 @@ from frictrack.motion.grid import (
     stencil_derivatives,
     stencils,
 )
-from frictrack.motion.smoother import (
-    MAX_WHOLE_FRAMES,
-    Course,
-    FactoredSmoother,
-    SmootherData,
-    Structure,
-    added_variances,
-    deviations,
-    line_frequency_errors,
-    mean_shift,
-    place_force_errors,
-    weighted_cubic,
-)
+from frictrack.motion.place_forces import Course, place_force_errors
+from frictrack.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import SmootherData
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_average import added_variances, mean_shift
+from frictrack.motion.structure_search import MAX_WHOLE_FRAMES
 from frictrack.records import Array, Displacement, Filtered, Mask, Motion
 
 QUANTITIES = ("x", "v", "a")

@@ -18,24 +18,12 @@ from frictrack.motion.filter_methods import (
 )
 from frictrack.motion.grid import FrameGrid, frame_grid, stencil_derivatives
 from frictrack.motion.noise import CorrelatedNoise, suspected_noise
-from frictrack.motion.smoother import (
-    MAX_WHOLE_FRAMES,
-    TREND_ORDER,
-    Course,
-    Event,
-    NoiseColour,
-    PlaceForce,
-    SmootherData,
-    Structure,
-    StructureSearch,
-    alternatives,
-    cutoff_of,
-    find_place_forces,
-    find_structure,
-    mean_shift,
-    weighted_cubic,
-    window_data,
-)
+from frictrack.motion.place_forces import Course, PlaceForce, find_place_forces
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother_data import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import alternatives, mean_shift
+from frictrack.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
 from frictrack.records import Array, Displacement, Filtered, Mask
 
 

@@ -16,15 +16,10 @@ from frictrack.motion.derivative import best_smoothing, derivatives, differentia
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.motion.grid import FrameGrid, frame_grid, stencil_derivative, stencil_derivatives, stencils
-from frictrack.motion.smoother import (
-    NoiseColour,
-    SmootherData,
-    Structure,
-    penalty,
-    response,
-    undetectable_amplitude,
-    weighted_cubic,
-)
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother_data import NoiseColour, SmootherData, penalty, response
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_search import undetectable_amplitude
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 N_CUTOFFS = 32

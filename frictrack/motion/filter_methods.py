@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from frictrack.errors import FrictrackError
 from frictrack.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, STRUCTURAL, FilterChoice
 from frictrack.motion.grid import stencil_derivative
-from frictrack.motion.smoother import TREND_ORDER, ChangeGroup, Event, NoiseColour, PlaceForce, Structure, cutoff_of
+from frictrack.motion.place_forces import PlaceForce
+from frictrack.motion.smoother_data import TREND_ORDER, NoiseColour, cutoff_of
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import ChangeGroup
 from frictrack.records import Array, Mask
 
 CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried for Butterworth, cycles per frame

@@ -16,12 +16,13 @@ from frictrack.motion import (
     STENCIL_FRAMES,
     FilterMethod,
     Smoother,
+    SmootherData,
+    Structure,
     frame_grid,
     frame_weights,
     stencils,
     unit_responses,
 )
-from frictrack.motion.smoother import SmootherData, Structure
 from frictrack.records import Array, Mask, Run
 
 

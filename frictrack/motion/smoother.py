@@ -22,7 +22,7 @@ from itertools import groupby, islice, pairwise
 
 import numpy as np
 
-from frictrack.motion.smoother.banded_equations import (
+from frictrack.motion.banded_equations import (
     BlockEquations,
     EquationLayout,
     EquationPart,
@@ -34,7 +34,7 @@ from frictrack.motion.smoother.banded_equations import (
     following_corner,
     reversed_part,
 )
-from frictrack.motion.smoother.smoother_data import (
+from frictrack.motion.smoother_data import (
     NO_LINES,
     TREND_ORDER,
     LineParameters,

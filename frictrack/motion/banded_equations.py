@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, LineParameters, SmootherData
+from frictrack.motion.smoother_data import TREND_ORDER, LineParameters, SmootherData
 from frictrack.records import Array
 
 FOURTH_DIFFERENCE, SECOND_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]), np.array([1.0, -2.0, 1.0])

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from frictrack.motion.grid import stencil_derivatives, stencils
-from frictrack.motion.smoother.equations import FactoredSmoother, variances_of
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
-from frictrack.motion.smoother.structure import Event, Structure
-from frictrack.motion.smoother.structure_search import KNOT_SPREAD, window_data
+from frictrack.motion.smoother import FactoredSmoother, variances_of
+from frictrack.motion.smoother_data import TREND_ORDER, SmootherData
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_search import KNOT_SPREAD, window_data
 from frictrack.records import Array
 
 RAMP_DEPTHS = np.array([1.0, 2.0, 3.0])  # over the prior standard deviation of the stiffness

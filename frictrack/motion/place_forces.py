@@ -19,10 +19,10 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.motion.grid import stencil_derivatives
-from frictrack.motion.smoother.equations import FactoredSmoother
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
-from frictrack.motion.smoother.structure import Structure
-from frictrack.motion.smoother.structure_search import (
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import TREND_ORDER, SmootherData
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_search import (
     LINE_COST,
     MAX_LINES,
     MAX_REFINEMENT_GAIN,

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from frictrack.motion.smoother.posterior_deviations import weighted_cubic
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData, penalty
-from frictrack.motion.smoother.structure import Event, Structure
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother_data import TREND_ORDER, SmootherData, penalty
+from frictrack.motion.structure import Event, Structure
 from frictrack.records import Array
 
 MIN_PERIODS = 0.3  # of the cut-off within the record; a stiffer trend is a cubic

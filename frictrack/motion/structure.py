@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.motion.smoother.equations import FactoredSmoother
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, LineParameters, SmootherData, penalty
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import TREND_ORDER, LineParameters, SmootherData, penalty
 from frictrack.records import Array
 
 
