@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
-from frictrack.motion.filter_methods import FilterMethod, Smoother, interpolate_missing
+from frictrack.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.motion.grid import (
     STENCIL_FRAMES,
     STENCIL_REACH,
@@ -29,7 +29,7 @@ from frictrack.motion.smoother_data import SmootherData
 from frictrack.motion.structure import Structure
 from frictrack.motion.structure_average import added_variances, mean_shift
 from frictrack.motion.structure_search import MAX_WHOLE_FRAMES
-from frictrack.records import Array, Displacement, Filtered, Mask, Motion
+from frictrack.records import Array, Displacement, Filtered, Motion
 
 QUANTITIES = ("x", "v", "a")
 _BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
@@ -200,8 +200,6 @@ class Derivatives:
         Frame numbers of the n rows, on N frames.
     x
         Low-passed rows, m, (n,).
-    known
-        Rows that were measured, (n,).
     w
         Weights on the grid, (N,).
     noise
@@ -221,7 +219,6 @@ class Derivatives:
 
     grid: FrameGrid
     x: Array
-    known: Mask
     w: Array
     noise: float
     smoother: Smoother
@@ -237,7 +234,7 @@ class Derivatives:
         measured = None if filtered.x_measured is None else grid.to_frames(np.nan_to_num(filtered.x_measured))
         w = grid.to_frames(frame_weights(filtered.sigma_x, known))
         smoother = Smoother.read(filtered.smoother)
-        result = cls(grid, filtered.x, known, w, noise, smoother, measured=measured)
+        result = cls(grid, filtered.x, w, noise, smoother, measured=measured)
         best = best_smoothing(filtered)
         if best is not filtered:
             return replace(result, best=cls.of_x(best))
@@ -263,13 +260,18 @@ class Derivatives:
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
-            measured = interpolate_missing(self.measured, self.w > 0)
-            return self.grid.to_rows(self._apply_method(self.smoother.method, measured))
+            return self.grid.to_rows(self._respond(self.measured))
         return self.grid.to_rows(stencil_derivatives(self._on_grid(), self.grid.interval))
 
-    def _apply_method(self, method: FilterMethod, y: Array) -> Array:
-        """Derivatives (3, N, ...) of columns (N, ...) by a filter method."""
-        return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
+    def _respond(self, columns: Array) -> Array:
+        """Derivatives (3, N, ...) of what the filter makes of columns (N, ...); missing frames do not count."""
+        if (method := self.smoother.method) is not None:
+            filled = interpolate_missing(columns, self.w > 0)
+            found = [method.derived(filled, k) for k in range(3)]
+        else:
+            smooth = self.factor.smooth(columns)
+            found = [stencil_derivative(smooth, k) for k in range(3)]
+        return np.stack([one / self.grid.interval**k for k, one in enumerate(found)])
 
     def deviations(self) -> Array:
         """Standard deviations of `values`, (3, n)."""
@@ -343,11 +345,7 @@ class Derivatives:
 
         """
         whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
-        if self.smoother.method is not None:
-            return self._apply_method(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
-        smooth = self.factor.smooth(whole)
-        result = np.stack([stencil_derivative(smooth, k) / self.grid.interval**k for k in range(3)])
-        return np.asarray(result[:, self.grid.frames])
+        return np.asarray(self._respond(whole)[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
         """Compute the covariance of one derivative among rows.
