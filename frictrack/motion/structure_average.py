@@ -229,17 +229,12 @@ def added_variances(
 
     """
     for g in groups:
-        yield slice(g.first, g.stop), _group_variance(data, s, g, interval)
-
-
-def _group_variance(data: SmootherData, s: Structure, g: ChangeGroup, interval: float) -> Array:
-    """The same in the window of one group, (3, stop - first): between its changes, and within them."""
-    weights = np.array([c.weight for c in g.changes])
-    moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])
-    between = np.einsum("k,kqn->qn", weights, moves**2) - np.einsum("k,kqn->qn", weights, moves) ** 2
-    window = g.first, g.stop, len(data.w)
-    part = SmootherData(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
-    stencil = stencils(g.stop - g.first, interval)
-    found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
-    within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
-    return np.asarray(np.maximum(between, 0.0) + np.maximum(within, 0.0))
+        weights = np.array([c.weight for c in g.changes])
+        moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])
+        between = np.einsum("k,kqn->qn", weights, moves**2) - np.einsum("k,kqn->qn", weights, moves) ** 2
+        window = g.first, g.stop, len(data.w)
+        part = SmootherData(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
+        stencil = stencils(g.stop - g.first, interval)
+        found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
+        within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
+        yield slice(g.first, g.stop), np.maximum(between, 0.0) + np.maximum(within, 0.0)
