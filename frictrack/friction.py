@@ -30,7 +30,6 @@ MAX_EVENT_DISTANCE = 8  # frames between an event of the smoother and its cause
 MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
-MIN_IMPACT_RATIO = 5.0  # change of velocity in an impact over that by the typical acceleration
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
@@ -180,7 +179,7 @@ def impact(run: Run) -> str:
     bounces = [one for one in _bounces(run) if start < one.before]
     bounce = bounces[0] if bounces else None
     hit = _impact(run, start, stop)
-    rows = [row for row in (hit, None if bounce is None else bounce.before) if row is not None]
+    rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
     if not rows:
         return ""
     consequence, flights = "takes at least half of its velocity", len(_section(run)[0])
@@ -364,7 +363,7 @@ def _find_end(run: Run, first: int, stop: int) -> tuple[int, str]:
     t, filter_frames = run.motion.t, _filter_frames(run)
     bounces = [bounce.before for bounce in _bounces(run) if first < bounce.before <= stop]
     hit = _impact(run, first, stop)
-    impact_row = min(bounces if hit is None else [hit, *bounces], default=None)
+    impact_row = min(bounces if hit is None else [hit[0], *bounces], default=None)
     if impact_row is not None:
         why, event = f"an impact at {t[impact_row]:.4g} s", _event(run, impact_row)
         if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
@@ -430,8 +429,8 @@ def _sudden_speed_loss(run: Run, first: int, stop: int) -> float:
     return _impact_acceleration(run, first, stop) * _impact_frames(run) * _interval(run) / 2.0
 
 
-def _impact(run: Run, first: int, stop: int) -> int | None:
-    """Frame in which the first impact begins: half of the speed is lost far faster than in the slide.
+def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
+    """First and last frame of the first impact: half of the speed is lost far faster than in the slide.
 
     Speed that returns soon after was not lost; a frame was.
     """
@@ -448,8 +447,10 @@ def _impact(run: Run, first: int, stop: int) -> int | None:
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
-    quiet = np.flatnonzero(a[first:hardest] <= _impact_acceleration(run, first, stop))
-    return int(first + quiet[-1]) if len(quiet) else first
+    quiet = a <= _impact_acceleration(run, first, stop)
+    before, after = np.flatnonzero(quiet[first:hardest]), np.flatnonzero(quiet[hardest:])
+    begins = first + before[-1] if len(before) else first
+    return int(begins), int(hardest + after[0]) if len(after) else len(a) - 1
 
 
 def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
@@ -466,12 +467,11 @@ def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array]
 
 @dataclass(frozen=True)
 class Bounce:
-    """A reversal at which something hits the mass: time, s, velocities before and after, m/s, and frames around it.
+    """A reversal at which something hits the mass: velocities before and after, m/s, and the frames around it.
 
     `before` and `after` are the last and the first frame of free flight, `following` the next reversal of its sense.
     """
 
-    t: float
     v_before: float
     v_after: float
     before: int
@@ -544,7 +544,7 @@ def _bounces(run: Run) -> list[Bounce]:
                 for r, side in zip(rows, known, strict=True)
             )
             ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
-            out.append(Bounce(float(t[turn] + tau), v_before, v_after, int(last[-1]), int(first[0]), ends))
+            out.append(Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
     return out
 
 
@@ -608,21 +608,13 @@ def _release(run: Run) -> float | None:
 
 
 def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, int, int]]:
-    """The smoother's events after the release that reduce the speed abruptly and are no stop, start or push."""
-    t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
-    moving = np.zeros(len(t), dtype=bool)
+    """The bounces and, of every motion, the first sudden loss of speed that does not stop it, both after a time."""
+    out = [("impact", one.before, one.after) for one in _bounces(run)]
     for s in motions:
-        moving[s] = True
-    typical = float(np.median(a[moving])) if moving.any() else np.inf
-    out = []
-    for first, last in run.motion.events:
-        i, j = max(first - EDGE_FRAMES, 0), min(last + EDGE_FRAMES, len(t) - 1)
-        if not (moving[i] and moving[j]) or t[first] <= after:
-            continue
-        change = v[j] - v[i]
-        if change * v[i] < 0 and abs(change) > MIN_IMPACT_RATIO * typical * (t[j] - t[i]):
-            out.append(("impact", first, last))
-    return out
+        hit = _impact(run, max(s.start, int(np.searchsorted(run.motion.t, after))), s.stop - 1)
+        if hit and hit[1] + EDGE_FRAMES < s.stop:
+            out.append(("impact", *hit))
+    return [one for one in out if run.motion.t[one[1]] > after]
 
 
 def _rests(run: Run, motions: list[slice]) -> list[slice]:

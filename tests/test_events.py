@@ -71,6 +71,24 @@ def test_an_impact_takes_speed_at_once():
     assert at == pytest.approx(0.08, abs=2e-3)
 
 
+def test_bounces_are_impacts_also_where_a_cutoff_smears_them():
+    t, wall = np.arange(0, 11, 0.01), 2.0
+    x, v, at, touches = 0.0, 0.0, 0.503, []
+    places = np.zeros(len(t))
+    for _ in range(3):  # falls toward the wall at 0.5 m/s^2, and leaves it with 0.7 of its speed
+        touch = at + (-v + np.sqrt(v**2 + (wall - x))) / 0.5
+        inside = (t >= at) & (t < touch)
+        places[inside] = x + v * (t[inside] - at) + 0.25 * (t[inside] - at) ** 2
+        x, v, at = wall, -0.7 * (v + 0.5 * (touch - at)), touch
+        touches.append(touch)
+    seen = t < touches[-1]
+    t, rounded, nan = t[seen], np.round(places[seen], 2), np.full(np.sum(seen), np.nan)
+    found = Displacement(t, rounded, nan, nan, 0.003 + 0 * t, nan, seen[seen], resolution=0.01)
+    run = Run(found, differentiate(low_pass(found, 5.0)), mass=0.5, has_incline=True, incline=-0.05)
+    impacts = [(begins, ends) for kind, begins, ends in find_events(run).events if kind == "impact"]
+    assert [0.5 * (begins + ends) for begins, ends in impacts] == pytest.approx(touches[:-1], abs=0.05)
+
+
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_a_plain_slide_has_no_story(direction):
     t, x = pieces((0.15, -20.0), v=5.0)

@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frictrack.motion.smoother import LineParameters, NoiseColour, SmootherData, deviations, equations, factor_smoother
-from frictrack.motion.stencil import stencils
+from frictrack.motion import smoother as equations
+from frictrack.motion.grid import stencils
+from frictrack.motion.posterior_deviations import deviations
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import LineParameters, NoiseColour, SmootherData
 
 N, PART = 1300, 300
 RNG = np.random.default_rng(0)
@@ -33,13 +36,13 @@ def smoother(name, n=N):
     bent, weights = (RNG.normal(size=n - 2), RNG.uniform(0.1, 5.0, n - 2)) if sensed else (None, None)
     y = np.where(w > 0, RNG.normal(size=n) + 10 * np.sin(np.arange(n) / 50), 0.0)
     lines = LineParameters(np.array(omega), np.array(mu))
-    return factor_smoother(SmootherData(y, w, bent, weights, colour), lam * np.exp(RNG.normal(size=n - 4)), lines)
+    return FactoredSmoother(SmootherData(y, w, bent, weights, colour), lam * np.exp(RNG.normal(size=n - 4)), lines)
 
 
 def solved(made, part, monkeypatch):
     """Number of parts, and all that is computed of a smoother in parts of so many frames."""
     monkeypatch.setattr(equations, "PART_FRAMES", part)
-    fresh = factor_smoother(made.data, made.lam, made.lines)
+    fresh = FactoredSmoother(made.data, made.lam, made.lines)
     loss, variance, unknowns = fresh.restricted_likelihood()
     columns = np.stack([made.data.y, made.data.y[::-1]], axis=1)
     found = fresh.signal(unknowns), fresh.smooth(columns), fresh.posterior_covariance_times(columns)

@@ -18,17 +18,11 @@ from frictrack.motion import (
     low_pass,
     noise_level,
 )
-from frictrack.motion.smoother import (
-    LineParameters,
-    ScoredStructure,
-    SmootherData,
-    Structure,
-    StructureSearch,
-    cutoff_of,
-    deviations,
-    factor_smoother,
-    penalty,
-)
+from frictrack.motion.posterior_deviations import deviations
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_search import ScoredStructure, StructureSearch
 from frictrack.records import Displacement
 
 FPS = 4000.0
@@ -80,7 +74,7 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
     w[[0, 20, 21, 22]] = 0.0
     lam, omega, mu = 1e4 * np.exp(rng.normal(size=n - 4)), np.array([0.3, 0.9])[:lines], np.array([1e3, 1e5])[:lines]
     worth, bent = (rng.uniform(0, 50, n - 2), rng.normal(size=n - 2)) if sensed else (None, None)
-    made = factor_smoother(SmootherData(y, w, bent, worth), lam, LineParameters(omega, mu))
+    made = FactoredSmoother(SmootherData(y, w, bent, worth), lam, LineParameters(omega, mu))
 
     every = np.hstack([np.eye(n)] * (1 + lines))
     fourth, second = np.diff(np.eye(n), 4, axis=0), np.diff(np.eye(n), 2, axis=0)
@@ -128,7 +122,7 @@ def test_likelihood_is_that_of_the_dense_covariance(rng):
         return (n - 4) * np.log(y @ p @ y / degrees) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
 
     def ours(lam, omega, mu):
-        return factor_smoother(
+        return FactoredSmoother(
             SmootherData(y, np.ones(n)), np.full(n - 4, lam), LineParameters(np.array([omega]), np.array([mu]))
         ).restricted_likelihood()[0]
 
@@ -435,7 +429,7 @@ def test_covariance_covers_the_error_of_a_mean(method, repeats):
 @pytest.mark.parametrize("n", range(97, 130))
 def test_deviations_of_any_length(n):
     """No length leaves a remainder that cannot be solved."""
-    made = factor_smoother(
+    made = FactoredSmoother(
         SmootherData(np.zeros(n), np.ones(n)), np.full(n - 4, 1e9), LineParameters(np.array([0.1]), np.array([1e8]))
     )
     start = np.arange(n - 1)

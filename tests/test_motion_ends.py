@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from frictrack.errors import FrictrackError
 from frictrack.motion import Smoother, compare_filters, differentiate, low_pass
-from frictrack.motion.smoother import ChangeGroup, Event, Structure, StructureChange
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import ChangeGroup, StructureChange
 from frictrack.records import Displacement, Run
 
 FPS, MASS = 4000.0, 0.35

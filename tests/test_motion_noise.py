@@ -9,7 +9,8 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from frictrack.motion import CorrelatedNoise, Smoother, cutoff_tradeoff, differentiate, low_pass
-from frictrack.motion.smoother import LineParameters, NoiseColour, SmootherData, factor_smoother, variances_of
+from frictrack.motion.smoother import FactoredSmoother, variances_of
+from frictrack.motion.smoother_data import LineParameters, NoiseColour, SmootherData
 from frictrack.records import Displacement
 
 FPS, MASS, NOISE = 4000.0, 0.35, 2e-5
@@ -53,7 +54,7 @@ def rms(values):
 def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
     n, rng = 60, np.random.default_rng(4)
     lam, omega, mu = 1e3 * np.exp(rng.normal(size=n - 4)), np.array([0.5])[:lines], np.array([1e3])[:lines]
-    made = factor_smoother(SmootherData(rng.normal(size=n), np.ones(n), colour=colour), lam, LineParameters(omega, mu))
+    made = FactoredSmoother(SmootherData(rng.normal(size=n), np.ones(n), colour=colour), lam, LineParameters(omega, mu))
     every, known = np.hstack([np.eye(n)] * (1 + lines)), np.linalg.inv(covariance(colour, n))
     normal = every.T @ known @ every
     fourth = np.diff(np.eye(n), 4, axis=0)
@@ -69,7 +70,7 @@ def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
     assert made.variances(start, ones)[0] == pytest.approx(np.diag(inverse)[:-1], rel=1e-6)
     passed = np.diag(inverse @ known @ inverse)[:-1]
     assert made.noise_variances(start, ones)[0] == pytest.approx(passed, rel=2e-3)
-    stiffer = factor_smoother(made.data, 9 * lam, LineParameters(omega, mu))
+    stiffer = FactoredSmoother(made.data, 9 * lam, LineParameters(omega, mu))
     both = variances_of([made, stiffer], start, ones)
     assert both == pytest.approx(np.array([f.variances(start, ones) for f in (made, stiffer)]), rel=1e-9)
 
@@ -88,9 +89,9 @@ def test_the_likelihood_of_noise_is_that_of_the_dense_covariance():
         return (n - 4) * np.log(y @ p @ y / (n - 4)) + np.linalg.slogdet(v)[1] + np.linalg.slogdet(inside)[1]
 
     def ours(colour):
-        return factor_smoother(SmootherData(y, np.ones(n), colour=colour), np.full(n - 4, 1e3)).restricted_likelihood()[
-            0
-        ]
+        return FactoredSmoother(
+            SmootherData(y, np.ones(n), colour=colour), np.full(n - 4, 1e3)
+        ).restricted_likelihood()[0]
 
     for colour in COLOURS:
         assert ours(colour) - ours(None) == pytest.approx(dense(colour) - dense(None), abs=1e-5)

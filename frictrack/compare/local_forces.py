@@ -37,7 +37,7 @@ from frictrack.fit.least_squares import ModelProjection, Solution, model_project
 from frictrack.fit.linearised import LinearisedModel, LinearisedPiece, linearise
 from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.pieces import Piece
-from frictrack.motion.noise import CORRELATION_COST
+from frictrack.motion import CORRELATION_COST
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search

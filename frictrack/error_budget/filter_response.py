@@ -8,8 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.motion import STENCIL_FRAMES, Derivatives, FilterMethod, stencil_start, stencil_weights
-from frictrack.motion.smoother import FactoredSmoother, Structure
+from frictrack.motion import (
+    STENCIL_FRAMES,
+    Derivatives,
+    FactoredSmoother,
+    FilterMethod,
+    Structure,
+    stencil_start,
+    stencil_weights,
+    unit_responses,
+)
 from frictrack.records import Array, Motion
 
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
@@ -117,8 +125,9 @@ class FilterResponse:
     def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:
         """Transmitted noise of another method, frame by frame."""
         rows, total = np.zeros(len(weights)), 0.0
-        for made, sigma in self.derived.unit_responses(method):
-            second = made[2, self._grid.frames] * sigma
+        for frames, response in unit_responses(method, self.derived.w > 0, 2):
+            sigma_a = self.noise / np.sqrt(self.derived.w[frames]) / self._grid.interval**2
+            second = response[self._grid.frames] * sigma_a
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))
         return AccelerationError(np.sqrt(rows), float(np.sqrt(total)))

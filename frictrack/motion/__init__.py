@@ -1,10 +1,11 @@
 """Compute position, velocity and acceleration with their standard deviations from a displacement.
 
-`low_pass` smooths the displacement, `differentiate` derives it; `noise` and `smoother` hold their methods.
+`low_pass` smooths the displacement by one of `filter_methods` or by a structural model (a trend of varying stiffness,
+lines, events, forces that are periodic in place, and coloured noise), and `differentiate` derives it. Of that model,
+`structure_search` finds the structure, `smoother` solves the equations, `posterior_deviations` says what is uncertain.
 """
 
 from frictrack.filters import METHOD_NAMES
-from frictrack.motion.cutoff_trade import cutoff_tradeoff
 from frictrack.motion.derivative import (
     Derivatives,
     best_smoothing,
@@ -13,33 +14,52 @@ from frictrack.motion.derivative import (
     differentiate,
     filtered_acceleration,
 )
-from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass
-from frictrack.motion.filter_comparison import FilteredMotion, compare_filters
-from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
-from frictrack.motion.filter_settings import Smoother
-from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.known_acceleration import KnownAcceleration
-from frictrack.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
-from frictrack.motion.stencil import STENCIL_FRAMES, stencil_start, stencil_weights, stencils
+from frictrack.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
+from frictrack.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
+from frictrack.motion.filter_methods import FilterMethod, Smoother, interpolate_missing, unit_responses
+from frictrack.motion.grid import STENCIL_FRAMES, FrameGrid, frame_grid, stencil_start, stencil_weights, stencils
+from frictrack.motion.noise import (
+    CORRELATION_COST,
+    DIFFERENCE_ORDER,
+    FALLBACK_ORDER,
+    CorrelatedNoise,
+    NoiseStretch,
+    correlated_noise,
+    difference_order,
+    difference_variance,
+    noise_level,
+    slow_spectrum,
+)
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import SmootherData
+from frictrack.motion.structure import Structure
 
 __all__ = [
+    "CORRELATION_COST",
+    "DIFFERENCE_ORDER",
+    "FALLBACK_ORDER",
     "METHOD_NAMES",
     "MISSING_SIGMA",
     "STENCIL_FRAMES",
     "CorrelatedNoise",
     "Derivatives",
+    "FactoredSmoother",
     "FilterMethod",
     "FilteredMotion",
     "FrameGrid",
     "KnownAcceleration",
     "NoiseStretch",
     "Smoother",
+    "SmootherData",
+    "Structure",
     "best_smoothing",
     "compare_filters",
     "correlated_noise",
     "covariance",
     "cutoff_tradeoff",
     "derivatives",
+    "difference_order",
+    "difference_variance",
     "differentiate",
     "filtered_acceleration",
     "frame_grid",
@@ -47,7 +67,9 @@ __all__ = [
     "interpolate_missing",
     "low_pass",
     "noise_level",
+    "slow_spectrum",
     "stencil_start",
     "stencil_weights",
     "stencils",
+    "unit_responses",
 ]

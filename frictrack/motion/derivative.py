@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -13,26 +12,25 @@ from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
 from frictrack.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
-from frictrack.motion.filter_methods import FilterMethod, interpolate_missing
-from frictrack.motion.filter_settings import Smoother
-from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.smoother import (
-    MAX_WHOLE_FRAMES,
-    Course,
-    FactoredSmoother,
-    SmootherData,
-    Structure,
-    added_variances,
-    deviations,
-    line_frequency_errors,
-    mean_shift,
-    place_force_errors,
-    weighted_cubic,
+from frictrack.motion.filter_methods import Smoother, interpolate_missing
+from frictrack.motion.grid import (
+    STENCIL_FRAMES,
+    STENCIL_REACH,
+    FrameGrid,
+    frame_grid,
+    stencil_derivative,
+    stencil_derivatives,
+    stencils,
 )
-from frictrack.motion.stencil import STENCIL_FRAMES, STENCIL_REACH, stencil_derivative, stencil_derivatives, stencils
-from frictrack.records import Array, Displacement, Filtered, Mask, Motion
+from frictrack.motion.place_forces import Course, place_force_errors
+from frictrack.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import SmootherData
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_average import added_variances, mean_shift
+from frictrack.motion.structure_search import MAX_WHOLE_FRAMES
+from frictrack.records import Array, Displacement, Filtered, Motion
 
-COLUMNS_AT_ONCE = 256  # unit responses computed in one call
 QUANTITIES = ("x", "v", "a")
 _BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
 
@@ -202,8 +200,6 @@ class Derivatives:
         Frame numbers of the n rows, on N frames.
     x
         Low-passed rows, m, (n,).
-    known
-        Rows that were measured, (n,).
     w
         Weights on the grid, (N,).
     noise
@@ -223,7 +219,6 @@ class Derivatives:
 
     grid: FrameGrid
     x: Array
-    known: Mask
     w: Array
     noise: float
     smoother: Smoother
@@ -234,43 +229,49 @@ class Derivatives:
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
         """Derivatives of x."""
-        result = cls._of(filtered, (filtered.x, filtered.sigma_x, filtered.smoother, filtered.x_measured))
+        grid, known = frame_grid(filtered.t), filtered.sigma_x < MISSING_SIGMA
+        noise = float(np.mean(filtered.sigma_x[known] ** -2.0) ** -0.5)
+        measured = None if filtered.x_measured is None else grid.to_frames(np.nan_to_num(filtered.x_measured))
+        w = grid.to_frames(frame_weights(filtered.sigma_x, known))
+        smoother = Smoother.read(filtered.smoother)
+        result = cls(grid, filtered.x, w, noise, smoother, measured=measured)
         best = best_smoothing(filtered)
         if best is not filtered:
             return replace(result, best=cls.of_x(best))
-        if filtered.sigma_sensor is None or result.smoother.method:
+        if filtered.sigma_sensor is None or smoother.method:
             return result
-        sigma = result.grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
-        weights = sensor_weights(sigma, result.grid.interval**2, result.noise)
-        return replace(result, sensor_weights=weights)
+        sigma = grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
+        return replace(result, sensor_weights=sensor_weights(sigma, grid.interval**2, noise))
 
     @classmethod
     def of_y(cls, filtered: Filtered) -> Derivatives:
-        """Derivatives of y."""
-        result = cls._of(filtered, (filtered.y, filtered.sigma_y, filtered.smoother_y, filtered.y_measured))
-        best = best_smoothing(_with_y_as_x(filtered))
-        return replace(result, best=cls.of_x(best)) if filtered.asked else result
-
-    @classmethod
-    def _of(cls, filtered: Filtered, columns: tuple[Array, Array, str, Array | None]) -> Derivatives:
-        x, sigma, smoother, measured = columns
-        grid = frame_grid(filtered.t)
-        known = sigma < MISSING_SIGMA
-        noise = float(np.mean(sigma[known] ** -2.0) ** -0.5)
-        raw = None if measured is None else grid.to_frames(np.nan_to_num(measured))
-        w = grid.to_frames(frame_weights(sigma, known))
-        return cls(grid, x, known, w, noise, Smoother.read(smoother), measured=raw)
+        """Derivatives of y: those of x after y was put in its place."""
+        return cls.of_x(
+            replace(
+                filtered,
+                x=filtered.y,
+                sigma_x=filtered.sigma_y,
+                x_measured=filtered.y_measured,
+                smoother=filtered.smoother_y,
+                sigma_sensor=None,
+            )
+        )
 
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
         if self.measured is not None and self.smoother.method is not None:
-            measured = interpolate_missing(self.measured, self.w > 0)
-            return self.grid.to_rows(self._apply_method(self.smoother.method, measured))
+            return self.grid.to_rows(self._respond(self.measured))
         return self.grid.to_rows(stencil_derivatives(self._on_grid(), self.grid.interval))
 
-    def _apply_method(self, method: FilterMethod, y: Array) -> Array:
-        """Derivatives (3, N, ...) of columns (N, ...) by a filter method."""
-        return np.stack([method.derived(y, k) / self.grid.interval**k for k in range(3)])
+    def _respond(self, columns: Array) -> Array:
+        """Derivatives (3, N, ...) of what the filter makes of columns (N, ...); missing frames do not count."""
+        if (method := self.smoother.method) is not None:
+            filled = interpolate_missing(columns, self.w > 0)
+            found = [method.derived(filled, k) for k in range(3)]
+        else:
+            smooth = self.factor.smooth(columns)
+            found = [stencil_derivative(smooth, k) for k in range(3)]
+        return np.stack([one / self.grid.interval**k for k, one in enumerate(found)])
 
     def deviations(self) -> Array:
         """Standard deviations of `values`, (3, n)."""
@@ -344,11 +345,7 @@ class Derivatives:
 
         """
         whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
-        if self.smoother.method is not None:
-            return self._apply_method(self.smoother.method, interpolate_missing(whole, self.w > 0))[:, self.grid.frames]
-        smooth = self.factor.smooth(whole)
-        result = np.stack([stencil_derivative(smooth, k) / self.grid.interval**k for k in range(3)])
-        return np.asarray(result[:, self.grid.frames])
+        return np.asarray(self._respond(whole)[:, self.grid.frames])
 
     def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
         """Compute the covariance of one derivative among rows.
@@ -405,14 +402,6 @@ class Derivatives:
             np.where(w > 0, y - cubic, 0.0)
         )
 
-    def unit_responses(self, method: FilterMethod) -> Iterator[tuple[Array, Array]]:
-        """Yield responses (3, N, k) to unit displacements of k known frames, and their standard deviations (k,)."""
-        frames = np.flatnonzero(self.w > 0)
-        for part in np.array_split(frames, -(-len(frames) // COLUMNS_AT_ONCE)):
-            unit = np.zeros((self.grid.n, len(part)))
-            unit[part, np.arange(len(part))] = 1.0
-            yield self._apply_method(method, interpolate_missing(unit, self.w > 0)), self.noise / np.sqrt(self.w[part])
-
 
 def best_smoothing(filtered: Filtered) -> Filtered:
     """Smooth the same x by the default method; once, however many ask for it.
@@ -435,11 +424,6 @@ def best_smoothing(filtered: Filtered) -> Filtered:
         rows = Displacement(filtered.t, filtered.x_measured, none, none, filtered.sigma_x, none, known)
         _BEST[filtered] = low_pass(rows)
     return _BEST[filtered]
-
-
-def _with_y_as_x(filtered: Filtered) -> Filtered:
-    """The same with the coordinate across the course in place of that along it."""
-    return replace(filtered, x=filtered.y, sigma_x=filtered.sigma_y, x_measured=filtered.y_measured)
 
 
 def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:

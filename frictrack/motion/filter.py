@@ -9,31 +9,54 @@ import scipy
 
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.filters import KALMAN, STRUCTURAL, FilterChoice
-from frictrack.motion.filter_methods import METHODS, interpolate_missing
-from frictrack.motion.filter_settings import Smoother, describe_given_cutoff, describe_structure
-from frictrack.motion.grid import FrameGrid, frame_grid
-from frictrack.motion.known_acceleration import KnownAcceleration
-from frictrack.motion.noise import CorrelatedNoise, suspected_noise
-from frictrack.motion.smoother import (
-    MAX_WHOLE_FRAMES,
-    TREND_ORDER,
-    Course,
-    Event,
-    NoiseColour,
-    PlaceForce,
-    SmootherData,
-    Structure,
-    StructureSearch,
-    alternatives,
-    cutoff_of,
-    find_place_forces,
-    find_structure,
-    mean_shift,
-    weighted_cubic,
-    window_data,
+from frictrack.motion.filter_methods import (
+    METHODS,
+    Smoother,
+    describe_given_cutoff,
+    describe_structure,
+    interpolate_missing,
 )
-from frictrack.motion.stencil import stencil_derivatives
+from frictrack.motion.grid import FrameGrid, frame_grid, stencil_derivatives
+from frictrack.motion.noise import CorrelatedNoise, suspected_noise
+from frictrack.motion.place_forces import Course, PlaceForce, find_place_forces
+from frictrack.motion.posterior_deviations import weighted_cubic
+from frictrack.motion.smoother_data import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import alternatives, mean_shift
+from frictrack.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
 from frictrack.records import Array, Displacement, Filtered, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class KnownAcceleration:
+    """Acceleration at the frames, as a mean over one frame interval.
+
+    Attributes
+    ----------
+    a
+        Acceleration, m/s^2, (n,); NaN where unknown.
+    sigma
+        Standard deviation of its white noise, m/s^2, one number or (n,).
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> known = ft.KnownAcceleration(run.motion.a, 5.0)
+    >>> fused = ft.differentiate(ft.low_pass(run.displacement, acceleration=known))
+    >>> bool(fused.sigma_a[75] < run.motion.sigma_a[75])
+    True
+
+    """
+
+    a: Array
+    sigma: float | Array
+
+    def rows(self, part: slice) -> KnownAcceleration:
+        """The same for a part of the frames."""
+        sigma = self.sigma if np.ndim(self.sigma) == 0 else np.asarray(self.sigma)[part]
+        return KnownAcceleration(self.a[part], sigma)
+
 
 MISSING_SIGMA = float("inf")  # m, of a frame that was not measured
 VIOLENT_RATIO = 10.0  # acceleration of a push or an impact over the median of the moving mass

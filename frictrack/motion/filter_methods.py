@@ -1,28 +1,35 @@
 """Filters that a user may choose: Butterworth, Savitzky-Golay, Gaussian process, and the chain of the papers.
 
 Each is a linear map of the frames, with settings as given or from the data. Missing frames are bridged by
-straight lines.
+straight lines. A `Smoother` holds one of them, or the structure that low-passed a coordinate, and writes it as JSON.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import scipy
 from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, FilterChoice
-from frictrack.motion.stencil import stencil_derivative
+from frictrack.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, STRUCTURAL, FilterChoice
+from frictrack.motion.grid import stencil_derivative
+from frictrack.motion.place_forces import PlaceForce
+from frictrack.motion.smoother_data import TREND_ORDER, NoiseColour, cutoff_of
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_average import ChangeGroup
 from frictrack.records import Array, Mask
 
 CUTOFFS = np.geomspace(0.002, 0.4, 60)  # tried for Butterworth, cycles per frame
 MAX_RESIDUAL_SIGMAS = 2.0  # standard deviations by which the residual's mean square may exceed the noise
 WINDOW_FRAMES = np.unique(np.round(np.geomspace(5, 401, 40)).astype(int) | 1)  # tried for Savitzky-Golay
 DEGREES = (3, 4, 5)
+COLUMNS_AT_ONCE = 256  # unit responses computed in one call
 MAX_FRAMES = 3000  # of a Gaussian process, whose cost grows with their cube
 MAX_LOG_PARAMETER = 20.0  # log of a length or an amplitude
 HALF_AMPLITUDE_CUTOFF = 0.1874  # f l at which exp(-(2 pi f l)^2 / 2) is one half
@@ -233,6 +240,15 @@ class GaussianProcess:
 METHODS: Mapping[str, Any] = {m.name: m for m in (Butterworth, SavitzkyGolay, GaussianProcess, Papers)}
 
 
+def unit_responses(method: FilterMethod, known: Mask, order: int) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    """Yield some known frames (k,) of N, and the derivatives (N, k), per frame, of a unit displacement of each."""
+    frames = np.flatnonzero(known)
+    for part in np.array_split(frames, -(-len(frames) // COLUMNS_AT_ONCE)):
+        unit = np.zeros((len(known), len(part)))
+        unit[part, np.arange(len(part))] = 1.0
+        yield part, method.derived(interpolate_missing(unit, known), order)
+
+
 def interpolate_missing(y: Array, known: Mask) -> Array:
     """Interpolate missing frames linearly.
 
@@ -266,3 +282,103 @@ def _cubic(y: Array) -> Array:
     u = np.linspace(-1.0, 1.0, len(y))
     flat = y.reshape(len(y), -1)
     return np.asarray(polynomial.polyval(u, polynomial.polyfit(u, flat, 3)).T.reshape(y.shape))
+
+
+MIN_CUTOFF_RATIO = 0.7  # over the likeliest cut-off; below it signal is lost
+
+
+@dataclass(frozen=True, eq=False)
+class Smoother:
+    """What low-passed a coordinate; `str` writes it as JSON.
+
+    Attributes
+    ----------
+    structure
+        Structure of the structural smoother.
+    method
+        Another filter method.
+    alternatives
+        Changes of the structure over which the signal was averaged.
+    colour
+        Colour of the noise.
+    forces
+        Forces that are periodic in place.
+
+    """
+
+    structure: Structure | None = None
+    method: FilterMethod | None = None
+    alternatives: tuple[ChangeGroup, ...] = ()
+    colour: NoiseColour | None = None
+    forces: tuple[PlaceForce, ...] = ()
+
+    def __str__(self) -> str:
+        if self.method:
+            return json.dumps({"method": self.method.name, **vars(self.method)})
+        if self.structure is None:
+            return ""
+        more: dict[str, Any] = {}
+        if self.alternatives:
+            more["alternatives"] = [asdict(g) for g in self.alternatives]
+        if self.colour:
+            more["noise"] = asdict(self.colour)
+        if self.forces:
+            more["forces"] = self.forces
+        return json.dumps({"method": STRUCTURAL, **asdict(self.structure), **more})
+
+    @classmethod
+    def read(cls, text: str) -> Smoother:
+        """Read a smoother from its JSON."""
+        settings = json.loads(text)
+        name = settings.pop("method")
+        if name != STRUCTURAL:
+            return cls(method=METHODS[name](**settings))
+        events = tuple(Event(**e) for e in settings["events"])
+        lines = tuple((float(f), float(m)) for f, m in settings["lines"])
+        groups = tuple(ChangeGroup.read(g) for g in settings.get("alternatives", ()))
+        colour = NoiseColour(**settings["noise"]) if "noise" in settings else None
+        forces = tuple(PlaceForce(*f) for f in settings.get("forces", ()))
+        return cls(Structure(tuple(settings["stiffness"]), lines, events), None, groups, colour, forces)
+
+
+def describe_structure(smoother: Smoother, interval: float) -> str:
+    """Describe the components of a record in words.
+
+    Parameters
+    ----------
+    smoother
+        Trend, lines, events, forces and noise.
+    interval
+        Frame interval, s.
+
+    Returns
+    -------
+    str
+        Cut-offs of the trend, lines, forces, events and correlated noise.
+
+    """
+    structure, colour = smoother.structure, smoother.colour
+    assert structure is not None
+    cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]
+    low, high = (f"{f:.3g}" if f < 1000 else f"{f:.0f}" for f in (min(cutoffs), max(cutoffs)))
+    span = f"{low} Hz" if max(cutoffs) < 1.1 * min(cutoffs) else f"{low} to {high} Hz"
+    parts = [f"a trend cut off at {span}"]
+    parts += [f"one sinusoid at {omega / 2 / np.pi / interval:.4g} Hz" for omega, _ in structure.lines]
+    parts += [f"a force periodic in place, every {1e3 * f.period:.4g} mm" for f in smoother.forces]
+    centres = [1e3 * interval * 0.5 * (e.first + e.last + TREND_ORDER) for e in structure.events]
+    if centres:
+        parts.append("abrupt changes at " + ", ".join(f"{c:.1f} ms" for c in sorted(centres)))
+    if colour:
+        parts.append(
+            f"noise of which {100 * colour.share:.0f} % of the variance is correlated "
+            f"({colour.correlation:.2g} from frame to frame)"
+        )
+    return ", ".join(parts) + ", by maximum likelihood"
+
+
+def describe_given_cutoff(used: float, best: float) -> str:
+    """Describe a given cut-off; say if it is too low."""
+    reason = f"cut-off {used:.3g} Hz as given"
+    if used < MIN_CUTOFF_RATIO * best:
+        reason += f", maximum likelihood would take {best:.3g} Hz: the deviations count the signal lost"
+    return reason

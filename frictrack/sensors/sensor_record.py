@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.errors import FrictrackError
-from frictrack.motion.noise import noise_level
+from frictrack.motion import noise_level
 from frictrack.records import Array, Displacement, Mask, stretches
 
 MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running

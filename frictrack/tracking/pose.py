@@ -19,6 +19,7 @@ from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.measure import MISFIT_RATIO, inlier_weights, unexplained_share
+from frictrack.tracking.subpixel_fit import MIN_GAIN, N_UNKNOWNS, NormalEquations
 from frictrack.tracking.template import Template
 
 SAMPLES_PER_PX = 3  # of the table: cubic splines through it err by less than 1e-4 of the contrast
@@ -28,10 +29,8 @@ CYCLE_TOLERANCE_PX = 5e-3  # last step where the iteration cycles, as pixels at 
 MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals
 MIN_REMAINING_SHARE = 0.25  # of the texture
 MIN_TEXTURE_RATIO = 0.1  # to the mean squared slope
-MIN_GAIN = 1e-3  # a target with less is not visible
 MARGIN_PX = 6.0  # round the target
 MAX_PLAIN_FIT_UNEXPLAINED = 0.005  # share of the picture's variance; less is the error of the rotated template
-N_UNKNOWNS = 5  # gain, offset, x, y, angle
 
 
 @dataclass(frozen=True)
@@ -301,24 +300,21 @@ def _step(window: _Window, pose: Pose, rotatable: RotatableTemplate, share: Arra
     if np.count_nonzero(use) < 4 * N_UNKNOWNS:
         return pose, np.inf
     design, values, rate = columns[:, use], window.pixels.ravel()[use] - rotatable.template.level, weight[use]
-    normal, right, power = (design * rate) @ design.T, (design * rate) @ values, float(values**2 @ rate)
-    inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(N_UNKNOWNS))
-    solution = inverse @ right
-    gain = max(float(solution[0]), MIN_GAIN)
-    move = solution[2:] / gain
+    products = (design * rate) @ design.T, (design * rate) @ values, values**2 @ rate
+    normal, right, power = (np.asarray(one)[None] for one in products)
+    found = NormalEquations(normal, right, power, int(np.count_nonzero(use)))
+    move = found.moves[0]
     shift, turn = float(np.max(np.abs(move[:2]))), abs(float(move[2])) * rotatable.radius
     limited = move / max(1.0, shift, turn / 2)
-    count = int(np.count_nonzero(use)) - N_UNKNOWNS  # positive, see above
-    misfit = max(power - float(right @ solution), 0.0) / count
-    x, y, angle = (np.sqrt(misfit * np.diag(inverse)[2:].clip(0)) / gain).tolist()
+    x, y, angle = found.sigma[0].tolist()
     next_pose = Pose(
         centre=pose.centre + limited[:2],
         angle=pose.angle + float(limited[2]),
-        gain=float(solution[0]),
-        offset=float(solution[1]) + rotatable.template.level,
+        gain=float(found.coefficients[0, 0]),
+        offset=float(found.coefficients[0, 1]) + rotatable.template.level,
         sigma=(x, y, angle),
-        score=_score(normal, right, power),
-        misfit=misfit,
+        score=float(found.score[0]),
+        misfit=float(found.misfit[0]),
     )
     return next_pose, shift + turn
 
@@ -338,14 +334,6 @@ def _columns(window: _Window, pose: Pose, rotatable: RotatableTemplate) -> tuple
     columns[2, use], columns[3, use] = -(c * dx - s * dy), -(s * dx + c * dy)
     columns[4, use] = dx * target_points[1, use] - dy * target_points[0, use]
     return columns, weight
-
-
-def _score(normal: Array, right: Array, power: float) -> float:
-    """Weighted zero-normalised cross-correlation."""
-    n = max(normal[1, 1], 1e-300)
-    both = right[0] - right[1] * normal[0, 1] / n
-    frame, model = power - right[1] ** 2 / n, normal[0, 0] - normal[0, 1] ** 2 / n
-    return float(np.clip(both / np.sqrt(max(frame * model, 1e-300)), -1, 1))
 
 
 def _refine_robust(window: _Window, start: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> Pose:

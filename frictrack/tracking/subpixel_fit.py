@@ -14,6 +14,7 @@ EURASIP J. Appl. Signal Process. 2005:2199).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ MAX_STEPS = 12  # five are enough where the template fits, more where part of it
 STEP_TOLERANCE_PX = 2e-3  # the next step of Gauss-Newton would be a few percent of it
 N_UNKNOWNS = 5  # gain, offset, x, y, angle
 MIN_GAIN = 1e-3  # a target with less is not visible
+_RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, which its score shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +142,65 @@ class TemplateProducts:
         return TemplateProducts(self.moments[rows], self.power[rows], gram, count)
 
 
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """One step of Gauss-Newton in n frames: weighted least squares in gain, offset, x, y and angle.
+
+    Attributes
+    ----------
+    normal, right : arrays (n, 5, 5) and (n, 5)
+        Weighted products of the derivatives of the frame by the unknowns (over the gain) with each other and with it.
+    power : array (n,)
+        Weighted sums of squares of the frames.
+    n_pixels : int or array (n,)
+        Number of pixels that count.
+
+    """
+
+    normal: Array
+    right: Array
+    power: Array
+    n_pixels: Array | int
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Gain, offset, and gain times the moves, (n, 5)."""
+        return np.asarray(np.linalg.solve(self.normal + _RIDGE, self.right[..., None])[..., 0])
+
+    @property
+    def _gain(self) -> Array:
+        return np.maximum(self.coefficients[:, :1], MIN_GAIN)
+
+    @property
+    def moves(self) -> Array:
+        """Moves along x and y, px, and rotation, rad, (n, 3)."""
+        return self.coefficients[:, 2:] / self._gain
+
+    @property
+    def misfit(self) -> Array:
+        """Mean weighted squared residual, (n,)."""
+        residual_power = np.maximum(self.power - np.einsum("ni,ni->n", self.coefficients, self.right), 0.0)
+        return np.asarray(residual_power / np.maximum(self.n_pixels - N_UNKNOWNS, 1))
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the moves, (n, 3): template noise times the root of the misfit."""
+        variance = np.diagonal(np.linalg.inv(self.normal + _RIDGE), axis1=1, axis2=2)[:, 2:]
+        return np.asarray(np.sqrt(self.misfit[:, None] * np.maximum(variance, 0.0)) / self._gain)
+
+    @property
+    def score(self) -> Array:
+        """Weighted zero-normalised cross-correlation (n,) of the frames with the template."""
+        normal, right = self.normal, self.right
+        weight = np.maximum(normal[:, 1, 1], 1e-12)
+        both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
+        frame = self.power - right[:, 1] ** 2 / weight
+        picture = normal[:, 0, 0] - normal[:, 0, 1] ** 2 / weight
+        # The variance of a flat frame or template is a rounding error and must not give a score.
+        size = np.maximum(frame, 1e-9 * self.power) * np.maximum(picture, 1e-9 * normal[:, 0, 0])
+        return np.clip(both / np.sqrt(np.maximum(size, 1e-12)), -1.0, 1.0)
+
+
 def template_products(cuts: Patch, template: Template, share: Patch | None = None) -> TemplateProducts:
     """Multiply cut-outs by the basis images of a template.
 
@@ -198,14 +259,13 @@ def refine_positions(data: TemplateProducts, start: Array, template: Template) -
     max_search_px = template.shift_expansion.max_search_px
     at = np.clip(np.array(start, dtype=np.float64), -max_search_px, max_search_px)
     n = len(at)
-    result = np.zeros((n, N_UNKNOWNS)), np.zeros((n, N_UNKNOWNS)), np.zeros((n, N_UNKNOWNS, N_UNKNOWNS))
+    normal, right = np.zeros((n, N_UNKNOWNS, N_UNKNOWNS)), np.zeros((n, N_UNKNOWNS))
     converged, active = np.zeros(n, np.bool_), np.ones(n, np.bool_)
     for _ in range(MAX_STEPS):
         rows = np.flatnonzero(active)
-        solution = _solve(data.subset(active), at[active], template)
-        for whole, part in zip(result, solution, strict=True):
-            whole[rows] = part
-        step = np.clip(solution[0][:, 2:4] / _safe_gain(solution[0])[:, None], -1.0, 1.0)
+        equations = _equations(data.subset(active), at[rows], template)
+        normal[rows], right[rows] = equations.normal, equations.right
+        step = np.clip(equations.moves[:, :2], -1.0, 1.0)
         before = at[rows]
         at[rows] = np.clip(before + step, -max_search_px, max_search_px)
         small = np.max(np.abs(step), axis=1) < STEP_TOLERANCE_PX
@@ -214,65 +274,30 @@ def refine_positions(data: TemplateProducts, start: Array, template: Template) -
         active[rows] = ~(small | stuck)
         if not active.any():
             break
-    return _summarise(at, converged, data, result, template)
-
-
-def _solve(data: TemplateProducts, at: Array, template: Template) -> tuple[Array, Array, Array]:
-    """Solve the linear problem at given shifts.
-
-    Returns the coefficients (n, 5) of gain, offset, x, y and rotation, their right-hand side, and the normal matrix
-    (n, 5, 5).
-    """
-    columns = template.design(at)
-    normal = columns @ data.gram @ columns.transpose(0, 2, 1)
-    right = np.einsum("nik,nk->ni", columns, data.moments)
-    return np.linalg.solve(normal + _RIDGE, right[..., None])[..., 0], right, normal
-
-
-_RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, which its score shows
-
-
-def _safe_gain(coefficients: Array) -> Array:
-    """Gain (n,), at least `MIN_GAIN`: a target with less is not visible."""
-    return np.maximum(coefficients[:, 0], MIN_GAIN)
-
-
-def _summarise(
-    at: Array, converged: Mask, data: TemplateProducts, result: tuple[Array, Array, Array], template: Template
-) -> SubpixelFit:
-    """Convert the solution to positions, standard deviations, scores and misfits."""
-    coefficients, right, normal = result
-    gain = _safe_gain(coefficients)
-    residual_power = np.maximum(data.power - np.einsum("ni,ni->n", coefficients, right), 0.0)
-    misfit = residual_power / np.maximum(data.n_pixels - N_UNKNOWNS, 1)
-    unit_sigma = np.sqrt(np.maximum(np.diagonal(np.linalg.inv(normal + _RIDGE), axis1=1, axis2=2)[:, 2:], 0.0))
-    angle = coefficients[:, 4] / gain
+    found = NormalEquations(normal, right, data.power, data.n_pixels)
+    angle = found.moves[:, 2]
     return SubpixelFit(
         position=at + _rotation_offset(angle, at),
         angle=angle,
-        sigma=np.sqrt(misfit)[:, None] * unit_sigma / gain[:, None],
-        score=_correlation(data, right, normal),
-        gain=coefficients[:, 0],
-        offset=coefficients[:, 1] + template.level,
-        misfit=misfit,
-        converged=converged & (coefficients[:, 0] > MIN_GAIN),
+        sigma=found.sigma,
+        score=found.score,
+        gain=found.coefficients[:, 0],
+        offset=found.coefficients[:, 1] + template.level,
+        misfit=found.misfit,
+        converged=converged & (found.coefficients[:, 0] > MIN_GAIN),
     )
+
+
+def _equations(data: TemplateProducts, at: Array, template: Template) -> NormalEquations:
+    """The linear problem at given shifts."""
+    columns = template.design(at)
+    normal = columns @ data.gram @ columns.transpose(0, 2, 1)
+    return NormalEquations(normal, np.einsum("nik,nk->ni", columns, data.moments), data.power, data.n_pixels)
 
 
 def _rotation_offset(angle: Array, at: Array) -> Array:
     """How far the rotation about the centre of the cut-out moves the centre of a target at `at`, (n, 2) px."""
     return angle[:, None] * np.stack([-at[:, 1], at[:, 0]], axis=1)
-
-
-def _correlation(data: TemplateProducts, right: Array, normal: Array) -> Array:
-    """Weighted zero-normalised cross-correlation (n,) of the frames with the shifted template."""
-    weight = np.maximum(normal[:, 1, 1], 1e-12)
-    both = right[:, 0] - right[:, 1] * normal[:, 0, 1] / weight
-    frame = data.power - right[:, 1] ** 2 / weight
-    picture = normal[:, 0, 0] - normal[:, 0, 1] ** 2 / weight
-    # The variance of a flat frame or template is a rounding error and must not give a score.
-    size = np.maximum(frame, 1e-9 * data.power) * np.maximum(picture, 1e-9 * normal[:, 0, 0])
-    return np.clip(both / np.sqrt(np.maximum(size, 1e-12)), -1.0, 1.0)
 
 
 # Reasons for which a frame has no position; the user reads them.

@@ -35,7 +35,6 @@ MAX_COLUMN_VALUE = 1e9  # above it a shape has no value
 RELATIVE_STEP = 1e-5  # of finite differences
 MAX_EVALUATIONS = 25  # per refinement of a term
 MIN_CHI2_FALL = 0.01  # of a step of it
-MIN_GAIN_RATIO_FREE = 0.9  # of the best gain that a free curve over a variable must reach
 MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain on the grid that a form must reach to be refined
 MAX_GAIN_BEHIND = 40.0  # times the reduced chi-squared: a form that gains so much less has no probability
 N_STARTS = 2  # settings of the grid from which a form is refined
@@ -62,7 +61,7 @@ def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refine
     best, sizes, scanned = 0.0, [], []
     on_grid = cache(_columns_on_grid)  # the same for all variables over an axis
     for variable in variables:
-        is_behind = variable.gain_of_free_curve < MIN_GAIN_RATIO_FREE * best - MAX_GAIN_BEHIND * unit
+        is_behind = variable.gain_of_free_curve < best - MAX_GAIN_BEHIND * unit
         for shape in shapes:
             form = Term(shape, variable.axis, (), variable.ends)
             if variable.axis.name in shape.axes and not form.is_excluded:

@@ -154,9 +154,9 @@ def scaled_shape(name: str, text: str, axes: str = "xtv") -> Shape:
     return Shape(name, (_substitute(text, "u/w"),), ("w",), ("scale" if signed else "width",), grid, axes)
 
 
-def placed_shape(name: str, text: str, axes: str = "xtv") -> Shape:
+def placed_shape(name: str, text: str) -> Shape:
     """Make the shape of a function of z = (u - c)/w; see `scaled_shape`."""
-    return Shape(name, (_substitute(text, "((u - c)/w)"),), ("c", "w"), ("place", "width"), PLACES, axes)
+    return Shape(name, (_substitute(text, "((u - c)/w)"),), ("c", "w"), ("place", "width"), PLACES)
 
 
 def _substitute(text: str, argument: str) -> str:

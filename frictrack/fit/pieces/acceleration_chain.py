@@ -16,15 +16,15 @@ from frictrack.motion import (
     STENCIL_FRAMES,
     FilterMethod,
     Smoother,
+    SmootherData,
+    Structure,
     frame_grid,
     frame_weights,
-    interpolate_missing,
     stencils,
+    unit_responses,
 )
-from frictrack.motion.smoother import FactoredSmoother, SmootherData, Structure
+from frictrack.motion.smoother import FactoredSmoother
 from frictrack.records import Array, Mask, Run
-
-COLUMNS_AT_ONCE = 256  # responses of a filter computed in one call
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,10 @@ def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOp
 
 def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
     """Second derivative by another filter, as a matrix of its responses to every frame, and the noise."""
-    grid, n = frame_grid(piece.t), len(piece.t)
-    known = grid.to_frames(np.ones(n)) > 0
-    matrix = np.empty((len(kept), n))
-    for rows in np.array_split(np.arange(n), -(-n // COLUMNS_AT_ONCE)):
-        unit = np.zeros((grid.n, len(rows)))
-        unit[grid.frames[rows], np.arange(len(rows))] = 1.0 / grid.interval**2
-        matrix[:, rows] = method.derived(interpolate_missing(unit, known), 2)[grid.frames[kept]]
+    grid = frame_grid(piece.t)
+    known = grid.to_frames(np.ones(len(piece.t))) > 0
+    responses = [response[grid.frames[kept]] for _, response in unit_responses(method, known, 2)]
+    matrix = np.concatenate(responses, axis=1) / grid.interval**2
     return aslinearoperator(matrix), np.linalg.norm(matrix * piece.sigma, axis=1)
 
 

@@ -22,16 +22,19 @@ from itertools import groupby, islice, pairwise
 
 import numpy as np
 
-from frictrack.motion.smoother.block_elimination import (
+from frictrack.motion.banded_equations import (
+    BlockEquations,
+    EquationLayout,
+    EquationPart,
     FactoredPart,
+    Index,
     add_corners,
+    equation_layout,
     factor_part,
     following_corner,
     reversed_part,
 )
-from frictrack.motion.smoother.equation_layout import EquationLayout, EquationPart, Index, equation_layout
-from frictrack.motion.smoother.selected_inverse import BlockEquations
-from frictrack.motion.smoother.smoother_data import (
+from frictrack.motion.smoother_data import (
     NO_LINES,
     TREND_ORDER,
     LineParameters,
@@ -88,7 +91,7 @@ class FactoredSmoother:
 
     data: SmootherData
     lam: Array
-    lines: LineParameters
+    lines: LineParameters = NO_LINES
     penalty_factor: float = 1.0
     min_weight: float = 0.0
     _kept: dict[int, FactoredPart] = field(default_factory=dict, init=False, repr=False)
@@ -410,24 +413,3 @@ def _equally_placed(parts: Iterable[tuple[EquationPart, ...]]) -> Iterator[list[
     for _, some in groupby(parts, key=lambda found: found[0].bands.shape[1]):
         while group := list(islice(some, PARTS_AT_ONCE)):
             yield group
-
-
-def factor_smoother(data: SmootherData, lam: Array, lines: LineParameters = NO_LINES) -> FactoredSmoother:
-    """Set up a smoother.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames.
-    lam
-        Penalties of the trend, (n - 4,).
-    lines
-        Frequencies and penalties of the lines.
-
-    Returns
-    -------
-    FactoredSmoother
-        The equations, factored when they are solved.
-
-    """
-    return FactoredSmoother(data, lam, lines)

@@ -14,9 +14,9 @@ from functools import partial
 import numpy as np
 import scipy
 
-from frictrack.motion.smoother.equations import FactoredSmoother
-from frictrack.motion.smoother.smoother_data import TREND_ORDER
-from frictrack.motion.stencil import stencil_derivative, stencil_derivatives, stencil_start, stencil_weights
+from frictrack.motion.grid import stencil_derivative, stencil_derivatives, stencil_start, stencil_weights
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import TREND_ORDER
 from frictrack.records import Array
 
 N_PROBES, PROBE_SEED = 24, 20261121  # random signs that estimate diagonals within a fifth (Hutchinson 1990)

@@ -18,10 +18,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.motion.smoother.equations import FactoredSmoother
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
-from frictrack.motion.smoother.structure import Structure
-from frictrack.motion.smoother.structure_search import (
+from frictrack.motion.grid import stencil_derivatives
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import TREND_ORDER, SmootherData
+from frictrack.motion.structure import Structure
+from frictrack.motion.structure_search import (
     LINE_COST,
     MAX_LINES,
     MAX_REFINEMENT_GAIN,
@@ -31,7 +32,6 @@ from frictrack.motion.smoother.structure_search import (
     ScoredStructure,
     StructureSearch,
 )
-from frictrack.motion.stencil import stencil_derivatives
 from frictrack.records import Array
 
 REST_SPEED = 0.02  # of the highest speed, below which the mass counts as at rest

@@ -42,6 +42,11 @@ def cutoff_of(lam: float, interval: float) -> float:
     return float(np.arcsin(min(half, 1.0)) / np.pi / interval)
 
 
+def response(omega: Array, lam: float) -> Array:
+    """Share of the amplitude that a trend of penalty lambda passes at frequencies omega, radians per frame."""
+    return np.asarray(1.0 / (1.0 + lam * (2.0 * np.sin(omega / 2.0)) ** (2 * TREND_ORDER)))
+
+
 @dataclass(frozen=True, eq=False)
 class LineParameters:
     """Frequencies omega (K,), radians per frame, and penalties mu (K,) of K lines."""

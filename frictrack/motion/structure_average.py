@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.motion.smoother.equations import FactoredSmoother, variances_of
-from frictrack.motion.smoother.record_windows import window_data
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, SmootherData
-from frictrack.motion.smoother.structure import Event, Structure
-from frictrack.motion.smoother.structure_search import KNOT_SPREAD
-from frictrack.motion.stencil import stencil_derivatives, stencils
+from frictrack.motion.grid import stencil_derivatives, stencils
+from frictrack.motion.smoother import FactoredSmoother, variances_of
+from frictrack.motion.smoother_data import TREND_ORDER, SmootherData
+from frictrack.motion.structure import Event, Structure
+from frictrack.motion.structure_search import KNOT_SPREAD, window_data
 from frictrack.records import Array
 
 RAMP_DEPTHS = np.array([1.0, 2.0, 3.0])  # over the prior standard deviation of the stiffness
@@ -230,17 +229,12 @@ def added_variances(
 
     """
     for g in groups:
-        yield slice(g.first, g.stop), _group_variance(data, s, g, interval)
-
-
-def _group_variance(data: SmootherData, s: Structure, g: ChangeGroup, interval: float) -> Array:
-    """The same in the window of one group, (3, stop - first): between its changes, and within them."""
-    weights = np.array([c.weight for c in g.changes])
-    moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])
-    between = np.einsum("k,kqn->qn", weights, moves**2) - np.einsum("k,kqn->qn", weights, moves) ** 2
-    window = g.first, g.stop, len(data.w)
-    part = SmootherData(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
-    stencil = stencils(g.stop - g.first, interval)
-    found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
-    within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
-    return np.asarray(np.maximum(between, 0.0) + np.maximum(within, 0.0))
+        weights = np.array([c.weight for c in g.changes])
+        moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])
+        between = np.einsum("k,kqn->qn", weights, moves**2) - np.einsum("k,kqn->qn", weights, moves) ** 2
+        window = g.first, g.stop, len(data.w)
+        part = SmootherData(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
+        stencil = stencils(g.stop - g.first, interval)
+        found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
+        within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
+        yield slice(g.first, g.stop), np.maximum(between, 0.0) + np.maximum(within, 0.0)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from frictrack.motion.smoother.equations import FactoredSmoother, factor_smoother
-from frictrack.motion.smoother.smoother_data import TREND_ORDER, LineParameters, SmootherData, penalty
+from frictrack.motion.smoother import FactoredSmoother
+from frictrack.motion.smoother_data import TREND_ORDER, LineParameters, SmootherData, penalty
 from frictrack.records import Array
 
 
@@ -84,7 +84,7 @@ class Structure:
         first, stop, n = window
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
         lam = np.exp(self.log_lambda(n, first, stop - TREND_ORDER))
-        return factor_smoother(data, lam, LineParameters(omega, np.exp(log_mu)))
+        return FactoredSmoother(data, lam, LineParameters(omega, np.exp(log_mu)))
 
     def numbers(self) -> Array:
         """All continuous parameters as one vector."""
