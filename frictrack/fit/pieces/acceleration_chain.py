@@ -14,6 +14,7 @@ from frictrack.fit.pieces.cutting import MIN_FRAMES
 from frictrack.fit.pieces.piece import Piece
 from frictrack.motion import (
     STENCIL_FRAMES,
+    FactoredSmoother,
     FilterMethod,
     Smoother,
     SmootherData,
@@ -23,7 +24,6 @@ from frictrack.motion import (
     stencils,
     unit_responses,
 )
-from frictrack.motion.smoother import FactoredSmoother
 from frictrack.records import Array, Mask, Run
 
 
