@@ -161,7 +161,8 @@ def _other(c: Mapping[str, Any], best: float) -> CandidateRow:
     if not passes(c):
         return _row(c, "fails", "does not pass")
     behind = best - c["delta_bic"]
-    return _row(c, "weaker", f"passes alone, {format_number(behind)} behind the best" if behind > 0 else "passes alone")
+    how = f", {format_number(behind)} behind the best" if behind >= 1 else ", level with the best" if behind > 0 else ""
+    return _row(c, "weaker", f"passes alone{how}")
 
 
 def _row(
