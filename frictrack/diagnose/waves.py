@@ -11,11 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack import effects
 from frictrack.distributions import chi2_sf
+from frictrack.effects import LIBRARY
 from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, scan_candidate
 from frictrack.records import Array
 
+WAVES = {name: LIBRARY[name] for name in ("vibration", "texture")}  # in time, and in place
 MIN_PERIODS = 3.0  # in the longest run; fewer are no oscillation
 
 
@@ -110,7 +111,7 @@ class WaveScan:
         return SpectralLine(float(found.f[g]), dict(zip(found.runs, found.amplitudes[:, g], strict=True)))
 
     def _scan(self, effect: str, frequency: Callable[[Array], Array]) -> FoundWaves | None:
-        grids = candidate_grids(self.model, effects.get(effect))
+        grids = candidate_grids(self.model, WAVES[effect])
         if not grids:
             return None
         grid, series = grids[0], measured_series(self.model)
