@@ -80,8 +80,9 @@ def free_section(run: Run) -> tuple[Mask, str]:
         stuck = int(np.sum(valid & ~moving))
         reason = f"whole record ({measured} is measured), {stuck} of {len(valid)} frames left out as stuck"
     else:
-        flights, _, reason = _section(run)
-        mask = valid & moving & ~_events_at_ends(run) & _within(flights, len(valid))
+        section = _section(run)
+        reason = section.reason
+        mask = valid & moving & ~_events_at_ends(run) & _within(section.flights, len(valid))
     if np.sum(mask) < MIN_FREE_FRAMES:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FREE_FRAMES} free frames but got {np.sum(mask)} ({reason}); '
@@ -93,7 +94,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
 def release_time(run: Run) -> float:
     """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
     if run.free is None and not _has_measured_force(run):
-        return float(run.motion.t[_section(run)[1]])
+        return float(run.motion.t[_section(run).release])
     return float(run.motion.t[np.argmax(free_section(run)[0])])
 
 
@@ -175,14 +176,14 @@ def impact(run: Run) -> str:
     """
     if run.free is not None or _has_measured_force(run):
         return ""
-    start, stop = _main_motion(run)
-    bounces = [one for one in _bounces(run) if start < one.before]
+    section, (start, stop) = _section(run), _main_motion(run)
+    bounces = [one for one in section.bounces if start < one.before]
     bounce = bounces[0] if bounces else None
     hit = _impact(run, start, stop)
     rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
     if not rows:
         return ""
-    consequence, flights = "takes at least half of its velocity", len(_section(run)[0])
+    consequence, flights = "takes at least half of its velocity", len(section.flights)
     if bounce and bounce.before <= min(rows) + _filter_frames(run):
         consequence = f"turns its velocity from {bounce.v_before:.3g} to {bounce.v_after:.3g} m/s"
     judged = "before that"
@@ -271,31 +272,47 @@ def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
     return out
 
 
-def _section(run: Run) -> tuple[tuple[tuple[int, int], ...], int, str]:
-    """First and last free frame of a run that coasts or slides down an incline, the frame of release, and why."""
-    start, stop = _main_motion(run)
+def count_flights(run: Run) -> int:
+    """Number of free flights of a run: one more with every bounce that is followed; 1 with a measured force."""
+    return 1 if run.free is not None or _has_measured_force(run) else len(_section(run).flights)
+
+
+@dataclass(frozen=True)
+class _Section:
+    """First and last frame of every free flight, the frame of release, why they are these, and the bounces."""
+
+    flights: tuple[tuple[int, int], ...]
+    release: int
+    reason: str
+    bounces: list[_Bounce]
+
+
+def _section(run: Run) -> _Section:
+    """Free flights of a run that coasts or slides down an incline."""
+    bounces, (start, stop) = _bounces(run), _main_motion(run)
     first, release, begins = _find_begin(run, start, stop)
-    last, ends = _find_end(run, first, stop)
-    more = tuple(_flights_after_bounces(run))
+    last, ends = _find_end(run, first, stop, bounces)
+    more = tuple(_flights_after_bounces(run, stop, bounces))
     if more:
         ends += f", and {len(more)} flights after bounces, to {run.motion.t[more[-1][1]]:.4g} s"
-    return ((first, last), *more), release, f"from {begins} to {ends}"
+    return _Section(((first, last), *more), release, f"from {begins} to {ends}", bounces)
 
 
-def _flights_after_bounces(run: Run) -> Iterator[tuple[int, int]]:
-    """Yield first and last frame of every flight that a bounce begins.
+def _flights_after_bounces(run: Run, stop: int, bounces: Sequence[_Bounce]) -> Iterator[tuple[int, int]]:
+    """Yield first and last frame of every flight that a bounce begins; on an incline they end with the main motion.
 
     The last one ends where a further bounce would be that the noise hides.
     """
-    stop = _main_motion(run)[1] if run.has_incline else len(run.motion) - 1
-    motions = [motion for motion, _ in join_swings(run, _motions(run))]
-    found = _bounces(run)
-    for bounce, following in zip(found, [*found[1:], None], strict=False):  # of no bounces, no pair
+    motions = [motion for motion, _ in join_swings(run, _motions(run))] if bounces else []
+    for bounce, following in zip(bounces, [*bounces[1:], None], strict=False):  # of no bounces, no pair
         event = _event(run, bounce.after)
         first = event[1] + EVENT_REACH_FRAMES if event else bounce.after + _filter_frames(run)
         moves = next((motion.stop - 1 for motion in motions if motion.stop > first), first)
         end = min(stop if run.has_incline else moves, bounce.following) if following is None else following.after
-        if end - first >= MIN_FREE_FRAMES and (last := _find_end(run, first, end)[0]) - first >= MIN_FREE_FRAMES:
+        if end - first < MIN_FREE_FRAMES:
+            continue
+        last, _ = _find_end(run, first, end, bounces)
+        if last - first >= MIN_FREE_FRAMES:
             yield first, last
 
 
@@ -358,12 +375,12 @@ def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
     return min(release + filter_frames, stop), release, f"{event} and {filter_frames} frames for the filter"
 
 
-def _find_end(run: Run, first: int, stop: int) -> tuple[int, str]:
+def _find_end(run: Run, first: int, stop: int, bounces: Sequence[_Bounce]) -> tuple[int, str]:
     """Last free frame, and the reason."""
     t, filter_frames = run.motion.t, _filter_frames(run)
-    bounces = [bounce.before for bounce in _bounces(run) if first < bounce.before <= stop]
+    rows = [bounce.before for bounce in bounces if first < bounce.before <= stop]
     hit = _impact(run, first, stop)
-    impact_row = min(bounces if hit is None else [hit[0], *bounces], default=None)
+    impact_row = min(rows if hit is None else [hit[0], *rows], default=None)
     if impact_row is not None:
         why, event = f"an impact at {t[impact_row]:.4g} s", _event(run, impact_row)
         if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
@@ -466,7 +483,7 @@ def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array]
 
 
 @dataclass(frozen=True)
-class Bounce:
+class _Bounce:
     """A reversal at which something hits the mass: velocities before and after, m/s, and the frames around it.
 
     `before` and `after` are the last and the first frame of free flight, `following` the next reversal of its sense.
@@ -510,7 +527,7 @@ def _crossing(before: _Side, after: _Side) -> tuple[float, float, float, float] 
     return t, v_before, v_after, float(np.sqrt(before.slope_variance + after.slope_variance))
 
 
-def _bounces(run: Run) -> list[Bounce]:
+def _bounces(run: Run) -> list[_Bounce]:
     """Find the bounces of a run: reversals at which its way has a kink.
 
     A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
@@ -544,7 +561,7 @@ def _bounces(run: Run) -> list[Bounce]:
                 for r, side in zip(rows, known, strict=True)
             )
             ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
-            out.append(Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
+            out.append(_Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
     return out
 
 

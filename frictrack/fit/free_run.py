@@ -25,7 +25,7 @@ from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import without_mass
 from frictrack.fit.pieces import Piece, Reference, whole_piece
-from frictrack.friction import impact
+from frictrack.friction import count_flights
 from frictrack.models import Model, Values
 from frictrack.records import Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement
@@ -61,7 +61,7 @@ def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0)
     mine = [r for r in solution.responses if r.piece.run == index]
     if run.drive is None and len(mine) == 1:  # the fit is already a simulation from the release
         return FreeRun(mine[0].piece.t, mine[0].piece.y, mine[0].model_y)
-    if run.drive is None and impact(run):  # no model has the blows between its flights
+    if count_flights(run) > 1:  # no model has the blows between them
         return None
     piece, model = whole_piece(run, index, reference), without_mass(solution.problem.model)
     values, level = solution.problem.layout.values(solution.p, index)

@@ -248,7 +248,7 @@ def choose_formula(
     Raises
     ------
     FrictrackError
-        (usage) If there is no such formula, or the model lacks effects beside which it was found.
+        (usage) If there is no such formula, or the model lacks effects that it had when the formula was found.
 
     """
     if diagnosis is None:
