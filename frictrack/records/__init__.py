@@ -5,7 +5,16 @@ field names its unit, which the store writes beside the numbers. NaN means "not 
 that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 """
 
-from frictrack.records.frame_table import Array, FrameTable, Mask, NotebookView, column, scalar, stretches
+from frictrack.records.frame_table import (
+    Array,
+    FrameTable,
+    Mask,
+    NotebookView,
+    away_from_ends,
+    column,
+    scalar,
+    stretches,
+)
 from frictrack.records.run import GRAVITY, EarlierRuns, Run
 from frictrack.records.series import (
     INTERPOLATED,
@@ -42,6 +51,7 @@ __all__ = [
     "Run",
     "RunEvents",
     "Track",
+    "away_from_ends",
     "column",
     "scalar",
     "stretches",

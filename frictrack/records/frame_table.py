@@ -90,6 +90,22 @@ def stretches(mask: Mask) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def away_from_ends(mask: Mask, guard: int) -> Mask:
+    """Return a mask (n,) without `guard` frames at the ends of each stretch; one of at most 3 `guard` is kept whole.
+
+    Examples
+    --------
+    >>> away_from_ends(np.array([True, True, True, True, False, True]), 1).tolist()
+    [False, True, True, False, False, True]
+
+    """
+    out = np.zeros(len(mask), dtype=bool)
+    for one in stretches(mask):
+        less = guard if one.stop - one.start > 3 * guard else 0
+        out[one.start + less : one.stop - less] = True
+    return out
+
+
 def scalar(unit: str, **options: Any) -> Any:
     """Declare a number of a record, with its unit.
 

@@ -17,7 +17,7 @@ from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates, misfit_of
 from frictrack.motion import filtered_acceleration
-from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, stretches
+from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, away_from_ends
 
 
 class Observation(ABC):
@@ -268,14 +268,11 @@ def _with_filtered_force(curve: Curve, run: Run, mass: float, change: Array | No
 
 def _unsmeared(run: Run, curves: Sequence[Curve]) -> Mask:
     """Fitted frames (n,) away from the ends, which the filter smears; those of a short section are all kept."""
-    fitted, out = np.zeros((2, len(run.motion)), dtype=bool)
+    fitted = np.zeros(len(run.motion), dtype=bool)
     for c in curves:
         if c.run == run.name:
             fitted[_rows(run, c)] = True
-    for section in stretches(fitted):
-        guard = run.motion.guard if section.stop - section.start > 3 * run.motion.guard else 0
-        out[section.start + guard : section.stop - guard] = True
-    return out
+    return away_from_ends(fitted, run.motion.guard)
 
 
 def _rows(run: Run, curve: Curve) -> Any:

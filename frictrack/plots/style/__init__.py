@@ -34,7 +34,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.number_format import format_unit
 from frictrack.plots.style.tick_rows import collection_paused, ticks_in_rows
-from frictrack.records import Array, Friction, Mask, stretches
+from frictrack.records import Array, Friction, Mask, away_from_ends
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
@@ -220,13 +220,7 @@ def unsmeared_frames(friction: Friction, guard: int) -> Mask:
         (n,) True away from the ends of each free section; a section of at most 3 `guard` frames is kept whole.
 
     """
-    out = np.zeros(len(friction), dtype=bool)
-    for section in stretches(friction.free):
-        if section.stop - section.start > 3 * guard:
-            out[section.start + guard : section.stop - guard] = True
-        else:
-            out[section] = True
-    return out
+    return away_from_ends(friction.free, guard)
 
 
 def panel_columns(n: int) -> int:
