@@ -22,51 +22,56 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.lazy import module_of
+from frictrack.base.lazy import module_of
 
 if TYPE_CHECKING:
-    from frictrack import effects, models, samples, search, simulate
-    from frictrack.calibration import calibrate, plane_map
-    from frictrack.compare import Comparison, compare, history
-    from frictrack.covariates import CovariateTrends, trend
+    from frictrack import effects, samples, search, simulate
+    from frictrack.base.errors import FrictrackError
+    from frictrack.base.version import __version__
     from frictrack.diagnose import Diagnosis, diagnose
-    from frictrack.effects import effect
-    from frictrack.error_budget import budget
-    from frictrack.errors import FrictrackError
-    from frictrack.filters import FilterChoice
-    from frictrack.fit import Fit, GroupFits, bootstrap, fit, profile
-    from frictrack.friction import find_events, free_section, friction, with_earlier_runs
-    from frictrack.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
-    from frictrack.priors import Prior
+    from frictrack.diagnose.compare import Comparison, compare, history
+    from frictrack.effects import effect, models
+    from frictrack.fit import CovariateTrends, Fit, GroupFits, bootstrap, fit, profile, trend
+    from frictrack.measure.calibration import calibrate, plane_map
+    from frictrack.measure.error_budget import budget
+    from frictrack.measure.friction import find_events, free_section, friction, with_earlier_runs
+    from frictrack.measure.motion import KnownAcceleration, covariance, cutoff_tradeoff, differentiate, low_pass
+    from frictrack.measure.repairing import repair, suspect_spans
     from frictrack.recording import open_recording
     from frictrack.records import Displacement, Motion, Run, Track
-    from frictrack.repairing import repair, suspect_spans
+    from frictrack.settings.filters import FilterChoice
+    from frictrack.settings.priors import Prior
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
-    from frictrack.version import __version__
 
 _MODULE_OF = module_of(
     {
         "recording": "open_recording",
         "tracking": "track learn_target align_track contact_sheet",
-        "repairing": "repair suspect_spans",
-        "calibration": "calibrate plane_map",
-        "motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
-        "filters": "FilterChoice",
-        "friction": "free_section friction find_events with_earlier_runs",
-        "error_budget": "budget",
-        "fit": "fit profile bootstrap Fit GroupFits",
-        "compare": "compare history Comparison",
+        "measure.repairing": "repair suspect_spans",
+        "measure.calibration": "calibrate plane_map",
+        "measure.motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
+        "settings.filters": "FilterChoice",
+        "measure.friction": "free_section friction find_events with_earlier_runs",
+        "measure.error_budget": "budget",
+        "fit": "fit profile bootstrap Fit GroupFits trend CovariateTrends",
+        "diagnose.compare": "compare history Comparison",
         "diagnose": "diagnose Diagnosis",
         "records": "Displacement Motion Track Run",
-        "priors": "Prior",
-        "covariates": "trend CovariateTrends",
+        "settings.priors": "Prior",
         "effects": "effect",
-        "errors": "FrictrackError",
-        "version": "__version__",
+        "base.errors": "FrictrackError",
+        "base.version": "__version__",
     }
 )
 _RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
-_MODULES = ("models", "effects", "samples", "search", "simulate")
+_MODULES = ("effects", "models", "samples", "search", "simulate")
+_ALIASES = {  # the names of modules that users know, and the room in which each stands
+    "costs": "settings.costs",
+    "crate": "flow.crate",
+    "models": "effects.models",
+    "plan": "diagnose.experiments",
+    "plots": "present.plots",
+}
 
 __all__ = [  # written out: a type checker reads which names are public
     "Comparison",
@@ -132,12 +137,22 @@ class _Package(ModuleType):
         if name in _RENAMED:
             warnings.warn(f"frictrack.{name} is now called {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
             return getattr(self, _RENAMED[name])
-        if name in _MODULES:
-            return import_module(f"frictrack.{name}")
+        if name in _MODULES or name in _ALIASES:
+            return import_module(f"frictrack.{_ALIASES.get(name, name)}")
         raise AttributeError(f"module 'frictrack' has no attribute {name!r}")
 
     def __dir__(self) -> list[str]:
         return sorted(__all__)
 
 
+class _Alias(ModuleType):
+    """What `from frictrack.plots import ...` finds: the names of the module in its room, which is imported now."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") and name != "__all__":
+            raise AttributeError(name)
+        return getattr(getattr(sys.modules["frictrack"], self.__name__.rpartition(".")[2]), name)
+
+
 sys.modules[__name__].__class__ = _Package
+sys.modules.update({f"frictrack.{name}": _Alias(f"frictrack.{name}") for name in _ALIASES})

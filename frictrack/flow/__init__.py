@@ -27,7 +27,7 @@
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names, module_of
+from frictrack.base.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks

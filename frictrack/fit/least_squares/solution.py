@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.evaluation_budget import COST_OF_MEMORY
+from frictrack.base.evaluation_budget import COST_OF_MEMORY
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.parameters import (
     MIN_RUNS_FOR_SCATTER,

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
+from frictrack.base.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
 from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, solve_positive
 from frictrack.fit.separable.model import Indices, SeparableModel

@@ -1,0 +1,1 @@
+"""Errors, units, numbers as text, distributions, files, processes: what every room uses; none knows a record."""

@@ -1,0 +1,11 @@
+"""From a track or a table to the motion and the friction force of a run.
+
+calibration   pixels -> metres: scale, plane, lens, reference point
+tables        measured columns -> displacement with a checked clock
+motion        displacement -> smoothed x, v, a with their deviations
+sensors       other instruments on the clock of the film
+repairing     spans of a track that are tracked again or left out
+friction      mass and drive -> friction force, free flights, impacts
+error_budget  the sources of the error of F
+plausibility  numbers that cannot be right
+"""

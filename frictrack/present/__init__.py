@@ -1,0 +1,1 @@
+"""What people see of results: figures, the report, files of other programs."""
