@@ -28,8 +28,7 @@ from frictrack.cli.batch_progress import progress_table
 from frictrack.flow import Session
 from frictrack.flow.batch import BatchState, batch, cluster, find_studies
 from frictrack.flow.batch.driver import Journal, write_table
-from frictrack.flow.batch.scheduler import Scheduler
-from frictrack.flow.batch.tasks import StudyOutcome
+from frictrack.flow.batch.tasks import Scheduler, StudyOutcome
 from frictrack.flow.batch.trends import find_trends, fit_slope
 
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
@@ -361,7 +360,7 @@ def test_processes_that_cannot_start() -> None:
 @pytest.mark.parametrize("turn", range(10))
 def test_workers_of_a_batch_killed_at_100_moments(turn: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten moments in each turn."""
-    monkeypatch.setattr("frictrack.flow.batch.scheduler.begin_study", short_study)
+    monkeypatch.setattr("frictrack.flow.batch.tasks.begin_study", short_study)
     moments = np.random.default_rng(0).permutation(np.linspace(0.001, 2.0, 100))
     kills = 0
     for i, moment in enumerate(moments[turn::10]):

@@ -19,9 +19,8 @@ from range_server import RangeServer, serving
 
 import frictrack as ft
 from frictrack.base import remote
-from frictrack.base.content_hash import CACHE_VARIABLE
 from frictrack.base.errors import FrictrackError, is_disk_full
-from frictrack.base.files import write_at
+from frictrack.base.files import CACHE_VARIABLE, write_at
 from frictrack.base.remote import RemoteFile
 from frictrack.flow import Session, open_study
 from frictrack.recording import byte_ranges

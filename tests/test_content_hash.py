@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from frictrack.base import content_hash
-from frictrack.base.content_hash import hash_file, hash_files
+from frictrack.base import files
+from frictrack.base.files import hash_file, hash_files
 from frictrack.flow import Session, open_study, verify
 from frictrack.recording import Recording, open_recording
 
@@ -23,7 +23,7 @@ N_FRAMES, SHAPE = 24, (64, 4000)  # 6 MB: more than was hashed of a file
 @pytest.fixture
 def film_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A bright block that slides over a dark, noisy course."""
-    monkeypatch.setenv(content_hash.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(files.CACHE_VARIABLE, str(tmp_path / "cache"))
     rng = np.random.default_rng(4)
     block = rng.integers(120, 250, size=(24, 24), dtype=np.uint8)
     pictures = rng.integers(20, 30, size=(N_FRAMES, *SHAPE), dtype=np.uint8)
@@ -101,8 +101,8 @@ def test_results_of_a_partly_hashed_film_remain_valid(film_study: Path, monkeypa
 
 
 def test_a_large_file_is_read_once_per_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(content_hash.CACHE_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setattr(content_hash, "MIN_BYTES_KEPT", 10)
+    monkeypatch.setenv(files.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(files, "MIN_BYTES_KEPT", 10)
     read: list[bytes] = []
     digest = hashlib.file_digest
     monkeypatch.setattr(hashlib, "file_digest", lambda file, how: (read.append(b""), digest(file, how))[1])
@@ -111,7 +111,7 @@ def test_a_large_file_is_read_once_per_state(tmp_path: Path, monkeypatch: pytest
     first = hash_file(film)
     hash_file(film)
     assert len(read) == 2  # changed a moment ago: its state could hide another change
-    monkeypatch.setattr(content_hash, "MIN_AGE_S", -60.0)
+    monkeypatch.setattr(files, "MIN_AGE_S", -60.0)
     assert [hash_file(film) for _ in range(3)] == [first] * 3
     assert len(read) == 3
     assert hash_file(film, reread=True) == first
@@ -124,9 +124,9 @@ def test_a_large_file_is_read_once_per_state(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_damaged_cache_is_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(content_hash.CACHE_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setattr(content_hash, "MIN_BYTES_KEPT", 10)
-    monkeypatch.setattr(content_hash, "MIN_AGE_S", -60.0)
+    monkeypatch.setenv(files.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(files, "MIN_BYTES_KEPT", 10)
+    monkeypatch.setattr(files, "MIN_AGE_S", -60.0)
     film = tmp_path / "film.raw"
     film.write_bytes(bytes(100))
     first = hash_file(film)

@@ -23,8 +23,8 @@ from conftest import STUDY, slide
 from range_server import serving
 
 from frictrack import effects
-from frictrack.base.content_hash import CACHE_VARIABLE
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import CACHE_VARIABLE
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, store, stored_values
 from frictrack.flow.crate import CrateOptions, payload, reproduce_crate, write_crate

@@ -12,7 +12,6 @@ import pytest
 from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import effects
-from frictrack.base.evaluation_budget import EvaluationBudget
 from frictrack.cli import main
 from frictrack.diagnose import Diagnosis, diagnose, search
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, find_rivals
@@ -22,6 +21,7 @@ from frictrack.flow import open_study, read_results
 from frictrack.present.report.provenance import findings_table
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import VERDICTS
+from frictrack.search import EvaluationBudget
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05))

@@ -13,7 +13,6 @@ from few_effects import use_few_effects
 from runs import BASE, MASS, Spec, measured, study
 from scipy.integrate import solve_ivp
 
-from frictrack.base.evaluation_budget import EvaluationBudget
 from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
@@ -28,6 +27,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import linearise, measured_series
 from frictrack.fit.stepwise import baseline_misfit, scan_effect, try_effect
 from frictrack.records import Run
+from frictrack.search import EvaluationBudget
 
 LAW = ["coulomb", "viscous"]
 SPECS = tuple(Spec(v, 1, 0.06) for v in (3.0, 5.0, 7.0, 4.0, -6.0))

@@ -22,8 +22,7 @@ from frictrack.base.units import parse_quantity
 from frictrack.base.version import __version__
 from frictrack.flow import CommandHistory, Session, open_study, store
 from frictrack.flow.store import HEADER_BYTES, GroupContent
-from frictrack.flow.store.file_header import header_of
-from frictrack.flow.store.signatures import sign
+from frictrack.flow.store.file_header import header_of, sign
 from frictrack.measure.calibration.lens import read_lens
 from frictrack.present import export
 from frictrack.recording import open_recording

@@ -19,9 +19,8 @@ from frictrack.measure.motion import (
     noise_level,
 )
 from frictrack.measure.motion.posterior_deviations import deviations
-from frictrack.measure.motion.smoother import FactoredSmoother
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
-from frictrack.measure.motion.structure import Structure
 from frictrack.measure.motion.structure_search import ScoredStructure, StructureSearch
 from frictrack.records import Displacement
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import Smoother, compare_filters, differentiate, low_pass
-from frictrack.measure.motion.structure import Event, Structure
+from frictrack.measure.motion.smoother import Event, Structure
 from frictrack.measure.motion.structure_average import ChangeGroup, StructureChange
 from frictrack.records import Displacement, Run
 

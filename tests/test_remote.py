@@ -18,8 +18,8 @@ import tomlkit
 from range_server import serving
 
 from frictrack.base import remote
-from frictrack.base.content_hash import CACHE_VARIABLE
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import CACHE_VARIABLE
 from frictrack.base.remote import RemoteFile
 from frictrack.flow import Session, open_study
 from frictrack.flow.batch.tasks import are_unchanged, file_states

@@ -30,7 +30,6 @@ from frictrack.validation.reproduce import (
     printed,
     recordings,
     search_trials,
-    statistics,
     tustin_model,
     write_reproduction,
 )
@@ -225,26 +224,26 @@ def test_straightness() -> None:
 
 def test_mean_interval_has_the_width_of_the_standard_error() -> None:
     x = rng(4).normal(34, 20, 200)
-    low, high = statistics.mean_interval(x, rng())
+    low, high = search_trials.mean_interval(x, rng())
     assert high - low == pytest.approx(2 * 1.96 * x.std() / np.sqrt(200), rel=0.08)
 
 
 def test_change_interval_finds_a_change_and_none() -> None:
     x, y = rng(5).normal(34, 20, 400), rng(6).normal(17, 20, 400)
-    assert statistics.change_interval(y, x, rng())[1] < -0.3
-    lo, hi = statistics.change_interval(x, x[::-1], rng())
+    assert search_trials.change_interval(y, x, rng())[1] < -0.3
+    lo, hi = search_trials.change_interval(x, x[::-1], rng())
     assert lo < 0 < hi
 
 
 def test_chance_of_the_printed_gain() -> None:
     """Runs of mean 34 and deviation 20: 50 against 50, a mean scatters by 0.083 of itself, two by 0.118."""
     x = rng(7).normal(34, 20, 5000)
-    assert statistics.probability_by_chance(x, 50, -0.1254, rng()) == pytest.approx(0.14, abs=0.03)
+    assert search_trials.probability_by_chance(x, 50, -0.1254, rng()) == pytest.approx(0.14, abs=0.03)
 
 
 def test_thirty_and_six_per_cent_differ_in_fifty_runs() -> None:
-    assert statistics.fisher_p_value((15, 3), (50, 50)) == pytest.approx(0.003, abs=0.001)  # notes
-    assert statistics.fisher_p_value((10, 10), (50, 50)) == 1
+    assert search_trials.fisher_p_value((15, 3), (50, 50)) == pytest.approx(0.003, abs=0.001)  # notes
+    assert search_trials.fisher_p_value((10, 10), (50, 50)) == 1
 
 
 # ---- Eq. 8

@@ -28,7 +28,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.version import __version__
 from frictrack.flow import Session, open_study, store
 from frictrack.flow import schema as written
-from frictrack.flow.store import GroupContent, Provenance, sandbox, signatures
+from frictrack.flow.store import GroupContent, Provenance, file_header, sandbox
 from frictrack.flow.store.checksums import array_checksum, wrong_checksums
 from frictrack.flow.store.file_header import header_of
 
@@ -236,13 +236,13 @@ def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, mo
     assert store.names(path)
     assert asked == []
     for secret in (b"of somebody else", b""):  # also where there is no home to keep it
-        monkeypatch.setattr(signatures, "_secret", lambda secret=secret: secret)
+        monkeypatch.setattr(file_header, "_secret", lambda secret=secret: secret)
         shutil.copy(sound, path)
         for _ in range(3):
             assert store.read(path, "other") == {"n": 1}
         store.write(path, {"other": GroupContent({"n": 1})})
         assert store.read(path, "other") == {"n": 1}
-        assert signatures.is_signed_by_user(path) == bool(secret)
+        assert file_header.is_signed_by_user(path) == bool(secret)
     assert asked == [path] * 3
 
 

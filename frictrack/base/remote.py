@@ -24,8 +24,8 @@ from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from frictrack.base.content_hash import cache_root
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import cache_root
 
 PROTOCOLS = ("file", "http", "https", "s3", "gs", "gcs", "az", "abfs")  # that an address may have
 MAX_CACHE_BYTES = 50e9  # above it, the least recently used files are deleted

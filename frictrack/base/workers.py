@@ -1,4 +1,4 @@
-"""Run independent tasks in worker processes of this machine; `flow.batch.cluster` runs them on a Dask cluster.
+"""Run independent tasks in worker processes of this machine; limit linear algebra to one thread.
 
     with local_workers(workers) as pool:
         future = pool.submit(function, *arguments)  # a concurrent.futures.Future
@@ -6,6 +6,11 @@
 A process that dies takes only its own task with it, and a new process takes its place. The pools of the standard
 library and of pebble cannot do this at every moment: their processes share queues and locks, which a dead process may
 leave locked or half written. Here every process has a connection of its own.
+
+The matrices here are many and small, and several threads only wait for each other: on two cores a diagnosis takes ten
+times as long with two threads of OpenBLAS as with one.
+
+`flow.batch.cluster` runs the same tasks on a Dask cluster.
 """
 
 from __future__ import annotations
@@ -16,19 +21,19 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import psutil
+from threadpoolctl import threadpool_limits
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.threads import processors
 
 WORKER_ENVIRONMENT = {  # one thread of linear algebra; no import from the current folder
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
@@ -346,3 +351,61 @@ def _worker_environment() -> Iterator[None]:
     finally:
         for name, value in before.items():
             os.environ.pop(name, None) if value is None else os.environ.update({name: value})
+
+
+MAX_THREADS = 2  # of Python that large matrix products keep busy; more only wait for the interpreter
+
+One = TypeVar("One")
+Made = TypeVar("Made")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit linear algebra to one thread, as a context manager or a decorator.
+
+    Examples
+    --------
+    >>> with one_thread():
+    ...     pass
+
+    """
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
+    """Apply a function to every item, in as many threads as there are free processors.
+
+    Parameters
+    ----------
+    of
+        The function; it must release the interpreter lock most of the time.
+    items
+        The items.
+
+    Returns
+    -------
+    list
+        The results, in the order of the items.
+
+    Examples
+    --------
+    >>> map_in_threads(abs, [-1, 2])
+    [1, 2]
+
+    """
+    workers = min(_max_threads(), MAX_THREADS, len(items))
+    if workers < 2:
+        return [of(item) for item in items]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(of, items))
+
+
+def _max_threads() -> int:
+    """Return the number of processors for threads: one if this process is a worker among others."""
+    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else processors()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from frictrack.base.distributions import RNG, accepts_seed
 from frictrack.base.errors import FrictrackError
-from frictrack.base.randomness import RNG, accepts_seed
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
     Evidence,

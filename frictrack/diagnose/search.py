@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from frictrack.base.evaluation_budget import EvaluationBudget
-from frictrack.base.randomness import RNG
+from frictrack.base.distributions import RNG
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import (
@@ -33,6 +32,7 @@ from frictrack.fit.observations import observation_of
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
 from frictrack.records import Run
 from frictrack.results.verdicts import join_as_one
+from frictrack.search import EvaluationBudget
 
 N_LISTED, MAX_P_LISTED = 2, 0.05  # effects that are always listed; p-value of the others
 MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no larger set is searched

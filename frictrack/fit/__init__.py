@@ -10,9 +10,9 @@ from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
+from frictrack.base.distributions import RNG, accepts_seed
 from frictrack.base.errors import FrictrackError
-from frictrack.base.randomness import RNG, accepts_seed
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.effects import check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, trend

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.base.distributions import normal_ppf
+from frictrack.base.distributions import as_seed, normal_ppf
 from frictrack.base.errors import FrictrackError
 from frictrack.base.lazy import imported
 from frictrack.base.number_format import format_number, format_plus_minus
-from frictrack.base.randomness import as_seed
 from frictrack.effects.models import Model
 from frictrack.fit.collisions import collisions
 from frictrack.fit.free_run import FreeRun, free_errors

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
 
+from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError
-from frictrack.base.randomness import RNG
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
 from frictrack.fit.pieces import Reference

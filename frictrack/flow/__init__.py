@@ -6,7 +6,7 @@
 `Session` is the only code that computes and saves the results of a study; the command line and the workbench use it.
 `read_results` reads what is stored and computes nothing.
 
-    new_study, survey, opening  make, open and check a study before any work
+    new_study, opening   make, open and check a study before any work
     pipeline, stages            bring the stages of one run up to date
     measured_runs               bring all runs up to date, and check their numbers on the way
     film_stages, track_quality  from a film to its displacement
@@ -34,7 +34,14 @@ if TYPE_CHECKING:
     from frictrack.flow.diagnosis_records import SignificanceBudget
     from frictrack.flow.film_stages import contact_sheet_path
     from frictrack.flow.fit_request import FitRequest, user_effects
-    from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
+    from frictrack.flow.new_study import (
+        Surveyed,
+        check_entered,
+        describe_keys,
+        propose_study,
+        start_study,
+        survey_recording,
+    )
     from frictrack.flow.opening import open_study, table_needs_mass
     from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
@@ -48,7 +55,6 @@ if TYPE_CHECKING:
         read_results,
     )
     from frictrack.flow.study_edits import effect_of_formula
-    from frictrack.flow.survey import Surveyed, survey_recording
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
     from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, run_study
 
@@ -59,7 +65,7 @@ _MODULE_OF = module_of(
         "diagnosis_records": "SignificanceBudget",
         "stored_results": "AttemptsReader preview_motion read_results ResultsReader",
         "command_history": "Change CommandHistory undo_stacks",
-        "new_study": "check_entered describe_keys propose_study start_study",
+        "new_study": "check_entered describe_keys propose_study start_study survey_recording Surveyed",
         "film_stages": "contact_sheet_path",
         "plausibility_checks": "Findings",
         "fit_request": "FitRequest user_effects",
@@ -68,7 +74,6 @@ _MODULE_OF = module_of(
         "replay": "recorded_models repeat_models replay_script",
         "stages": "run_pipeline",
         "session": "Session",
-        "survey": "survey_recording Surveyed",
         "verification": "verify EXCLUDED stored_values Values",
     }
 )

@@ -17,8 +17,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.content_hash import hash_file
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
 from frictrack.base.version import __version__
 from frictrack.flow import store

@@ -7,7 +7,7 @@ share one loop, `evolve.GeneticMethod`, and differ in their operators only.
 
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.driver import METHODS, minimise, search_method
-from frictrack.search.evaluator import Convergence, SearchResult
+from frictrack.search.evaluator import COST_OF_MEMORY, Convergence, EvaluationBudget, SearchResult
 from frictrack.search.ga import GA, SGA
 from frictrack.search.method import SearchMethod, read_settings
 from frictrack.search.mga import MGA, code_length, code_length_as_printed
@@ -15,6 +15,7 @@ from frictrack.search.sa import SA
 
 __all__ = [
     "CMAES",
+    "COST_OF_MEMORY",
     "DA",
     "DE",
     "GA",
@@ -23,6 +24,7 @@ __all__ = [
     "SA",
     "SGA",
     "Convergence",
+    "EvaluationBudget",
     "SearchMethod",
     "SearchResult",
     "code_length",

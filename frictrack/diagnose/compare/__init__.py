@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.lazy import imported
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.compare.local_forces import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.compare.spans import failing_spans
 from frictrack.fit import Fit, GroupFits

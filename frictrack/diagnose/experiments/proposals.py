@@ -29,7 +29,7 @@ import numpy as np
 from frictrack import effects
 from frictrack.base.distributions import chi2_isf
 from frictrack.base.errors import FrictrackError
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments, candidate_runs, fitted_setup
 from frictrack.diagnose.experiments.evidence import NormalMatrices, simulate_runs, tabulate_effect

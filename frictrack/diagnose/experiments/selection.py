@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import chi2_isf
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup
 from frictrack.diagnose.experiments.evidence import (

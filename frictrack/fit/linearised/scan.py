@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.threads import map_in_threads
+from frictrack.base.workers import map_in_threads
 from frictrack.fit.linearised.columns import MIN_COLUMN_SQUARE, CandidateGrid, ColumnProducts, column_products
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
 from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves

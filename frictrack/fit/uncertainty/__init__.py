@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from frictrack.base.randomness import RNG
-from frictrack.base.threads import one_thread
+from frictrack.base.distributions import RNG
+from frictrack.base.workers import one_thread
 from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.estimates import (
     Estimate,

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.distributions import RNG, accepts_seed
 from frictrack.base.errors import FrictrackError
-from frictrack.base.randomness import RNG, accepts_seed
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,

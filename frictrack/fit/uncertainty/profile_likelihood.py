@@ -25,7 +25,7 @@ import numpy as np
 
 from frictrack.base.distributions import normal_ppf
 from frictrack.base.errors import FrictrackError
-from frictrack.base.threads import one_thread
+from frictrack.base.workers import one_thread
 from frictrack.fit.least_squares import (
     MIN_CHI2_FALL,
     LeastSquaresProblem,

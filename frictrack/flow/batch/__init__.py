@@ -12,6 +12,6 @@ changed since is not computed again.
 """
 
 from frictrack.flow.batch.driver import batch, find_studies
-from frictrack.flow.batch.scheduler import BatchState
+from frictrack.flow.batch.tasks import BatchState
 
 __all__ = ["BatchState", "batch", "find_studies"]

@@ -20,8 +20,7 @@ from frictrack.base.files import atomic_write, make_internal_folder
 from frictrack.base.version import __version__
 from frictrack.base.workers import local_workers
 from frictrack.flow.batch.cluster import cluster_workers
-from frictrack.flow.batch.scheduler import BatchState, Scheduler
-from frictrack.flow.batch.tasks import StudyOutcome, are_unchanged
+from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged
 from frictrack.flow.batch.trends import condition_trends, find_trends
 from frictrack.present.report import write_campaign
 from frictrack.results import to_builtins

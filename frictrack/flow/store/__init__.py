@@ -2,12 +2,10 @@
 
     hdf5_io      write and read groups, list what is in a file
     encoding     records and dictionaries as HDF5 groups
-    file_header  the checksum of a whole file, checked before HDF5 reads the file
-    signatures   whether this user wrote a file
+    file_header  the checksum of a whole file, checked before HDF5 reads the file, and whether this user wrote it
     sandbox      a separate process that opens files of other users first
     nexus        marks by which viewers draw the right curve
-    checksums    the checksum of every group and dataset, which locates a fault
-    size_checks  limits on what a file declares, checked before memory is allocated
+    checksums    limits on what a file declares, and the checksum of every group and dataset, which locates a fault
     migrations   files of earlier schemas
     integrity    all faults of one file
 

@@ -18,9 +18,15 @@ import h5py
 import numpy as np
 
 from frictrack.base.version import __version__
-from frictrack.flow.store.checksums import CHECKSUM, add_group_checksum, array_checksum
+from frictrack.flow.store.checksums import (
+    CHECKSUM,
+    add_group_checksum,
+    array_checksum,
+    check_visited_once,
+    members,
+    read_array,
+)
 from frictrack.flow.store.nexus import UNITS, mark_data, without_marks
-from frictrack.flow.store.size_checks import check_visited_once, members, read_array
 from frictrack.results import to_builtins
 
 _MAX_ATTRIBUTE_CHARACTERS = 16_000  # characters; HDF5 keeps an attribute below 64 kB

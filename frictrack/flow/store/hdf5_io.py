@@ -23,14 +23,21 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
 from frictrack.base.version import __version__
 from frictrack.flow.store import encoding
-from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums
+from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
 from frictrack.flow.store.encoding import GroupContent, Provenance
-from frictrack.flow.store.file_header import SCHEMA, file_state, header_of, is_intact, lacks_header, read_header
+from frictrack.flow.store.file_header import (
+    SCHEMA,
+    file_state,
+    header_of,
+    is_intact,
+    is_signed_by_user,
+    lacks_header,
+    read_header,
+    sign,
+)
 from frictrack.flow.store.migrations import FORMAT, migrate
 from frictrack.flow.store.nexus import mark_default, without_marks
 from frictrack.flow.store.sandbox import opens_in_sandbox
-from frictrack.flow.store.signatures import is_signed_by_user, sign
-from frictrack.flow.store.size_checks import members
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"

@@ -10,13 +10,11 @@ from pathlib import Path
 import h5py
 
 from frictrack.base.errors import FrictrackError
-from frictrack.flow.store.checksums import wrong_checksums
-from frictrack.flow.store.file_header import read_header
+from frictrack.flow.store.checksums import check_visited_once, wrong_checksums
+from frictrack.flow.store.file_header import is_signed_by_user, read_header
 from frictrack.flow.store.hdf5_io import REMEDY, check_header, copy_groups
 from frictrack.flow.store.migrations import empty_file_in_memory, migrate
 from frictrack.flow.store.sandbox import check_in_sandbox, run_sandbox_process
-from frictrack.flow.store.signatures import is_signed_by_user
-from frictrack.flow.store.size_checks import check_visited_once
 
 
 @dataclass(frozen=True)

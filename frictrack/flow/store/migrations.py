@@ -11,10 +11,9 @@ from itertools import count
 import h5py
 import numpy as np
 
-from frictrack.flow.store.checksums import add_checksums
+from frictrack.flow.store.checksums import add_checksums, read_array
 from frictrack.flow.store.encoding import new_group, write_array
 from frictrack.flow.store.file_header import HEADER_BYTES, SCHEMA
-from frictrack.flow.store.size_checks import read_array
 
 # HDF5 1.8: MATLAB and HDFView of the last ten years read it
 FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": HEADER_BYTES}

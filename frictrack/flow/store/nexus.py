@@ -18,8 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.flow.store.checksums import drop_checksums
-from frictrack.flow.store.size_checks import members
+from frictrack.flow.store.checksums import drop_checksums, members
 
 NX_CLASS = "NX_class"
 ATTRIBUTES = frozenset({NX_CLASS, "default", "signal", "axes", "auxiliary_signals"})  # of a group that is marked

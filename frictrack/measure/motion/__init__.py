@@ -36,9 +36,8 @@ from frictrack.measure.motion.noise import (
     noise_level,
     slow_spectrum,
 )
-from frictrack.measure.motion.smoother import FactoredSmoother
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.smoother_data import SmootherData
-from frictrack.measure.motion.structure import Structure
 from frictrack.settings.filters import METHOD_NAMES
 
 __all__ = [

@@ -24,9 +24,8 @@ from frictrack.measure.motion.grid import (
 )
 from frictrack.measure.motion.place_forces import Course, place_force_errors
 from frictrack.measure.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
-from frictrack.measure.motion.smoother import FactoredSmoother
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.smoother_data import SmootherData
-from frictrack.measure.motion.structure import Structure
 from frictrack.measure.motion.structure_average import added_variances, mean_shift
 from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES
 from frictrack.records import Array, Displacement, Filtered, Motion

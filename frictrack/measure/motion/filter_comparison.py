@@ -17,8 +17,8 @@ from frictrack.measure.motion.filter import MISSING_SIGMA, frame_weights, low_pa
 from frictrack.measure.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivative, stencil_derivatives, stencils
 from frictrack.measure.motion.posterior_deviations import weighted_cubic
+from frictrack.measure.motion.smoother import Structure
 from frictrack.measure.motion.smoother_data import NoiseColour, SmootherData, penalty, response
-from frictrack.measure.motion.structure import Structure
 from frictrack.measure.motion.structure_search import undetectable_amplitude
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 

@@ -19,9 +19,8 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.measure.motion.grid import stencil_derivatives
-from frictrack.measure.motion.smoother import FactoredSmoother
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData
-from frictrack.measure.motion.structure import Structure
 from frictrack.measure.motion.structure_search import (
     LINE_COST,
     MAX_LINES,

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from frictrack.measure.motion.posterior_deviations import weighted_cubic
+from frictrack.measure.motion.smoother import Event, Structure
 from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData, penalty
-from frictrack.measure.motion.structure import Event, Structure
 from frictrack.records import Array
 
 MIN_PERIODS = 0.3  # of the cut-off within the record; a stiffer trend is a cubic

@@ -12,13 +12,13 @@ from frictrack.measure.plausibility.comparison import (
     describe_shift,
     different_origins,
     implausible_clocks,
+    implausible_masses,
     implausible_sensors,
     shifted_swings,
     time_unit,
 )
 from frictrack.measure.plausibility.findings import ERROR, EnteredValues, Finding, implausible_entries
 from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
-from frictrack.measure.plausibility.masses import implausible_masses
 from frictrack.measure.plausibility.slide import estimate_slide, implausible_slide
 
 __all__ = [

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from frictrack.base.distributions import RNG, accepts_seed, as_seed
 from frictrack.base.errors import FrictrackError
-from frictrack.base.randomness import RNG, accepts_seed, as_seed
 from frictrack.measure.friction import after_run
 from frictrack.records import Array, EarlierRuns
 from frictrack.simulate.conditions import Conditions, push_force

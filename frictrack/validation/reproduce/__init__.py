@@ -14,9 +14,8 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-from frictrack.base.threads import processors
 from frictrack.base.version import __version__
-from frictrack.base.workers import run_parallel
+from frictrack.base.workers import processors, run_parallel
 from frictrack.validation.reproduce.augmented_models import equation_4, orders, two_models
 from frictrack.validation.reproduce.page import (
     Reproduction,

@@ -9,7 +9,7 @@ import numpy as np
 
 from frictrack.records import Array
 from frictrack.validation.reproduce import figures, laws, papers_method, printed, recordings, sections
-from frictrack.validation.reproduce.identification import (
+from frictrack.validation.reproduce.papers_method import (
     GROUPS,
     TIME_UNITS,
     Identification,

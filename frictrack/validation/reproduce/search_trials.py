@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import binomtest
+from scipy.stats import binomtest, fisher_exact
 
 from frictrack.records import Array
 from frictrack.search import GA, MGA, SGA, SearchMethod, SearchResult, code_length, code_length_as_printed, minimise
-from frictrack.validation.reproduce import figures, laws, papers_method, printed, recordings, statistics
+from frictrack.validation.reproduce import figures, laws, papers_method, printed, recordings
 from frictrack.validation.reproduce.sections import (
     FULL,
     QUICK,
@@ -35,6 +35,108 @@ from frictrack.validation.reproduce.sections import (
     table,
     verdict,
 )
+
+N_BOOTSTRAP = 4000
+
+
+def mean_interval(x: Array, rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of a mean.
+
+    Parameters
+    ----------
+    x
+        Values, (n,).
+    rng
+        Source of the resampling.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper limit.
+
+    References
+    ----------
+    Efron 1979, Ann. Statist. 7: percentiles of the bootstrap.
+
+    """
+    means = x[rng.integers(len(x), size=(N_BOOTSTRAP, len(x)))].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def change_interval(x: Array, base: Array, rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of a relative change of means, from bootstrap percentiles.
+
+    Parameters
+    ----------
+    x, base
+        Values of both methods, (n,) and (m,).
+    rng
+        Source of the resampling.
+
+    Returns
+    -------
+    tuple of float
+        Limits of mean(x)/mean(base) - 1.
+
+    """
+    ratio = _bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1
+    low, high = np.percentile(ratio, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def probability_by_chance(base: Array, runs: int, change: float, rng: np.random.Generator) -> float:
+    """Probability that a method compared with itself shows at most a relative change.
+
+    Parameters
+    ----------
+    base
+        Values of the method, (n,).
+    runs
+        Runs on each side of the comparison.
+    change
+        Relative change of the mean.
+    rng
+        Source of the resampling.
+
+    Returns
+    -------
+    float
+        Probability.
+
+    """
+    ratio = _bootstrap_means(base, runs, rng) / _bootstrap_means(base, runs, rng) - 1
+    return float(np.mean(ratio <= change))
+
+
+def fisher_p_value(hits: tuple[int, int], of: tuple[int, int]) -> float:
+    """Two-sided p value of two equal shares (Fisher's exact test).
+
+    Parameters
+    ----------
+    hits, of
+        Hits and cases of both groups.
+
+    Returns
+    -------
+    float
+        p value.
+
+    Examples
+    --------
+    >>> fisher_p_value((10, 10), (50, 50))
+    1.0
+
+    """
+    table = np.array([[hits[0], of[0] - hits[0]], [hits[1], of[1] - hits[1]]])
+    return float(fisher_exact(table).pvalue)
+
+
+def _bootstrap_means(x: Array, n: int, rng: np.random.Generator) -> Array:
+    """Means of n values drawn with replacement, (N_BOOTSTRAP,)."""
+    out: Array = x[rng.integers(len(x), size=(N_BOOTSTRAP, n))].mean(axis=1)
+    return out
+
 
 Problem = tuple[Callable[[Array], Array], Any, int, float, int]  # cost, box, seeds, reach, budget
 SEARCH_INTERVAL = [[-1.0, 2.0]]
@@ -235,8 +337,8 @@ def _table_5(results: dict[str, SearchTrials]) -> ResultTable:
     rng, base, rows = np.random.default_rng(5), results["GA"], []
     for name in ("GA", "MGA", "GA, more mutation", "MGA, Eq. 6 as printed"):
         found = results[name]
-        mean = _interval(statistics.mean_interval(found.last, rng))
-        change = "" if found is base else _interval(statistics.change_interval(found.last, base.last, rng), "%")
+        mean = _interval(mean_interval(found.last, rng))
+        change = "" if found is base else _interval(change_interval(found.last, base.last, rng), "%")
         hits = f"{int(np.sum(found.cost <= -FOUND_VALUE))} of {len(found.last)}"
         generations = _printed(printed.TABLE_5, name, 0), float(found.last.mean()), mean, change
         times = _printed(printed.TABLE_5, name, 1, "GA"), float(found.seconds.mean() / base.seconds.mean())
@@ -264,9 +366,9 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
     said = printed.TABLE_5["MGA"][0] / printed.TABLE_5["GA"][0] - 1
     change, interval = (
         float(mga.last.mean() / base.last.mean() - 1),
-        statistics.change_interval(mga.last, base.last, rng),
+        change_interval(mga.last, base.last, rng),
     )
-    chance = statistics.probability_by_chance(base.last, printed.RUNS, said, rng)
+    chance = probability_by_chance(base.last, printed.RUNS, said, rng)
     first = float(np.nanmean(more.first) / np.nanmean(base.first) - 1)
     ratio = float(mga.seconds.mean() / base.seconds.mean())
     found = f"{y:.6f} at {x:.6f}; GA found it in {hits} of {n} runs"
@@ -370,7 +472,7 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
 def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[Claim, ...]:
     local = {name: int(np.sum(ratio > LOCAL_OPTIMUM_RATIO)) for name, ratio in finals.items()}
     base, mga, n = results["GA"], results["MGA"], len(results["GA"].cost)
-    p = statistics.fisher_p_value((local["GA"], local["MGA"]), (n, n))
+    p = fisher_p_value((local["GA"], local["MGA"]), (n, n))
     fewer = verdict(local["MGA"] < local["GA"] and p < 0.05, local["MGA"] > local["GA"] and p < 0.05)
     best = min(local, key=lambda name: local[name])
     low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, printed.TABLE_7["MGA"][2]

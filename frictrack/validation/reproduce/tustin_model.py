@@ -11,14 +11,14 @@ from frictrack.base.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.records import Array
 from frictrack.validation.reproduce import figures, laws, papers_method, printed, recordings
-from frictrack.validation.reproduce.identification import (
+from frictrack.validation.reproduce.laws import PaperLaw
+from frictrack.validation.reproduce.papers_method import (
     GROUPS,
     Identification,
     estimate_text,
     identify,
     range_over_seeds,
 )
-from frictrack.validation.reproduce.laws import PaperLaw
 from frictrack.validation.reproduce.recordings import BEAM, SyntheticRecording
 from frictrack.validation.reproduce.sections import (
     FULL,

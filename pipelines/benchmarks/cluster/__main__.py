@@ -29,7 +29,7 @@ from distributed import Client, LocalCluster  # noqa: E402
 from machine import described  # noqa: E402
 
 from cluster.films import write_films  # noqa: E402 - found only now
-from frictrack.base.threads import processors  # noqa: E402
+from frictrack.base.workers import processors  # noqa: E402
 from frictrack.flow.batch import batch  # noqa: E402
 
 RESULTS = Path(__file__).with_name("results.json")
