@@ -20,7 +20,6 @@
     run_summaries               a row of numbers for each run, with its error budget
     verification                verify stored results, read all their values
     summaries                   the shapes of the summaries that `Session` returns
-    schema                      write the page that describes the HDF5 files
 """
 
 # ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use

@@ -1,5 +1,7 @@
 """Check the samples of a displacement: outliers, rounding, repeated and missing frames, clock, copies of a record."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.sampling.clock import (
     EvenClock,
     base_interval,
@@ -17,30 +19,3 @@ from frictrack.sampling.outlier_search import outliers
 from frictrack.sampling.screen import copies, describe_frames, describe_length, frame_numbers, screened
 from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips
 from frictrack.sampling.steps import quantum, rounding_noise, unwrapped
-
-__all__ = [
-    "EvenClock",
-    "SampledPath",
-    "Slip",
-    "base_interval",
-    "common_unevenness",
-    "copies",
-    "correct_ticks",
-    "count_intervals",
-    "describe_frames",
-    "describe_length",
-    "find_slips",
-    "frame_numbers",
-    "is_even",
-    "jittered_clock",
-    "moved_to_grid",
-    "outliers",
-    "quantum",
-    "robust_speed",
-    "rounded_clock",
-    "rounding_noise",
-    "screened",
-    "stamp_rounding",
-    "unevenness",
-    "unwrapped",
-]

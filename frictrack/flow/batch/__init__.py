@@ -11,7 +11,7 @@ changed since is not computed again.
     .frictrack/frictrack_batch.jsonl the journal of finished studies
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.flow.batch.driver import batch, find_studies
 from frictrack.flow.batch.tasks import BatchState
-
-__all__ = ["BatchState", "batch", "find_studies"]

@@ -3,6 +3,8 @@
 Every kind of scale yields a `PlaneMap` from the picture to the plane of the course; `calibrate` applies it to a track.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 # ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
 
 from typing import TYPE_CHECKING
@@ -24,5 +26,4 @@ _MODULE_OF = module_of(
     }
 )
 
-__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
 __getattr__ = lazy_names(__name__, _MODULE_OF)

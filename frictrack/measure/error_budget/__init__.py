@@ -4,7 +4,7 @@ Noise averages out in the mean according to its covariance; errors of scale, mas
 size is not known stays in the table without a number.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.measure.error_budget.sources import budget
 from frictrack.measure.error_budget.summary import Budget, Contribution
-
-__all__ = ["Budget", "Contribution", "budget"]

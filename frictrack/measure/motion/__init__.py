@@ -5,6 +5,8 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 `structure_search` finds the structure, `smoother` solves the equations, `posterior_deviations` says what is uncertain.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.measure.motion.derivative import (
     Derivatives,
     best_smoothing,
@@ -39,43 +41,3 @@ from frictrack.measure.motion.noise import (
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.smoother_data import SmootherData
 from frictrack.settings.filters import METHOD_NAMES
-
-__all__ = [
-    "CORRELATION_COST",
-    "DIFFERENCE_ORDER",
-    "FALLBACK_ORDER",
-    "METHOD_NAMES",
-    "MISSING_SIGMA",
-    "STENCIL_FRAMES",
-    "CorrelatedNoise",
-    "Derivatives",
-    "FactoredSmoother",
-    "FilterMethod",
-    "FilteredMotion",
-    "FrameGrid",
-    "KnownAcceleration",
-    "NoiseStretch",
-    "Smoother",
-    "SmootherData",
-    "Structure",
-    "best_smoothing",
-    "compare_filters",
-    "correlated_noise",
-    "covariance",
-    "cutoff_tradeoff",
-    "derivatives",
-    "difference_order",
-    "difference_variance",
-    "differentiate",
-    "filtered_acceleration",
-    "frame_grid",
-    "frame_weights",
-    "interpolate_missing",
-    "low_pass",
-    "noise_level",
-    "slow_spectrum",
-    "stencil_start",
-    "stencil_weights",
-    "stencils",
-    "unit_responses",
-]

@@ -6,6 +6,8 @@ measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`
 enter instead. The plausible ranges and their sources are in `findings`.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.measure.plausibility.comparison import (
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
@@ -20,25 +22,3 @@ from frictrack.measure.plausibility.comparison import (
 from frictrack.measure.plausibility.findings import ERROR, EnteredValues, Finding, implausible_entries
 from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
 from frictrack.measure.plausibility.slide import estimate_slide, implausible_slide
-
-__all__ = [
-    "CONTRADICTION",
-    "ERROR",
-    "MAX_RELATIVE_DIFFERENCE",
-    "EnteredValues",
-    "Finding",
-    "describe_shift",
-    "different_origins",
-    "estimate_slide",
-    "implausible_clocks",
-    "implausible_entries",
-    "implausible_inclines",
-    "implausible_masses",
-    "implausible_sensors",
-    "implausible_slide",
-    "missing_incline",
-    "path_angle",
-    "shifted_swings",
-    "time_unit",
-    "wrong_incline",
-]

@@ -1,5 +1,7 @@
 """Align further sensors with the camera's clock, compare them with the camera, and prepare them for fusion."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.measure.sensors.alignment import Alignment, AlignmentProblem, align, align_drive
 from frictrack.measure.sensors.camera_comparison import (
     SensorComparison,
@@ -8,16 +10,3 @@ from frictrack.measure.sensors.camera_comparison import (
     release_energy,
 )
 from frictrack.measure.sensors.sensor_record import SensorRecord, second_differences
-
-__all__ = [
-    "Alignment",
-    "AlignmentProblem",
-    "SensorComparison",
-    "SensorRecord",
-    "align",
-    "align_drive",
-    "compare_with_camera",
-    "known_acceleration",
-    "release_energy",
-    "second_differences",
-]

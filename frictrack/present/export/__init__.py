@@ -11,13 +11,6 @@
 A further format is one function and one line of the table.
 """
 
-from frictrack.present.export.formats import FORMATS, ExportedFiles, ExportFormat, export_results, find_format, write
+# ruff: noqa: F401 - the imports are the interface
 
-__all__ = [
-    "FORMATS",
-    "ExportFormat",
-    "ExportedFiles",
-    "export_results",
-    "find_format",
-    "write",
-]
+from frictrack.present.export.formats import FORMATS, ExportedFiles, ExportFormat, export_results, find_format, write
