@@ -71,14 +71,7 @@ class KeptRows(Generic[Row]):
         return self._folder / INTERNAL_FOLDER / self._name
 
     def read(self) -> list[Row]:
-        """Return all rows, oldest first.
-
-        Raises
-        ------
-        FrictrackError
-            If the file is damaged.
-
-        """
+        """Return all rows, oldest first."""
         try:
             return [self._read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
         except FileNotFoundError:
@@ -137,11 +130,6 @@ def sequence_alpha(number: int) -> float:
 
     Levels of the later ones fall so that their sum is at most that of the first, until the smallest level is reached.
 
-    Parameters
-    ----------
-    number
-        Number of the sequence, from 1.
-
     Examples
     --------
     >>> [round(sequence_alpha(number), 5) for number in (1, 2, 3, 4, 9)]
@@ -157,16 +145,7 @@ def alpha_spent(tests: Sequence[CompletenessTest]) -> float:
 
 
 def plan_test(tests: Sequence[CompletenessTest], key: str, data: str, model: Sequence[str]) -> CompletenessTest:
-    """Return the test of a model, with its sequence and its level.
-
-    Parameters
-    ----------
-    tests
-        The tests so far, oldest first.
-    key, data, model
-        See `CompletenessTest`.
-
-    """
+    """Return the test of a model, with its sequence and its level."""
     same = next((test for test in tests if test.key == key), None)
     if same is not None:
         return same
@@ -177,14 +156,7 @@ def plan_test(tests: Sequence[CompletenessTest], key: str, data: str, model: Seq
 
 
 def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the effects of which a diagnosis says that they are significant, and those of its formulas.
-
-    Parameters
-    ----------
-    diagnosis
-        JSON of the diagnosis.
-
-    """
+    """Return the effects of which a diagnosis says that they are significant, and those of its formulas."""
     level = diagnosis.get("alpha", ALPHA_FIRST) / 2  # earlier versions had this level alone
     names = [one["effect"] for one in diagnosis["candidates"] if one["p"] is not None and one["p"] < level]
     formulas = (diagnosis.get("unexplained") or {}).get("formulas", [])
@@ -258,14 +230,7 @@ class SignificanceBudget:
 
 
 def _read_test(row: Mapping[str, Any]) -> CompletenessTest:
-    """Read one entry of the file.
-
-    Raises
-    ------
-    ValueError
-        If a value has the wrong type.
-
-    """
+    """Read one entry of the file."""
     names = [row["model"], row["named"]]
     texts = (row["key"], row["data"], row["verdict"], *names[0], *(names[1] or ()))
     if not all(isinstance(text, str) for text in texts):
@@ -302,18 +267,7 @@ class Predictions:
         return self._kept.read()
 
     def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
-        """Keep the prediction of a named run; another one for the same model and runs replaces it.
-
-        Parameters
-        ----------
-        named
-            The run; see `frictrack.diagnose.experiments.next_run`.
-        model
-            Effects of the model.
-        runs
-            Names of the runs so far.
-
-        """
+        """Keep the prediction of a named run; another one for the same model and runs replaces it."""
         entry = {**named, "model": list(model), "runs": list(runs), "filmed": None, "realised": None}
 
         def with_entry(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -323,16 +277,7 @@ class Predictions:
         self._kept.change(with_entry)
 
     def resolve(self, diagnosis: Mapping[str, Any], runs: Sequence[str]) -> None:
-        """Fill in the realised evidence of the run that was added since, from a new diagnosis.
-
-        Parameters
-        ----------
-        diagnosis
-            JSON of the diagnosis.
-        runs
-            Names of the runs that it used.
-
-        """
+        """Fill in the realised evidence of the run that was added since, from a new diagnosis."""
         found = [resolve_prediction(row, diagnosis, runs) for row in self.rows]
         if any(row is not None for row in found):
             self._kept.change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
@@ -350,16 +295,6 @@ def resolve_prediction(
 
     Of the explanations that were predicted for, the one that is best now counts as true. The prediction is the least
     over its rivals, and what was realised is the difference of BIC from that rival.
-
-    Parameters
-    ----------
-    row
-        The entry.
-    diagnosis
-        JSON of the diagnosis.
-    runs
-        Names of the runs that it used.
-
     """
     added = set(runs) - set(row["runs"])
     if row["realised"] is not None or row["model"] != list(diagnosis["model"]) or len(added) != 1:

@@ -36,14 +36,7 @@ NOTE_NO_REFERENCE = (
 
 
 def make_recording(pipeline: RunPipeline) -> RecordingInfo:
-    """Return what is stored of the recording: clock, identity, first frame, audit of the time base.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-
-    """
+    """Return what is stored of the recording: clock, identity, first frame, audit of the time base."""
     rec = pipeline.recording
     return RecordingInfo(
         t=rec.t,
@@ -64,19 +57,6 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """Track the target.
 
     The calibration is checked before, as far as it needs no track: a wrong one is reported before the film is read.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-    film
-        The recording, by the stage before.
-
-    Returns
-    -------
-    Track
-        Positions of the target in px, one row per frame.
-
     """
     from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
         Areas,
@@ -110,16 +90,7 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
 
 
 def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, tracks: dict[str, Track]) -> Track:
-    """Repair the frames that the study file names; the track itself stays stored.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-    film, track, tracks
-        Results of the stages before.
-
-    """
+    """Repair the frames that the study file names; the track itself stays stored."""
     from frictrack.measure.repairing import repair  # noqa: PLC0415 - loads OpenCV
     from frictrack.tracking import contact_sheet, relearn_target  # noqa: PLC0415
 
@@ -160,22 +131,7 @@ def _has_drawn_areas(run: RunTable) -> bool:
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
-    """Track everything else in the film and draw the contact sheet.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-    film, track
-        Results of the stages before.
-
-    Returns
-    -------
-    dict of str to Track
-        The further targets of the study file by name, the fixed reference ("reference"), and the target tracked from
-        the last frame to the first ("backward"); the latter two are missing if they cannot be tracked.
-
-    """
+    """Track everything else in the film and draw the contact sheet."""
     from frictrack import tracking  # noqa: PLC0415
 
     found: dict[str, Track] = {}
@@ -265,19 +221,7 @@ def _track_or_none(make: Callable[[], Track]) -> Track | None:
 
 
 def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
-    """Return the map from pixels to the course, as far as it needs no track.
-
-    Returns
-    -------
-    PlaneMap or None
-        None if the scale is given by the size of the target, or by a list; all parts are checked nevertheless.
-
-    Raises
-    ------
-    FrictrackError
-        If the calibration is wrong.
-
-    """
+    """Return the map from pixels to the course, as far as it needs no track."""
     from frictrack.measure.calibration import plane_map  # noqa: PLC0415
 
     run = pipeline.run
@@ -294,19 +238,6 @@ def make_film_displacement(pipeline: RunPipeline, tracks: dict[str, Track], trac
     """Compute the displacement from the first to the last frame that shows the target.
 
     Camera shake is subtracted, and the times are corrected where frames are missing or doubled.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-    tracks, track
-        The further tracks by name, and the track of the target.
-
-    Returns
-    -------
-    Displacement
-        In m, without lens distortion, along the course.
-
     """
     from frictrack.flow.track_quality import correct_track, residual_shake  # noqa: PLC0415
     from frictrack.measure.calibration import calibrate, plane_map  # noqa: PLC0415

@@ -113,14 +113,7 @@ class FitRequest:
 
 
 def apply_effect_tables(model: Model, tables: Iterable[EffectTable]) -> Model:
-    """Return the model with the settings of `[[effect]]` tables; tables of effects that it lacks are ignored.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If settings contradict each other.
-
-    """
+    """Return the model with the settings of `[[effect]]` tables; tables of effects that it lacks are ignored."""
     adjusted = model.adjusted(_settings(tables))
     check_ties(adjusted.effects)
     return adjusted

@@ -94,16 +94,7 @@ class MeasuredRuns:
                     pipeline.get(stage)
 
     def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
-        """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each.
-
-        Parameters
-        ----------
-        stage
-            The stage.
-        overlay
-            Write every film once more with the tracked positions drawn into it.
-
-        """
+        """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
         from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
         from frictrack.flow.run_summaries import run_summaries  # noqa: PLC0415
 

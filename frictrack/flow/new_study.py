@@ -208,19 +208,7 @@ def _unknown_units(table: TableFile) -> str:
 
 
 def expand_folders(paths: Sequence[Path]) -> list[Path]:
-    """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself.
-
-    Parameters
-    ----------
-    paths
-        Recordings and folders.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If a path does not exist, or comes twice.
-
-    """
+    """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself."""
     from frictrack.study import find_recordings, is_picture_folder  # noqa: PLC0415 - only used here
 
     missing = [f"expected a recording {p} but there is no such file" for p in paths if not p.exists()]
@@ -262,19 +250,7 @@ def check_entered(keys: Mapping[str, Any]) -> None:
 
 
 def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
-    """Read the numbers that a user typed.
-
-    Parameters
-    ----------
-    keys
-        mass, scale and fps as they were typed; None if not given.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If one of them is no such quantity.
-
-    """
+    """Read the numbers that a user typed."""
     try:
         return _entered_values(keys)
     except FrictrackError as e:

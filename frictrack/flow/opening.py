@@ -36,14 +36,7 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplet
 
 
 def check_study(study: Study) -> Study:
-    """Check scales, model and effects of a study that was read; return the study.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) With all faults.
-
-    """
+    """Check scales, model and effects of a study that was read; return the study."""
     faults = []
     for run in study.runs:
         if run.scale is not None:
@@ -68,17 +61,6 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
     """Open every recording and read every table of the runs that are not measured yet.
 
     A recording at an address is not fetched before it is needed.
-
-    Parameters
-    ----------
-    pipelines
-        The runs.
-
-    Raises
-    ------
-    FrictrackError
-        With the faults of all runs.
-
     """
     errors = [error for check in (_check_mass, _check_files) for p in pipelines for error in _errors(check, p)]
     if errors:

@@ -378,14 +378,7 @@ def _paths(value: Any) -> list[Path | RemoteFile]:
 
 
 def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors: Sensors) -> Run:
-    """Put the measurements of a run and the keys of its ``[[run]]`` together.
-
-    Raises
-    ------
-    FrictrackError
-        If ``mass = "fit"`` is given without a measured drive, or a specification has the unit of something else.
-
-    """
+    """Put the measurements of a run and the keys of its ``[[run]]`` together."""
     if run.mass == "fit" and sensors.drive is None:
         raise FrictrackError(
             'expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider'

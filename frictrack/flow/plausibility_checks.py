@@ -281,16 +281,7 @@ def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
 
 
 def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
-    """Return a note for every run that repeats an earlier one.
-
-    Parameters
-    ----------
-    displacements
-        Displacement by name of the run.
-    contents
-        Hash of the film by name of the run, if it is known.
-
-    """
+    """Return a note for every run that repeats an earlier one."""
     names = list(displacements)
     pairs = [(names[i], names[j]) for i, j in copies(list(displacements.values()))]
     found: dict[str, str] = {}
@@ -310,20 +301,6 @@ def _same_content(one: str | None, other: str | None) -> bool:
 
 def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
     """Return a diagnosis with the verdict "undetermined" if findings contradict the study file.
-
-    Parameters
-    ----------
-    diagnosis
-        JSON of `diagnose`.
-    findings
-        Implausible numbers of the study.
-
-    Returns
-    -------
-    dict
-        The same diagnosis if nothing is contradicted, or if an effect of the same cause is in the model or missing.
-        Otherwise the verdict is "undetermined", nothing is missing, and the contradictions come first in
-        "undetermined".
 
     Examples
     --------

@@ -22,21 +22,7 @@ if TYPE_CHECKING:
 
 
 def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Compute the error budget of the friction force of one run.
-
-    Parameters
-    ----------
-    pipeline
-        The stages of the run.
-    known
-        `film_quality`, if it was computed already.
-
-    Returns
-    -------
-    dict
-        JSON of the budget; empty without a mass and without measured friction.
-
-    """
+    """Compute the error budget of the friction force of one run."""
     run = pipeline.to_run()
     if run.mass is None and run.friction_N is None:
         return {}

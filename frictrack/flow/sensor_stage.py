@@ -47,24 +47,6 @@ def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
     """Read drive, acceleration and friction force of a run, at the frames of the camera.
 
     Columns of the run's own table are used as they are, because their clock is the camera's.
-
-    Parameters
-    ----------
-    run
-        The ``[[run]]``.
-    displacement
-        Displacement of the run (n frames), to which the clocks are aligned.
-
-    Returns
-    -------
-    Sensors
-        Each quantity (n,), None if it was not measured.
-
-    Raises
-    ------
-    FrictrackError
-        If a sensor was not running while it is needed.
-
     """
     reader = _SensorReader(displacement)
     if run.table:
@@ -79,28 +61,14 @@ def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
 
 
 def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
-    """Return the acceleration of the sensor for the smoother, without its gain and bias.
-
-    Returns
-    -------
-    KnownAcceleration or None
-        None without an accelerometer, or if it contradicts the camera.
-
-    """
+    """Return the acceleration of the sensor for the smoother, without its gain and bias."""
     if sensors.known_a is None or sensors.sigma_known_a is None:
         return None
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
 def sensor_summary(pipeline: RunPipeline) -> SensorSummary:
-    """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`.
-
-    Returns
-    -------
-    dict
-        "sensors" (alignment of every clock), "impact" (energy at release; None if not stated), "notes" (list of str).
-
-    """
+    """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`."""
     sensors: Sensors = pipeline.get("sensors")
     notes = [*sensors.notes, *_moved_mass_notes(pipeline.run, sensors)]
     impact = _impact_energy(pipeline)
@@ -310,17 +278,6 @@ def auxiliary_signals(pipelines: Sequence[RunPipeline]) -> dict[str, dict[str, A
     """Return the auxiliary signals of all fitted runs.
 
     A target is scaled like the mass but not rotated into the course axis, because only the shape of its signal is used.
-
-    Parameters
-    ----------
-    pipelines
-        The runs, up to date up to "sensors" and "tracks".
-
-    Returns
-    -------
-    dict of str to dict of str to ndarray
-        By run and by name of the signal: values (n,) at the frames of the displacement, NaN where unknown.
-
     """
     out: dict[str, dict[str, Array]] = {}
     for pipeline in pipelines:

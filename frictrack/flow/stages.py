@@ -202,18 +202,7 @@ def run_pipeline(
 
 
 def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPool | None = None) -> list[RunPipeline]:
-    """Return the pipelines of all runs; those of films share one, and the target learnt from its film.
-
-    Parameters
-    ----------
-    study
-        The study.
-    progress
-        Called while a stage is being computed.
-    pool
-        Processes that take over segments of long films.
-
-    """
+    """Return the pipelines of all runs; those of films share one, and the target learnt from its film."""
     found = [run_pipeline(study, run, progress) for run in study.runs]
     for pipeline in found:
         pipeline.pool = pool

@@ -43,28 +43,12 @@ OPTIONAL_STAGES = ("cutoff", "friction", "events", "repaired")  # not needed by 
 
 
 def report_key(inputs: str, results: str, group: str) -> str:
-    """Return the key in the head of a report: hash of all inputs, hash of the results, name of the current model.
-
-    Parameters
-    ----------
-    inputs, results
-        Hash of everything that the report depends on, and `results_key`.
-    group
-        Group of the current model.
-
-    """
+    """Return the key in the head of a report: hash of all inputs, hash of the results, name of the current model."""
     return f"{inputs} {results} {group}"
 
 
 def stored_report_key(path: Path) -> re.Match[str] | None:
-    """Return the key in the head of a report, its parts as groups 1 (results) and 2 (current model).
-
-    Parameters
-    ----------
-    path
-        The report; None is returned if it does not exist, or has no key.
-
-    """
+    """Return the key in the head of a report, its parts as groups 1 (results) and 2 (current model)."""
     if not path.exists():
         return None
     with path.open("rb") as file:
@@ -72,14 +56,7 @@ def stored_report_key(path: Path) -> re.Match[str] | None:
 
 
 def results_key(models: TriedModels, pipelines: Iterable[RunPipeline]) -> str:
-    """Return the hash of the results that a report shows, as they are stored: runs, current model, its diagnosis.
-
-    Parameters
-    ----------
-    models, pipelines
-        The models tried, and the runs.
-
-    """
+    """Return the hash of the results that a report shows, as they are stored: runs, current model, its diagnosis."""
     group = models.current_group
     made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in pipelines]
     runs = [[name, *(stage.key if stage else "" for stage in stages)] for name, *stages in made]
@@ -90,14 +67,6 @@ def find_outdated(pipelines: Sequence[RunPipeline], models: TriedModels) -> tupl
     """Find outdated results: runs, models with their diagnosis, the report.
 
     The recordings are not opened: a change of their content is noticed when the work is done again.
-
-    Parameters
-    ----------
-    pipelines
-        The runs, with `stored_only`.
-    models
-        The models tried on them.
-
     """
     runs = list(_outdated_runs(pipelines))
     current = list(_outdated_models(pipelines, models, runs))

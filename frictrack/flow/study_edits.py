@@ -33,25 +33,7 @@ class OpenStudy:
 
 
 def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
-    """Set one key of the study file.
-
-    Parameters
-    ----------
-    opened
-        The study.
-    table
-        ``"study"``, ``"camera"``, ``"run"`` or ``"effect"``.
-    key, value
-        The key and its new value; None removes the key.
-    which
-        Name of the run or effect.
-
-    Raises
-    ------
-    FrictrackError
-        If the study file would not be valid.
-
-    """
+    """Set one key of the study file."""
 
     def rewrite(text: str) -> str:
         after = with_key(text, table, key, value, which)
@@ -66,21 +48,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
 
 
 def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
-    """Add a run for each recording.
-
-    Parameters
-    ----------
-    opened
-        The study.
-    recordings
-        Paths relative to the study file.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If a recording does not exist.
-
-    """
+    """Add a run for each recording."""
     folder = opened.study.folder
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
@@ -91,32 +59,14 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
-    """Remove a run from the study file; its recording and its results stay where they are.
-
-    Parameters
-    ----------
-    opened
-        The study.
-    run
-        Name of the run.
-
-    """
+    """Remove a run from the study file; its recording and its results stay where they are."""
     with opened.history.record("leave_out", run=run) as change:
         change.before, change.after = _rewrite(opened.study.path, lambda text: without_run(text, run))
     return {"run": run}
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Write an ``[[effect]]`` into the study file; it replaces one of the same name.
-
-    Parameters
-    ----------
-    opened
-        The study.
-    effect
-        The keys of the table, with "effect" for its name.
-
-    """
+    """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
     with opened.history.record("define", effect=keys) as change:
         change.before, change.after = _rewrite(opened.study.path, lambda text: with_effect(text, keys))
@@ -124,21 +74,7 @@ def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
-    """Make a model current that was tried before.
-
-    Parameters
-    ----------
-    opened
-        The study.
-    model
-        Its name in the history, such as ``"2_tustin+texture"``.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If there is no such model.
-
-    """
+    """Make a model current that was tried before."""
     if model not in opened.models.groups:
         known = ", ".join(opened.models.groups) or "none"
         raise FrictrackError(f'expected a model that was tried but got "{model}"; there are {known}', usage=True)
@@ -232,25 +168,7 @@ def effect_of_formula(found: Mapping[str, Any], taken: Iterable[str]) -> dict[st
 def choose_formula(
     number: int, diagnosis: Mapping[str, Any] | None, taken: Iterable[str], model: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the keys of the ``[[effect]]`` table of formula `number` of a diagnosis, counted from 1.
-
-    Parameters
-    ----------
-    number
-        Its position.
-    diagnosis
-        The JSON of the diagnosis of the current model; None if there is none.
-    taken
-        Names of the effects that the study has.
-    model
-        Effects of the current model.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If there is no such formula, or the model lacks effects that it had when the formula was found.
-
-    """
+    """Return the keys of the ``[[effect]]`` table of formula `number` of a diagnosis, counted from 1."""
     if diagnosis is None:
         raise FrictrackError(
             f"expected a diagnosis for formula:{number} but the current model has none; run frictrack diagnose first",

@@ -36,27 +36,6 @@ def correct_track(
     """Subtract camera shake from a track, correct its times and describe what was found.
 
     Times are corrected only if the camera wrote no time stamps.
-
-    Parameters
-    ----------
-    track
-        Track of the target (n frames).
-    tracks
-        The other tracks by name; see `make_further_tracks`.
-    clocked
-        Whether the camera wrote time stamps.
-    min_shake
-        Smallest shake that is subtracted, px rms.
-
-    Returns
-    -------
-    track : Track
-        Without the doubled frames; missing frames are gaps in time.
-    notes : tuple of str
-        The findings.
-    rows : ndarray of int
-        Frame numbers of the remaining rows.
-
     """
     from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
 
@@ -125,21 +104,7 @@ def _minus_reference(track: Track, reference: Track | None) -> Track:
 
 
 def residual_shake(reference: Track | None, min_shake: float) -> tuple[float, float, str] | None:
-    """Return the camera shake that may be left in the displacement.
-
-    Parameters
-    ----------
-    reference
-        Track of the fixed reference, if there is one.
-    min_shake
-        Smallest shake that is subtracted, px rms.
-
-    Returns
-    -------
-    tuple of (float, float, str) or None
-        Frequency, Hz; rms along x, px; the reason. None without shake.
-
-    """
+    """Return the camera shake that may be left in the displacement."""
     if reference is None:
         return None
     used = estimate_shake(reference, min_shake)
@@ -178,14 +143,6 @@ def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
     """Return the track with gaps in time where frames are missing, and without inserted doubled frames.
 
     A doubled frame that replaces a lost one keeps its row, and its position is NaN.
-
-    Parameters
-    ----------
-    track
-        The track.
-    slips
-        The faults of its times.
-
     """
     from frictrack.tracking.checks import correct_ticks  # noqa: PLC0415
 
@@ -307,17 +264,6 @@ def rotation_note(track: Track) -> tuple[str, ...]:
     """Return a note on a target that rotates; empty if it does not.
 
     A rotation counts if it moves the corners of the target by five standard deviations of its position.
-
-    Parameters
-    ----------
-    track
-        Positions and angles of the target.
-
-    Returns
-    -------
-    tuple of str
-        At most one sentence.
-
     """
     known = track.found & np.isfinite(track.angle)
     if track.target is None or np.count_nonzero(known) < MIN_ROTATION_FRAMES:

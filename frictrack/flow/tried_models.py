@@ -154,21 +154,7 @@ class TriedModels:
         return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
 
     def append(self, request: FitRequest, command: str = "fit", **arguments: Any) -> tuple[str, FitRequest]:
-        """Fit a model, store it as the last one, make it current and record the command.
-
-        Parameters
-        ----------
-        request
-            The model and how it is fitted.
-        command, **arguments
-            For the command history.
-
-        Returns
-        -------
-        tuple of (str, FitRequest)
-            Name of the group, and the request.
-
-        """
+        """Fit a model, store it as the last one, make it current and record the command."""
         self._check_prior(request)
         entry = self._attempted(request) or self._group_content(request, self._fit(request), current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
@@ -396,16 +382,7 @@ def _make_room_for_attempt(output: Path) -> None:
 
 
 def model_results(path: Path, group: str) -> ModelResults:
-    """Read a model from the file of a study or of an attempt.
-
-    Parameters
-    ----------
-    path
-        The file.
-    group
-        Name of the group in ``models``, or ``papers``.
-
-    """
+    """Read a model from the file of a study or of an attempt."""
     inside = group if group == "papers" else f"models/{group}"
     with store.snapshot(path):
         stored = store.read(path, inside, without=("state", *RECORDS_OF_FIT))

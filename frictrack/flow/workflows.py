@@ -118,23 +118,7 @@ def conclude(session: Session, on_verdict: OnVerdict, *, seed: int = 0) -> dict[
 
 
 def fit_candidates(session: Session, diagnosis: Mapping[str, Any], most: int = MAX_CANDIDATES_FITTED) -> list[str]:
-    """Fit the current model with each of the best candidates, and store the fits.
-
-    Parameters
-    ----------
-    session
-        The study.
-    diagnosis
-        The JSON of the diagnosis of its current model.
-    most
-        Largest number of candidates.
-
-    Returns
-    -------
-    list of str
-        Names of the candidates that were fitted, now or before; those that cannot be fitted are left out.
-
-    """
+    """Fit the current model with each of the best candidates, and store the fits."""
     fitted = []
     rows = candidate_rows(diagnosis)
     for effect in [row.effect for row in rows if row.kind != "implausible"][:most]:

@@ -84,22 +84,6 @@ def displacement_of_table(
 
     Missing columns are NaN, outliers are marked as invalid, and standard deviations that are not given are estimated.
 
-    Parameters
-    ----------
-    data
-        Columns in SI units, with `x`.
-    fps
-        Frame rate, Hz; it decides where the time stamps say another.
-    scale
-        Size of a pixel, if the positions come from a film, such as ``"0.5 mm/px"``.
-    x_offset
-        Shift of the positions, m.
-
-    Returns
-    -------
-    Displacement
-        Its `notes` say what was corrected.
-
     Examples
     --------
     >>> t = np.arange(100) / 1000

@@ -283,16 +283,6 @@ class Recording(ABC):
 def grey(picture: NDArray[Any]) -> Frame:
     """Convert a picture to grey values (luma of ITU-R BT.601).
 
-    Parameters
-    ----------
-    picture : array (h, w) or (h, w, 3 or 4)
-        Grey, or colours in R, G, B order.
-
-    Returns
-    -------
-    array (h, w)
-        In the type of the picture.
-
     Examples
     --------
     >>> grey(np.array([[[255, 0, 0]]], np.uint8)).tolist()

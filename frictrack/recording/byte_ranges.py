@@ -56,14 +56,7 @@ class RangedFile(RemoteFile):
         return cast(BinaryIO, io.BufferedReader(RangeReader(self)))
 
     def neighbour(self, suffix: str) -> RangedFile | None:
-        """Return the file with another suffix in the same remote folder; None if there is none.
-
-        Parameters
-        ----------
-        suffix
-            The suffix in small letters; it is tried in capitals if this file has one in capitals.
-
-        """
+        """Return the file with another suffix in the same remote folder; None if there is none."""
         suffix = suffix.upper() if self.suffix.isupper() else suffix
         return find_ranges(RemoteFile(self.url.removesuffix(self.suffix) + suffix))
 
@@ -133,21 +126,7 @@ class RangeReader(io.RawIOBase):
         super().close()
 
     def fetch(self, starts: NDArray[np.int64], count: int) -> None:
-        """Fetch what is missing of some parts into the cache, many requests at once.
-
-        Parameters
-        ----------
-        starts
-            First byte of each part, shape (n,).
-        count
-            Bytes of each part.
-
-        Raises
-        ------
-        FrictrackError
-            If the store does not answer, or the cache cannot be written.
-
-        """
+        """Fetch what is missing of some parts into the cache, many requests at once."""
         if count <= 0 or not len(starts):
             return
         first, last = starts // BLOCK_BYTES, np.minimum(starts + count - 1, self._source.size - 1) // BLOCK_BYTES
@@ -225,24 +204,7 @@ def find_ranges(file: RemoteFile) -> RangedFile | None:
 
 
 def identify(files: Sequence[RangedFile]) -> str:
-    """Return what identifies the content of files in their order, after a look whether the store still has them.
-
-    Parameters
-    ----------
-    files
-        The files.
-
-    Returns
-    -------
-    str
-        The identity of a single file; of several ``"store:"`` and the SHA-256 of the lines of identities and names.
-
-    Raises
-    ------
-    FrictrackError
-        If one was replaced or removed.
-
-    """
+    """Return what identifies the content of files in their order, after a look whether the store still has them."""
     for file in files:
         file.check_unchanged()
     if len(files) == 1:
@@ -252,14 +214,7 @@ def identify(files: Sequence[RangedFile]) -> str:
 
 
 def file_size(path: Path | RangedFile) -> int:
-    """Return the size of a file, bytes.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    """
+    """Return the size of a file, bytes."""
     return path.size if isinstance(path, RangedFile) else path.stat().st_size
 
 

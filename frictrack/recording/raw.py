@@ -60,19 +60,7 @@ class PixelLayout:
     table: NDArray[np.uint16] | None = None
 
     def starts(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Compute where pictures start.
-
-        Parameters
-        ----------
-        indices : array of int (n,)
-            Numbers of the pictures in the file.
-
-        Returns
-        -------
-        array of int (n,)
-            Bytes from the beginning of the file.
-
-        """
+        """Compute where pictures start."""
         if isinstance(self.offsets, range):
             return self.offsets.start + self.offsets.step * indices
         return self.offsets[indices]
@@ -90,18 +78,6 @@ class PixelLayout:
 
 def picture_bytes(shape: tuple[int, int], bits: int) -> int:
     """Compute the size of a picture.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Height and width, px.
-    bits : int
-        8, 16, or 10 or 12 for packed pixels.
-
-    Returns
-    -------
-    int
-        Bytes.
 
     Examples
     --------
@@ -154,23 +130,7 @@ class BoxReader:
         self._pitch = layout.pitch(shape[1])
 
     def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
-        """Read grey values of boxes, without any check.
-
-        Parameters
-        ----------
-        indices : array of int (n,)
-            Numbers of the pictures in the file.
-        corners : array of int (n, 2)
-            Upper left pixels (x, y).
-        size : tuple of int
-            Height and width, px.
-
-        Returns
-        -------
-        array (n, h, w)
-            uint8 or uint16.
-
-        """
+        """Read grey values of boxes, without any check."""
         out = np.empty((len(indices), *size), self._layout.dtype)
         if self._layout.bits in (8, 16):
             self._gather(out, indices, corners[:, 0], corners[:, 1])
@@ -248,18 +208,6 @@ class BoxReader:
 
 def unpack(packed: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
     """Unpack pixels of 10 or 12 bit, stored high bits first.
-
-    Parameters
-    ----------
-    packed : array of uint8 (..., k)
-        Bytes of whole groups.
-    bits : int
-        10 or 12.
-
-    Returns
-    -------
-    array of uint16 (..., m)
-        Pixels.
 
     Examples
     --------

@@ -139,29 +139,7 @@ class Stamps:
 
 
 def audit(name: str, given: float | None, header: Header) -> Timebase:
-    """Audit the time base of a recording.
-
-    Parameters
-    ----------
-    name : str
-        Name of the recording, for messages.
-    given : float or None
-        Frame rate from the user, 1/s.
-    header : Header
-        Header with the rate and the time stamps of the file. Those of a container may be for playback and are used only
-        above `PLAYBACK_FPS`.
-
-    Returns
-    -------
-    Timebase
-        Rate, times and findings.
-
-    Raises
-    ------
-    FrictrackError
-        Where no rate is credible.
-
-    """
+    """Audit the time base of a recording."""
     stamps, n = header.stamps, header.n_frames
     parsed = read_stamps(stamps) if stamps is not None and header.ticks is None else None
     stamped = 1 / parsed.step if parsed is not None else None

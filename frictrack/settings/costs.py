@@ -94,16 +94,7 @@ class Costs:
     frames: float | None = None
 
     def of_run(self, new: RunSettings, last: RunSettings | None) -> float:
-        """Return the cost of a run after the last one filmed; infinite where the set-up cannot do it.
-
-        Parameters
-        ----------
-        new
-            Settings of the run.
-        last
-            Settings of the last run filmed; None before the first film.
-
-        """
+        """Return the cost of a run after the last one filmed; infinite where the set-up cannot do it."""
         if self.masses and not any(_same(new.mass, one) for one in self.masses):
             return math.inf
         if not self.speeds[0] * (1 - SAME_RATIO) <= abs(new.speed) <= self.speeds[1] * (1 + SAME_RATIO):

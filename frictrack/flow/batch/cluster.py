@@ -31,23 +31,6 @@ def cluster_workers(address: str) -> Iterator[WorkerPool]:
     """Open a pool of the workers of a Dask scheduler.
 
     The workers must see the same files and have the same version of frictrack.
-
-    Parameters
-    ----------
-    address
-        Address of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
-
-    Yields
-    ------
-    WorkerPool
-        The pool. Its `capacity` raises `FrictrackError` when the scheduler was lost and none answers at the address
-        within `RESTART_TIMEOUT_S`.
-
-    Raises
-    ------
-    FrictrackError
-        If no scheduler answers, or a worker lacks frictrack or has another version.
-
     """
     try:
         from distributed import Client  # noqa: PLC0415

@@ -199,29 +199,13 @@ class Journal:
         self.path = path
 
     def finished(self, studies: Iterable[Path], seed: int) -> dict[Path, StudyOutcome]:
-        """Return the studies whose files have not changed since this version finished them with this seed.
-
-        Parameters
-        ----------
-        studies
-            Paths of study files.
-        seed
-            Seed of the diagnoses.
-
-        """
+        """Return the studies whose files have not changed since this version finished them with this seed."""
         outcomes = self._lines()
         kept = ((path, outcomes.get(str(path))) for path in studies)
         return {path: done for path, done in kept if done and done.seed == seed and are_unchanged(done.files)}
 
     def append(self, done: StudyOutcome) -> None:
-        """Append the outcome of a study.
-
-        Raises
-        ------
-        FrictrackError
-            If the journal cannot be written.
-
-        """
+        """Append the outcome of a study."""
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -273,28 +257,7 @@ def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
 
 def write_table(rows: Sequence[dict[str, Any]], stem: Path, units: Mapping[str, str]) -> list[Path]:
-    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``, where the fields of parameters have a `unit`.
-
-    Parameters
-    ----------
-    rows
-        One dictionary per run.
-    stem
-        Path without suffix.
-    units
-        Units of the parameters.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    FrictrackError
-        If a file cannot be written.
-
-    """
+    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``; its fields of parameters have a `unit`."""
     table = make_table(rows)
     paths = [stem.with_name(f"{stem.name}.csv")]
     with atomic_write(paths[0]) as part:

@@ -27,14 +27,7 @@ Reasons = Mapping[str, str]  # run -> why it failed
 
 
 def file_states(study: Study) -> FileStates:
-    """Return the states of all files of a study: study file, recordings, results.
-
-    Returns
-    -------
-    dict of str to list of int
-        By path: size, bytes, and modification time, ns; empty for a file that does not exist.
-
-    """
+    """Return the states of all files of a study: study file, recordings, results."""
     pipelines = [run_pipeline(study, run) for run in study.runs]
     inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
     results = [pipeline.path for pipeline in pipelines] + [study.output / name for name in ("study.h5", "report.html")]
@@ -113,21 +106,7 @@ class StudyStarted:
 
 
 def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
-    """Measure the first film, which defines the tracked point of all others; finish a study that has only one.
-
-    Parameters
-    ----------
-    path
-        The study file.
-    seed
-        Seed of the diagnosis.
-
-    Returns
-    -------
-    StudyStarted or StudyOutcome
-        The films that remain, or the outcome of a study without further films.
-
-    """
+    """Measure the first film, which defines the tracked point of all others; finish a study that has only one."""
     try:
         study = open_study(path)
     except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
@@ -144,23 +123,7 @@ def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
 
 
 def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
-    """Measure one film.
-
-    Parameters
-    ----------
-    path
-        The study file.
-    run
-        Name of the run.
-    failed
-        Reasons of the runs that failed before.
-
-    Returns
-    -------
-    str or None
-        The reason if it fails.
-
-    """
+    """Measure one film."""
     try:
         study = without_runs(open_study(path), failed)
     except Exception as e:  # noqa: BLE001
@@ -169,18 +132,7 @@ def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
 
 
 def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
-    """Fit, diagnose and report a study without the runs that failed.
-
-    Parameters
-    ----------
-    path
-        The study file.
-    seed
-        Seed of the diagnosis.
-    failed
-        Reasons of the runs that failed.
-
-    """
+    """Fit, diagnose and report a study without the runs that failed."""
     start, failed = time.perf_counter(), dict(failed)
     try:
         study = open_study(path)

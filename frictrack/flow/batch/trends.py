@@ -101,19 +101,7 @@ class Trend:
 
 
 def find_trends(outcomes: Sequence[StudyOutcome]) -> list[Trend]:
-    """Test every parameter, the noise and the friction level for a trend.
-
-    Parameters
-    ----------
-    outcomes
-        The studies in order.
-
-    Returns
-    -------
-    list of Trend
-        Those of quantities with enough values; `p` is corrected for their number.
-
-    """
+    """Test every parameter, the noise and the friction level for a trend."""
     first = [next((row for row in one.rows if row.get("verdict")), {}) for one in outcomes]
     units = {name: unit for one in outcomes for name, unit in one.units.items()}
     found = [_trend(name, unit, _column(first, name), _deviations(first, name)) for name, unit in units.items()]
@@ -144,18 +132,6 @@ def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "
 
 def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
     """Fit a straight line to values that scatter by more than their standard deviations.
-
-    Parameters
-    ----------
-    at
-        Positions, (n,).
-    y, s
-        Values and their standard deviations, (n,).
-
-    Returns
-    -------
-    slope, slope_std, tau, p : float
-        The slope, its standard deviation, the additional scatter, and the p-value of no slope.
 
     References
     ----------
@@ -220,17 +196,6 @@ def condition_trends(outcomes: Sequence[StudyOutcome]) -> list[dict[str, Any]]:
 
     A study takes part if it states the condition and has a law of its own: fitted without the prior of another study,
     with the model that most of these studies have.
-
-    Parameters
-    ----------
-    outcomes
-        The studies in order.
-
-    Returns
-    -------
-    list of dict
-        One entry per condition: trends, or the reason why there are none, and what to read as sentences.
-
     """
     names = list(dict.fromkeys(name for one in outcomes for name in one.conditions))
     entries = [_entry(name, outcomes) for name in names]

@@ -65,18 +65,6 @@ class Authorship:
 def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> Authorship:
     """Read authors and licence as a user writes them.
 
-    Parameters
-    ----------
-    authors
-        Names, each perhaps with an ORCID: ``"Ada Lovelace <0000-0002-1825-0097>"``.
-    licence
-        An identifier of SPDX, such as ``"CC-BY-4.0"``, or the address of a licence.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If an ORCID or the licence is none.
-
     Examples
     --------
     >>> read_authorship(["Ada Lovelace <0000-0002-1825-0097>"]).authors[0]["@id"]
@@ -185,11 +173,6 @@ UNIT_CODES = {
 def unit_code(unit: str) -> UnitCode:
     """Return the codes of a unit; empty codes for one that a user's own effect brings in.
 
-    Parameters
-    ----------
-    unit
-        The unit, such as ``"N s/m"``.
-
     Examples
     --------
     >>> unit_code("N s/m").ucum, unit_code("N s/m").address
@@ -276,14 +259,7 @@ BUDGET_COLUMNS = (
 
 
 def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield one row per parameter of every model.
-
-    Parameters
-    ----------
-    results
-        Results of a study.
-
-    """
+    """Yield one row per parameter of every model."""
     for model in results.models:
         for name, found in model.summary["parameters"].items():
             code = unit_code(found["unit"])
@@ -305,14 +281,7 @@ def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
 
 
 def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown.
-
-    Parameters
-    ----------
-    results
-        Results of a study.
-
-    """
+    """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
     for run in results.runs:
         for row in run.budget.get("rows", ()):
             common = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
@@ -344,14 +313,7 @@ def _contributions(row: Mapping[str, Any], factor: int) -> dict[str, Any]:
 
 
 def table_files(results: Results) -> dict[str, bytes]:
-    """Return the tables by file name, as CSV in UTF-8.
-
-    Parameters
-    ----------
-    results
-        Results of a study.
-
-    """
+    """Return the tables by file name, as CSV in UTF-8."""
     tables = {PARAMETERS: (PARAMETER_COLUMNS, parameter_rows(results)), BUDGET: (BUDGET_COLUMNS, budget_rows(results))}
     return {name: _csv(columns, rows) for name, (columns, rows) in tables.items()}
 
@@ -421,14 +383,7 @@ class Described:
 
 
 def describe_crate(described: Described) -> dict[str, Any]:
-    """Return the content of ``ro-crate-metadata.json``.
-
-    Parameters
-    ----------
-    described
-        What is in the crate.
-
-    """
+    """Return the content of ``ro-crate-metadata.json``."""
     files = [_file(part) for part in described.payload.parts]
     parameters = list(_parameters(described.results))
     moved = list(_moved(described.payload.moved))
@@ -470,14 +425,7 @@ def _root(described: Described, files: Sequence[Entity], parameters: Sequence[En
 
 
 def file_address(part: Part) -> str:
-    """Return the address of a file in the metadata: its path, or its hash if the crate does not contain it.
-
-    Parameters
-    ----------
-    part
-        The file.
-
-    """
+    """Return the address of a file in the metadata: its path, or its hash if the crate does not contain it."""
     if part.is_included:
         return quote(part.place)
     digest = base64.urlsafe_b64encode(bytes.fromhex(part.sha256)).decode().rstrip("=")

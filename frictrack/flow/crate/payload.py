@@ -35,16 +35,6 @@ _NAME = re.compile(r'(?!\.\.?$)[^\x00-\x1f\\/:*?"<>|]{0,254}[^\x00-\x1f\\/:*?"<>
 def safe_place(text: str) -> str:
     """Return the path of a file in a crate, with slashes; it stays inside the crate on every operating system.
 
-    Parameters
-    ----------
-    text
-        The path as the crate has it.
-
-    Raises
-    ------
-    FrictrackError
-        If it leads out of the crate, or no system can have such a file.
-
     Examples
     --------
     >>> safe_place("films/v3.avi")
@@ -61,21 +51,7 @@ def safe_place(text: str) -> str:
 
 
 def unpack(crate: Path, folder: Path) -> None:
-    """Unpack a zip file into a new folder.
-
-    Parameters
-    ----------
-    crate
-        The zip file.
-    folder
-        The folder, which does not exist yet.
-
-    Raises
-    ------
-    FrictrackError
-        If it is no zip file, is damaged, would write outside the folder, or would unpack to far more than its size.
-
-    """
+    """Unpack a zip file into a new folder."""
     try:
         with zipfile.ZipFile(crate) as file:
             infos = [info for info in file.infolist() if not info.is_dir()]
@@ -153,14 +129,7 @@ class Part:
 
     @classmethod
     def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
-        """Return the part of a file, with its size and hash.
-
-        Raises
-        ------
-        FrictrackError
-            If it cannot be read.
-
-        """
+        """Return the part of a file, with its size and hash."""
         try:
             size = source.stat().st_size
             return cls(source, safe_place(place), role, size, hash_path(source), is_film, is_included)
@@ -194,21 +163,7 @@ class Payload:
 
 
 def list_payload(session: Session, *, include_recordings: bool) -> Payload:
-    """List all files of a crate, and hash them.
-
-    Parameters
-    ----------
-    session
-        The study, with all results.
-    include_recordings
-        Include recordings of any size.
-
-    Raises
-    ------
-    FrictrackError
-        If a file cannot be read.
-
-    """
+    """List all files of a crate, and hash them."""
     places = _Places(session.study)
     found: dict[Path, Part] = {}
     for source, place, role, film, included in _sources(session, places, include_recordings):

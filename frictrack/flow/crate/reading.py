@@ -72,31 +72,12 @@ class Crate:
     versions: dict[str, str]
 
     def path(self, file: CrateFile) -> Path:
-        """Return the path of a file in the crate, which need not exist.
-
-        Raises
-        ------
-        FrictrackError
-            If a link there leads out of the crate.
-
-        """
+        """Return the path of a file in the crate, which need not exist."""
         return _inside(self.folder, file.place)
 
 
 def read_crate(folder: Path) -> Crate:
-    """Read the description of an unpacked crate.
-
-    Parameters
-    ----------
-    folder
-        The crate.
-
-    Raises
-    ------
-    FrictrackError
-        If the folder is no crate, another program wrote it, or it describes files outside the folder.
-
-    """
+    """Read the description of an unpacked crate."""
     path = _inside(folder, METADATA)
     try:
         if path.stat().st_size > MAX_METADATA_BYTES:
@@ -119,21 +100,7 @@ def read_crate(folder: Path) -> Crate:
 
 
 def has_same_bytes(path: Path, described: CrateFile) -> bool:
-    """Return whether a file exists and has the bytes that a crate describes.
-
-    Parameters
-    ----------
-    path
-        The file.
-    described
-        Its description.
-
-    Raises
-    ------
-    FrictrackError
-        If it cannot be read.
-
-    """
+    """Return whether a file exists and has the bytes that a crate describes."""
     try:
         return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
     except OSError as e:
@@ -192,23 +159,7 @@ MAX_LISTED = 5  # files that a message names
 
 
 def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
-    """Make a copy of the study in an empty folder; return its study file.
-
-    Parameters
-    ----------
-    crate
-        The crate.
-    folder
-        The new folder.
-    inputs
-        The files by their places in it, from `find_inputs`.
-
-    Raises
-    ------
-    FrictrackError
-        If it cannot be written.
-
-    """
+    """Make a copy of the study in an empty folder; return its study file."""
     study = folder / crate.study.place
     try:
         study.parent.mkdir(parents=True, exist_ok=True)
@@ -222,23 +173,7 @@ def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path
 
 
 def find_inputs(crate: Crate, recordings: Path | None, progress: Progress | None) -> dict[str, Path]:
-    """Return the inputs on this machine by their places; every one has the bytes that the crate says.
-
-    Parameters
-    ----------
-    crate
-        The crate.
-    recordings
-        Folder with the recordings that the crate does not contain; it is searched with all folders inside.
-    progress
-        Shows the addresses from which missing recordings are then fetched; None: they are not fetched.
-
-    Raises
-    ------
-    FrictrackError
-        If an input is missing or has other bytes than when the results were computed.
-
-    """
+    """Return the inputs on this machine by their places; every one has the bytes that the crate says."""
     found: dict[str, Path] = {}
     missing: list[str] = []
     changed: list[str] = []

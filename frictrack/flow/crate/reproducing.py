@@ -134,19 +134,6 @@ def compare_files(
 ) -> list[GroupComparison]:
     """Compare all groups of all files.
 
-    Parameters
-    ----------
-    stored, computed
-        By name of the file, what `frictrack.flow.stored_values` returns.
-    exact
-        Whether numbers have to be equal bit for bit; else to a relative `RELATIVE_TOLERANCE`, and `APPROXIMATE` ones
-        to theirs.
-
-    Returns
-    -------
-    list of GroupComparison
-        One per group that is in either copy, in the order of the stored ones.
-
     Examples
     --------
     >>> stored = {"a.h5": {"track": {"x": [1.0, 2.0]}}}
@@ -164,11 +151,6 @@ def compare_files(
 
 def tolerance_of(name: str) -> float:
     """Return the relative difference that is allowed of a value on another platform.
-
-    Parameters
-    ----------
-    name
-        Name of the value, as `frictrack.flow.stored_values` has it.
 
     Examples
     --------
@@ -316,11 +298,6 @@ def _unpacked(path: Path, out: Path, progress: Progress) -> Crate:
 
 def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> list[dict[str, str]]:
     """Return the versions that differ between the crate and this machine.
-
-    Parameters
-    ----------
-    stored, present
-        Versions by name; see `platform_versions`.
 
     Examples
     --------

@@ -23,14 +23,7 @@ _STRINGS_PER_READ = 64  # strings read at a time
 
 
 def read_array(dataset: Any) -> Any:
-    """Read the array of a dataset: numbers, an array of strings, or one string.
-
-    Raises
-    ------
-    ValueError
-        For what frictrack never writes; see `check_size`.
-
-    """
+    """Read the array of a dataset: numbers, an array of strings, or one string."""
     check_size(dataset)
     text = h5py.check_string_dtype(dataset.dtype)
     if text is None:
@@ -41,15 +34,7 @@ def read_array(dataset: Any) -> Any:
 
 
 def check_size(dataset: Any) -> None:
-    """Check what a dataset declares before it is read.
-
-    Raises
-    ------
-    ValueError
-        For data in another file, for types other than numbers and strings, and for an array or a chunk that is larger
-        than the bytes of the file can decompress to.
-
-    """
+    """Check what a dataset declares before it is read."""
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
         raise ValueError("expected an array in this very file")
     if h5py.check_string_dtype(dataset.dtype) is None and dataset.dtype.kind not in "biuf":
@@ -77,16 +62,7 @@ def _strings(dataset: Any, most: float) -> Any:
 
 
 def check_visited_once(item: Any, met: set[int]) -> None:
-    """Raise ValueError if a group was visited before: groups inside themselves or each other would never end.
-
-    Parameters
-    ----------
-    item
-        A group or a dataset.
-    met
-        Addresses of the objects that were visited; this one is added.
-
-    """
+    """Raise ValueError if a group was visited before: groups inside themselves or each other would never end."""
     address = h5py.h5o.get_info(item.id).addr
     if address in met:
         raise ValueError(f"expected every group in one place but {item.name} is in several")
@@ -130,21 +106,7 @@ def drop_checksums(file: h5py.File, name: str) -> None:
 
 
 def wrong_checksums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None) -> Iterator[tuple[str, str]]:
-    """Find everything whose content differs from its checksum, or that cannot be read.
-
-    Parameters
-    ----------
-    item
-        A group or a dataset.
-    met
-        Addresses of the groups that were visited already.
-
-    Yields
-    ------
-    tuple of (str, str)
-        Name of the innermost object with the fault, and the fault.
-
-    """
+    """Find everything whose content differs from its checksum, or that cannot be read."""
     met = set() if met is None else met
     try:
         check_visited_once(item, met)
@@ -171,21 +133,7 @@ def _wrong_child(group: h5py.Group, name: str, met: set[int]) -> Iterator[tuple[
 
 
 def array_checksum(value: np.ndarray[Any, Any], attributes: Mapping[str, Any]) -> str:
-    """Compute the checksum of a dataset from what is written into it, so that it need not be read again.
-
-    Parameters
-    ----------
-    value
-        The array as it is stored.
-    attributes
-        Attributes of the dataset.
-
-    Returns
-    -------
-    str
-        The checksum that `add_checksums` would compute.
-
-    """
+    """Compute the checksum of a dataset from what is written into it, so that it need not be read again."""
     return _digest(_coded(value[()] if value.ndim == 0 else value, value.dtype), attributes)
 
 

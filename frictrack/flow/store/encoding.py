@@ -67,23 +67,7 @@ def new_group(parent: h5py.Group, name: str) -> h5py.Group:
 
 
 def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Write a record or a dictionary into an empty group, and its checksum.
-
-    Parameters
-    ----------
-    group
-        The group.
-    content
-        The record, or the values by name.
-    attributes
-        More attributes of the group.
-
-    Returns
-    -------
-    str
-        The checksum.
-
-    """
+    """Write a record or a dictionary into an empty group, and its checksum."""
     group.attrs.update(attributes)
     inside = {}
     if is_dataclass(content):
@@ -131,23 +115,7 @@ def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **att
 
 
 def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
-    """Read everything in a group as a dictionary, without the provenance.
-
-    Parameters
-    ----------
-    group
-        The group.
-    met
-        Addresses of the groups that were read already, against groups inside themselves.
-    without
-        Names of members that are left out.
-
-    Raises
-    ------
-    ValueError
-        For content that frictrack never writes.
-
-    """
+    """Read everything in a group as a dictionary, without the provenance."""
     met = set() if met is None else met
     check_visited_once(group, met)
     own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}

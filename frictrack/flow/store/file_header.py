@@ -35,18 +35,7 @@ _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 def header_of(hdf5: bytes | memoryview, version: str, sign: Callable[[memoryview], str] | None = None) -> bytes:
-    """Return the header of a finished HDF5 part.
-
-    Parameters
-    ----------
-    hdf5
-        What follows the header in the file.
-    version
-        Version of frictrack that writes it.
-    sign
-        Returns the signature of the checked bytes, or "" for none.
-
-    """
+    """Return the header of a finished HDF5 part."""
     checked = memoryview(hdf5)[CHECKSUM_START - HEADER_BYTES :]
     signature = sign(checked) if sign else ""
     first = f"frictrack results, schema {SCHEMA}, written by {version}" + (f", mark {signature}" if signature else "")
@@ -75,16 +64,7 @@ def lacks_header(path: Path) -> bool:
 
 
 def is_intact(path: Path, *, reread: bool = False) -> bool:
-    """Return whether a file holds the bytes that were written.
-
-    Parameters
-    ----------
-    path
-        The file. A state of it that was checked before is not read again.
-    reread
-        Read it in any case.
-
-    """
+    """Return whether a file holds the bytes that were written."""
     check = _is_intact.__wrapped__ if reread else _is_intact
     return check(path, *file_state(path))
 

@@ -261,23 +261,7 @@ def _migrated(path: Path, *_: int) -> h5py.File:
 
 
 def check_header(path: Path, *, reread: bool = False) -> None:
-    """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema.
-
-    Parameters
-    ----------
-    path
-        The file.
-    reread
-        Read the whole file even if the same state of it was checked before.
-
-    Raises
-    ------
-    FrictrackError
-        If the bytes or the schema are wrong.
-    OSError
-        If the file cannot be read.
-
-    """
+    """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema."""
     header = read_header(path)
     if header is None and lacks_header(path):
         return  # of schema 1, or another program's

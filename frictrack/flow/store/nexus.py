@@ -30,16 +30,7 @@ STAGES = ("displacement", "track")
 
 
 def mark_data(group: h5py.Group, kind: Any) -> None:
-    """Mark a group that holds a record with one row per frame as NXdata.
-
-    Parameters
-    ----------
-    group
-        The group with its datasets, before its checksum is written.
-    kind
-        Type of the record; its `signals` are the columns to draw. Those that were not measured are left out.
-
-    """
+    """Mark a group that holds a record with one row per frame as NXdata."""
     signals = [name for name in getattr(kind, "signals", ()) if isinstance(group.get(name), h5py.Dataset)]
     if AXIS not in group or not signals:
         return

@@ -91,14 +91,7 @@ def _opens_in_sandbox(path: Path, *_: int) -> bool:
 
 
 def run_sandbox_process(found: Callable[[Path], Any]) -> None:
-    """Check files for the parent process: paths in lines on stdin, faults in lines on stdout, until stdin closes.
-
-    Parameters
-    ----------
-    found
-        Returns the faults of a file as an object for JSON.
-
-    """
+    """Check files for the parent process: paths in lines on stdin, faults in lines on stdout, until stdin closes."""
     limit_memory(MAX_MEMORY_BYTES)
     sys.stdout.write(READY)
     sys.stdout.flush()

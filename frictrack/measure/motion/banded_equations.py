@@ -181,23 +181,7 @@ class FactoredPart(EquationPart):
         return float(np.sum(np.log(np.abs(self.bands[2 * len(self.after)]))))
 
     def solve(self, right: Array, carried: Array | float, following: Array | float = 0.0) -> Array:
-        """Solve for the unknowns of this part.
-
-        Parameters
-        ----------
-        right
-            Right-hand sides, (size, ...), overwritten.
-        carried
-            `carry` of the part before.
-        following
-            Equations of the first unknowns after this part times their values, (band, ...); 0 without them.
-
-        Returns
-        -------
-        Array
-            The unknowns, (size, ...).
-
-        """
+        """Solve for the unknowns of this part."""
         band = len(self.after)
         right[:band] -= carried
         right[-band:] -= following
@@ -285,20 +269,6 @@ class BlockEquations:
 
     def variances(self, own: slice, place: Index, weights: Array) -> Array:
         """Compute variances of linear combinations of unknowns that lie at most one block apart.
-
-        Parameters
-        ----------
-        own
-            Those of the matrices that count.
-        place
-            Unknowns of each combination, (n, p).
-        weights
-            Q sets of weights, (Q, n, p).
-
-        Returns
-        -------
-        Array
-            Variances, (F, Q, n).
 
         References
         ----------

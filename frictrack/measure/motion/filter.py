@@ -404,23 +404,7 @@ def _without_cubic(y: Array, w: Array) -> tuple[Array, Array]:
 
 
 def sensor_weights(sigma: Array, square: float, level: float) -> Array:
-    """Compute the weights of second differences of the position from a sensor's accelerations.
-
-    Parameters
-    ----------
-    sigma
-        Standard deviations of the accelerations, m/s^2; inf where unknown.
-    square
-        Squared frame interval, s^2.
-    level
-        Standard deviation of a position of weight 1, m.
-
-    Returns
-    -------
-    Array
-        Weights relative to a frame of weight 1, shape of `sigma`.
-
-    """
+    """Compute the weights of second differences of the position from a sensor's accelerations."""
     return np.asarray((level / (sigma * square)) ** 2)
 
 

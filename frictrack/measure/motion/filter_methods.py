@@ -342,21 +342,7 @@ class Smoother:
 
 
 def describe_structure(smoother: Smoother, interval: float) -> str:
-    """Describe the components of a record in words.
-
-    Parameters
-    ----------
-    smoother
-        Trend, lines, events, forces and noise.
-    interval
-        Frame interval, s.
-
-    Returns
-    -------
-    str
-        Cut-offs of the trend, lines, forces, events and correlated noise.
-
-    """
+    """Describe the components of a record in words."""
     structure, colour = smoother.structure, smoother.colour
     assert structure is not None
     cutoffs = [cutoff_of(float(np.exp(s)), interval) for s in structure.stiffness]

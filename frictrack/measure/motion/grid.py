@@ -129,18 +129,6 @@ def stencil_weights(n: int, interval: float, frames: slice = slice(None)) -> Arr
 def stencil_derivatives(y: Array, interval: float) -> Array:
     """Compute derivatives of order 0, 1 and 2.
 
-    Parameters
-    ----------
-    y
-        Series, (n,).
-    interval
-        Frame interval, s.
-
-    Returns
-    -------
-    Array
-        Derivatives, (3, n).
-
     Examples
     --------
     >>> stencil_derivatives(np.arange(8.0) ** 2, 1.0)[2].round(9).tolist()

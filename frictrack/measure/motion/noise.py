@@ -273,17 +273,6 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
     """Find correlated noise that the full spectrum of one stretch suggests.
 
     At low frequencies a motion can look like such noise; the likelihood of the smoother has to confirm it.
-
-    Parameters
-    ----------
-    stretch
-        Evenly spaced positions, m, (n,).
-
-    Returns
-    -------
-    CorrelatedNoise or None
-        None if white noise explains the spectrum.
-
     """
     own = [NoiseStretch(stretch)]
     n_shapes = _n_resolved(own)
@@ -413,12 +402,6 @@ def _fit_sizes(powers: Sequence[Array], noises: Sequence[Array], motions: Sequen
 
     All stretches are updated at once: shorter spectra are filled with zeros, and the model there with ones, which adds
     nothing to the sums over frequencies.
-
-    Returns
-    -------
-    sizes, losses : array of shape (k, R, K), (k, R)
-        Sizes of the noise and the K - 1 motions; negative log-likelihood.
-
     """
     power, noise, motion = _filled(powers)[:, None], _filled(noises), _filled(motions)
     filling = 1.0 - _filled([np.ones_like(p) for p in powers])[:, None]

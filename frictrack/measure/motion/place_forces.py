@@ -102,23 +102,7 @@ class _Regression:
 
 
 def place_force_errors(factor: FactoredSmoother, course: Course, forces: Sequence[PlaceForce]) -> Iterator[Array]:
-    """Yield changes of x, v and a, (3, n), by one standard deviation of independent combinations of the parameters.
-
-    Parameters
-    ----------
-    factor
-        Smoother of all else.
-    course
-        Places of the n frames.
-    forces
-        The forces.
-
-    Yields
-    ------
-    Array
-        Changes for unit noise, (3, n); their squares add.
-
-    """
+    """Yield changes of x, v and a, (3, n), by one standard deviation of independent combinations of the parameters."""
     if forces:
         columns = np.concatenate([course.columns(np.array([f.period for f in forces])), course.slopes(forces)], axis=1)
         columns /= np.linalg.norm(columns, axis=0)  # the information is then well conditioned
@@ -131,23 +115,7 @@ def place_force_errors(factor: FactoredSmoother, course: Course, forces: Sequenc
 def find_place_forces(
     data: SmootherData, structure: Structure, course: Course
 ) -> tuple[tuple[PlaceForce, ...], Structure]:
-    """Add forces that are periodic in place while the likelihood gains more than their parameters would by chance.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames, without their cubic.
-    structure
-        Structure of the highest likelihood without such forces.
-    course
-        Places of the frames.
-
-    Returns
-    -------
-    tuple
-        The forces, and the structure of all else.
-
-    """
+    """Add forces that are periodic in place while the likelihood gains more than their parameters would by chance."""
     n = len(data.w)
     forces: tuple[PlaceForce, ...] = ()
     cost = LINE_COST * np.log(data.count) + 2.0 * np.log(n / 2.0)  # as `undetectable_amplitude` has it

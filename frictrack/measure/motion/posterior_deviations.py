@@ -81,19 +81,7 @@ def line_frequency_errors(factor: FactoredSmoother, x: Array, interval: float) -
 
 
 def weighted_cubic(y: Array, w: Array) -> Array:
-    """Fit a weighted least-squares cubic; smoothers leave it unchanged, but it would cost digits.
-
-    Parameters
-    ----------
-    y, w
-        Values and their weights, (n,) each.
-
-    Returns
-    -------
-    Array
-        The cubic, (n,).
-
-    """
+    """Fit a weighted least-squares cubic; smoothers leave it unchanged, but it would cost digits."""
     u = np.linspace(-1.0, 1.0, len(y))
     triangle: Array = np.empty((0, TREND_ORDER + 1))  # of the QR factors of the frames so far
     for first in range(0, len(y), CUBIC_FRAMES):

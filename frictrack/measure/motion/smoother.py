@@ -373,23 +373,7 @@ def variances_of(
     stencils: Stencils,
     combine: Callable[[Array, slice], Array] = lambda found, _: found,
 ) -> Array:
-    """Posterior variances of several smoothers of the same frames at once.
-
-    Parameters
-    ----------
-    factors
-        F smoothers with the same unknowns.
-    start, stencils
-        As in `FactoredSmoother.variances`.
-    combine
-        Function of the variances (F, ..., m) of a slice of rows that returns what is wanted of them.
-
-    Returns
-    -------
-    Array
-        Variances for unit noise, (F, ..., n), or what is wanted of them.
-
-    """
+    """Posterior variances of several smoothers of the same frames at once."""
     factors = [replace(f, min_weight=MISSING_WEIGHT) for f in factors]
     signal = 1 + factors[0].k  # components
     out: Array | None = None

@@ -15,18 +15,6 @@ TREND_ORDER = 4  # order of the difference that the trend keeps small; it has as
 def penalty(cutoff: float, interval: float) -> float:
     """Penalty lambda at which half of the amplitude passes at a cut-off.
 
-    Parameters
-    ----------
-    cutoff
-        Frequency, Hz.
-    interval
-        Frame interval, s.
-
-    Returns
-    -------
-    float
-        Lambda, in units of the weight of one frame.
-
     Examples
     --------
     >>> round(cutoff_of(penalty(50.0, 1e-3), 1e-3), 9)
@@ -89,19 +77,7 @@ class NoiseColour:
         return float((n - 1) * np.log(self.shocks) + np.log(self.share) + measured * np.log(1.0 - self.share))
 
     def sample(self, white: Array, driving: Array) -> Array:
-        """Generate such noise.
-
-        Parameters
-        ----------
-        white, driving
-            Two white series of unit variance, (n, ...) each.
-
-        Returns
-        -------
-        Array
-            Noise of unit variance, (n, ...).
-
-        """
+        """Generate such noise."""
         innovations = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
         return np.asarray(
             np.sqrt(1.0 - self.share) * white

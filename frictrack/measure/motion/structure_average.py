@@ -61,21 +61,7 @@ class ChangeGroup:
 
 
 def alternatives(data: SmootherData, structure: Structure) -> tuple[ChangeGroup, ...]:
-    """Find the changes of a structure that the data do not exclude.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames, without their cubic.
-    structure
-        Structure of the highest likelihood.
-
-    Returns
-    -------
-    tuple of ChangeGroup
-        Groups of weighted changes.
-
-    """
+    """Find the changes of a structure that the data do not exclude."""
     groups = [_weigh_changes(data, structure, list(changes)) for changes in _changes(structure, len(data.w))]
     return tuple(g for g in groups if g is not None and g.changes)
 
@@ -184,23 +170,7 @@ def _fade(group: ChangeGroup, n: int) -> Array:
 
 
 def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) -> Array:
-    """Change of the signal of the best structure by the average.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames.
-    s
-        Best structure.
-    groups
-        Weighted changes by `alternatives`.
-
-    Returns
-    -------
-    Array
-        Change, in the unit of the data, (n,).
-
-    """
+    """Change of the signal of the best structure by the average."""
     out = np.zeros(len(data.w))
     for g in groups:
         out[g.first : g.stop] += np.array([c.weight for c in g.changes]) @ _signal_changes(data, s, g)
@@ -210,23 +180,7 @@ def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) 
 def added_variances(
     data: SmootherData, s: Structure, groups: Sequence[ChangeGroup], interval: float
 ) -> Iterator[tuple[slice, Array]]:
-    """Yield the frames of each group, and the variance of x, v and a that the average adds there.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames, in units of the noise.
-    s, groups
-        As in `mean_shift`.
-    interval
-        Frame interval, s.
-
-    Yields
-    ------
-    tuple of slice and Array
-        m frames, and their variances, (3, m).
-
-    """
+    """Yield the frames of each group, and the variance of x, v and a that the average adds there."""
     for g in groups:
         weights = np.array([c.weight for c in g.changes])
         moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])

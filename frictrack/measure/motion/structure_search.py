@@ -45,16 +45,6 @@ def undetectable_amplitude(n: int) -> float:
 
     A line gains n A^2 / 2 in twice the log-likelihood; it costs its parameters and the volume of its amplitudes.
 
-    Parameters
-    ----------
-    n
-        Number of frames.
-
-    Returns
-    -------
-    float
-        Amplitude over the standard deviation of a frame.
-
     Examples
     --------
     >>> round(undetectable_amplitude(1000), 3)
@@ -111,14 +101,7 @@ class StructureSearch:
         return self.refine(ScoredStructure(best, self.loss(best))).structure
 
     def search(self) -> Structure:
-        """Add the change that gains most until nothing gains more than it costs.
-
-        Returns
-        -------
-        Structure
-            The structure, with all continuous parameters refined.
-
-        """
+        """Add the change that gains most until nothing gains more than it costs."""
         knotted = self._best(self._with_more_knots(self.stiff))
         state = self.refine(
             knotted if np.isfinite(knotted.loss) else ScoredStructure(self.stiff, self.loss(self.stiff)), TRIAL_STEPS
@@ -255,21 +238,7 @@ class StructureSearch:
                 yield replace(s, events=(*s.events, Event(first, first + width - 1, boost + stiffer)))
 
     def refine(self, g: ScoredStructure, steps: int = MAX_STEPS) -> ScoredStructure:
-        """Refine all continuous parameters to the next maximum of the likelihood (L-BFGS-B).
-
-        Parameters
-        ----------
-        g
-            Structure to start from.
-        steps
-            Iterations at most.
-
-        Returns
-        -------
-        ScoredStructure
-            The refined structure and its loss.
-
-        """
+        """Refine all continuous parameters to the next maximum of the likelihood (L-BFGS-B)."""
         if not np.isfinite(g.loss):
             return g
         s, limits = g.structure, self._bounds(g.structure)
@@ -347,19 +316,7 @@ class RecordWindow:
 
 
 def find_structure(data: SmootherData) -> Structure:
-    """Find the structure of the highest likelihood.
-
-    Parameters
-    ----------
-    data
-        Measurements of n frames, from which a cubic was subtracted.
-
-    Returns
-    -------
-    Structure
-        Trend, lines and events.
-
-    """
+    """Find the structure of the highest likelihood."""
     if len(data.w) <= MAX_WHOLE_FRAMES:
         return StructureSearch(data).search()
     windows = list(_windows(data))
@@ -383,21 +340,7 @@ def _windows(data: SmootherData) -> Iterator[RecordWindow]:
 
 
 def window_data(data: SmootherData, first: int, stop: int) -> SmootherData | None:
-    """Cut a window out of the data and subtract its own cubic.
-
-    Parameters
-    ----------
-    data
-        Measurements.
-    first, stop
-        First frame and stop (exclusive).
-
-    Returns
-    -------
-    SmootherData or None
-        None if fewer than `MIN_MEASURED_FRAMES` were measured.
-
-    """
+    """Cut a window out of the data and subtract its own cubic."""
     part = data.part(first, stop)
     if np.sum(part.w > 0) < MIN_MEASURED_FRAMES:
         return None

@@ -96,16 +96,7 @@ def describe(name: str) -> str:
 
 
 def curve_columns(run: RunResults, own: ModelledMotion | None) -> list[Column]:
-    """Return time, displacement, motion and friction of one run, with the motion by the current model.
-
-    Parameters
-    ----------
-    run
-        The run.
-    own
-        Its motion by the current model. Frames that were not fitted are NaN.
-
-    """
+    """Return time, displacement, motion and friction of one run, with the motion by the current model."""
     t = run.displacement.t
     found = [Column("t", t, "s"), Column("x_measured", run.displacement.x, "m")]
     for record in (run.motion, run.friction):
@@ -121,14 +112,7 @@ def curve_columns(run: RunResults, own: ModelledMotion | None) -> list[Column]:
 
 
 def all_columns(run: RunResults, own: ModelledMotion | None) -> list[Column]:
-    """Return all that is known of a run at the frames of its displacement: `curve_columns`, and how it was measured.
-
-    Parameters
-    ----------
-    run, own
-        As for `curve_columns`.
-
-    """
+    """Return all that is known of a run at the frames of its displacement: `curve_columns`, and how it was measured."""
     curves = curve_columns(run, own)
     measured = _columns_of(run.displacement, _RENAMED_DISPLACEMENT)
     return _each_once([curves[0], *measured, *_columns_of(run.sensors, _RENAMED_SENSORS), *curves[1:]])
@@ -224,14 +208,7 @@ SUMMARIES = ("parameters", "errors", "budget")
 
 
 def plain_tables(results: Results) -> dict[str, pd.DataFrame]:
-    """Return the curves of every run with units in the headers, then the summaries, by name of the table.
-
-    Parameters
-    ----------
-    results
-        Results of a study.
-
-    """
+    """Return the curves of every run with units in the headers, then the summaries, by name of the table."""
     own = own_motion(results)
     tables = {_table_name(run.name): _with_units(curve_columns(run, own.get(run.name))) for run in results.runs}
     return tables | summary_tables(results)

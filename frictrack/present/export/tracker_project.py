@@ -60,25 +60,6 @@ def tracker_axes(track: Track, displacement: Displacement) -> TrackerAxes | None
     """Compute the axes that map the positions in the picture to the measured displacement.
 
     They are fitted by least squares: exact for one scale over the whole picture, else the best that Tracker can hold.
-
-    Parameters
-    ----------
-    track
-        Track of the target.
-    displacement
-        Its displacement, at all or some of the frames.
-
-    Returns
-    -------
-    TrackerAxes or None
-        None for a target that does not move.
-
-    Notes
-    -----
-    With picture points z = x_px - i y_px and places w = x + i y, the map is w = c z + d: the scale is 1/abs(c), the
-    angle that of 1/c, and the origin -d/c. Source: ``ImageCoordSystem.updateTransforms`` of
-    github.com/OpenSourcePhysics/osp.
-
     """
     rows = np.searchsorted(track.t, displacement.t - MAX_TIME_DIFFERENCE_S)
     z = track.x_px[rows] + PIXEL_CENTRE - 1j * (track.y_px[rows] + PIXEL_CENTRE)

@@ -117,11 +117,6 @@ def read_as_printed(source: PrintedLaw) -> Array:
 def law_by_name(name: str) -> PaperLaw:
     """Get a law by name.
 
-    Raises
-    ------
-    FrictrackError
-        If the name is not "tustin", "atm1:n" or "atm2:n" (usage).
-
     Examples
     --------
     >>> law_by_name("atm1:1").names
@@ -138,21 +133,7 @@ def law_by_name(name: str) -> PaperLaw:
 
 
 def read_printed(printed: PrintedLaw, unit: str) -> Array:
-    """Convert printed parameters.
-
-    Parameters
-    ----------
-    printed
-        A printed law.
-    unit
-        Time unit of its angular frequencies, a key of `UNITS`.
-
-    Returns
-    -------
-    Array
-        Parameters with frequencies in Hz, (d,).
-
-    """
+    """Convert printed parameters."""
     out = np.array(printed.values)
     for i, name in enumerate(law_by_name(printed.law).names):
         if name.startswith("f") and name[-1].isdigit():
@@ -161,19 +142,7 @@ def read_printed(printed: PrintedLaw, unit: str) -> Array:
 
 
 def to_effects(law: PaperLaw, p: Array) -> tuple[Model, Values]:
-    """Express a law of the papers by effects of frictrack, for the simulator.
-
-    Parameters
-    ----------
-    law, p
-        The law and its parameters (d,), frequencies in Hz.
-
-    Returns
-    -------
-    tuple
-        Model, and values by effect; there F_s is the rise above F_c.
-
-    """
+    """Express a law of the papers by effects of frictrack, for the simulator."""
     kind, _, order = law.name.partition(":")
     q = dict(zip(law.names, map(float, p), strict=True))
     n = int(order or 0)

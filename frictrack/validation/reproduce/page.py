@@ -153,19 +153,7 @@ def svg_text(figure: Any) -> str:
 
 
 def render_page(reproduction: Reproduction) -> str:
-    """Render the page as HTML.
-
-    Parameters
-    ----------
-    reproduction
-        What to show.
-
-    Returns
-    -------
-    str
-        A page that needs no other file.
-
-    """
+    """Render the page as HTML."""
     draw = SvgEmbedder()
     return page_template("page.html.j2", "validation/reproduce").render(
         parts=reproduction.parts,
@@ -187,16 +175,6 @@ def as_text(table: ResultTable) -> dict[str, Any]:
 
 def format_cell(cell: Cell) -> str:
     """Format a cell; numbers get four digits.
-
-    Parameters
-    ----------
-    cell
-        Number, text or None.
-
-    Returns
-    -------
-    str
-        Text of the cell.
 
     Examples
     --------

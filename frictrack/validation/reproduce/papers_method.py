@@ -79,19 +79,7 @@ class AccelerationSeries:
 
 
 def measure_series(runs: Sequence[Run]) -> AccelerationSeries:
-    """Join the motion of runs of one mass end to end, without one period of the cut-off at each end.
-
-    Parameters
-    ----------
-    runs
-        Runs whose motion was filtered and differentiated.
-
-    Returns
-    -------
-    AccelerationSeries
-        Time, velocity and acceleration of all runs.
-
-    """
+    """Join the motion of runs of one mass end to end, without one period of the cut-off at each end."""
     parts = []
     for run in runs:
         motion = run.motion
@@ -108,19 +96,7 @@ def search_bounds(law: PaperLaw) -> Array:
 
 
 def misfit(law: PaperLaw, series: AccelerationSeries) -> Callable[[Array], Array]:
-    """Build the error function that the searches minimise, in single precision.
-
-    Parameters
-    ----------
-    law, series
-        The law, and the series to explain.
-
-    Returns
-    -------
-    callable
-        Function of parameter sets (P, d) that returns sums of squared acceleration residuals (P,), m^2/s^4.
-
-    """
+    """Build the error function that the searches minimise, in single precision."""
     t, v, a = series.single
     weight = np.float32(1 / series.mass)
 
@@ -134,21 +110,7 @@ def misfit(law: PaperLaw, series: AccelerationSeries) -> Callable[[Array], Array
 
 
 def squared_error(law: PaperLaw, p: Array, series: AccelerationSeries) -> float:
-    """Compute the papers' error of one parameter set, in double precision.
-
-    Parameters
-    ----------
-    law, series
-        The law, and the series to explain.
-    p
-        Parameters, (d,).
-
-    Returns
-    -------
-    float
-        Sum of squared acceleration residuals, m^2/s^4.
-
-    """
+    """Compute the papers' error of one parameter set, in double precision."""
     residual = series.a + law.force(p[None], series.v, series.t)[0] / series.mass
     return float(residual @ residual)
 
@@ -156,25 +118,7 @@ def squared_error(law: PaperLaw, p: Array, series: AccelerationSeries) -> float:
 def search_parameters(
     law: PaperLaw, series: AccelerationSeries, method: str, *, seed: int, budget: int, bounds: Array | None = None
 ) -> SearchResult:
-    """Search all parameters by one method of the papers, without refinement.
-
-    Parameters
-    ----------
-    law, series
-        The law, and the series to explain.
-    method
-        Search of `frictrack.search`, such as "mga".
-    seed, budget
-        Seed and number of evaluations.
-    bounds
-        Bounds (d, 2); by default those of `search_bounds`.
-
-    Returns
-    -------
-    SearchResult
-        What the search found.
-
-    """
+    """Search all parameters by one method of the papers, without refinement."""
     bounds_of_search = search_bounds(law) if bounds is None else bounds
     rng = np.random.default_rng(seed)
     return minimise(misfit(law, series), bounds_of_search, method=method, rng=rng, max_evaluations=budget)
@@ -188,23 +132,6 @@ def lowest_error_parameters(
     Differential evolution searches the non-linear parameters, least squares solves for the others (variable projection;
     Golub & Pereyra 1973, SIAM J. Numer. Anal. 10). The optima and `starts` are then refined within the bounds. For ATM2
     a lower error may exist.
-
-    Parameters
-    ----------
-    law, series
-        The law, and the series to explain.
-    starts
-        Further parameter sets to refine, (d,) each.
-    rng
-        Source of the search.
-    budget
-        Evaluations; a third of it per non-linear parameter and search.
-
-    Returns
-    -------
-    Array
-        Parameters, (d,).
-
     """
     thinned = series.thinned()
     optima = [p for reduction in law.reductions for p in _reduced_optima(law, reduction, thinned, rng, budget)]
@@ -250,21 +177,7 @@ def _full_parameters(reduction: Reduction, series: AccelerationSeries, q: Array)
 
 
 def refine_parameters(law: PaperLaw, series: AccelerationSeries, start: Array) -> Array:
-    """Refine parameters to the next minimum of the error within the bounds, by least squares.
-
-    Parameters
-    ----------
-    law, series
-        The law, and the series to explain.
-    start
-        Parameters to start from, (d,).
-
-    Returns
-    -------
-    Array
-        Refined parameters, (d,).
-
-    """
+    """Refine parameters to the next minimum of the error within the bounds, by least squares."""
     low, high = search_bounds(law).T
     width = high - low
     inside = np.clip(start, low + 1e-6 * width, high - 1e-6 * width)
@@ -317,19 +230,7 @@ class Identification:
         return self.found[int(np.argmin(self.errors))]
 
     def acceleration(self, p: Array) -> Array:
-        """Acceleration of the law along the series.
-
-        Parameters
-        ----------
-        p
-            Parameters, (d,).
-
-        Returns
-        -------
-        Array
-            Acceleration, m/s^2, (n,).
-
-        """
+        """Acceleration of the law along the series."""
         out: Array = -self.law.force(p[None], self.data.v, self.data.t)[0] / self.data.mass
         return out
 
@@ -337,25 +238,7 @@ class Identification:
 def identify(
     law: PaperLaw, data: AccelerationSeries, effort: Effort, rng: np.random.Generator, method: str = "mga"
 ) -> Identification:
-    """Identify a law by the papers' search.
-
-    Parameters
-    ----------
-    law, data
-        The law, and the series to explain.
-    effort
-        Number of seeds and evaluations.
-    rng
-        Source of the search for the lowest error.
-    method
-        Search of `frictrack.search`.
-
-    Returns
-    -------
-    Identification
-        Parameters of each seed, and those of the lowest error known.
-
-    """
+    """Identify a law by the papers' search."""
     found = tuple(
         search_parameters(law, data, method, seed=i, budget=effort.budget).x for i in range(effort.identified)
     )
@@ -364,14 +247,7 @@ def identify(
 
 
 def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
-    """Build a mechanism of neither law: the beam's vibration modulates dry friction, and there is a collision.
-
-    Returns
-    -------
-    tuple
-        Model, and parameter values by effect.
-
-    """
+    """Build a mechanism of neither law: the beam's vibration modulates dry friction, and there is a collision."""
     p = dict(zip(laws.tustin().names, printed.ATM1["low"].values[:4], strict=True))
     model = models.of(["coulomb", "stribeck", "viscous", "load_modulation", "collision"])
     return model, {
@@ -384,21 +260,7 @@ def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
 
 
 def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, SyntheticRecording]:
-    """Simulate the recordings of one speed group.
-
-    Parameters
-    ----------
-    group
-        "low" or "high".
-    rng
-        Source of the noise.
-
-    Returns
-    -------
-    dict
-        Recordings from the ATM1 tables, from the ATM2 tables, and from neither model.
-
-    """
+    """Simulate the recordings of one speed group."""
     speed = printed.ATM1[group].speed or 0.0
     return {
         "ATM1 tables": recordings.record_printed(printed.ATM1[group], TIME_UNITS["ATM1"], BEAM, rng),

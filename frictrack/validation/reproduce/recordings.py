@@ -47,25 +47,7 @@ class SyntheticRecording:
 
 
 def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator) -> SyntheticRecording:
-    """Simulate a recording of a printed law.
-
-    Parameters
-    ----------
-    source
-        The printed law.
-    unit
-        Time unit of its frequencies, a key of `laws.UNITS`.
-    bench
-        Mass and field of view.
-    rng
-        Source of the noise.
-
-    Returns
-    -------
-    SyntheticRecording
-        Measured run and true motion.
-
-    """
+    """Simulate a recording of a printed law."""
     law = laws.law_by_name(source.law)
     return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, start_speed(source, bench), rng)
 
@@ -78,25 +60,7 @@ def start_speed(source: PrintedLaw, bench: TestRig) -> float:
 def record_with_dither(
     static: PrintedLaw, sines: PrintedLaw, share: float, speed: float, rng: np.random.Generator
 ) -> SyntheticRecording:
-    """Simulate a recording of a printed Tustin model plus a share of printed sines.
-
-    Parameters
-    ----------
-    static, sines
-        Printed Tustin model, and printed law with sines (frequencies per sample).
-    share
-        Share of the amplitudes of the sines.
-    speed
-        Start speed, m/s.
-    rng
-        Source of the noise.
-
-    Returns
-    -------
-    SyntheticRecording
-        Measured run and true motion.
-
-    """
+    """Simulate a recording of a printed Tustin model plus a share of printed sines."""
     p = laws.read_printed(sines, "sample")
     p[:4] = static.values
     p[4::3] *= share
@@ -106,25 +70,7 @@ def record_with_dither(
 def record_law(
     model: Model, values: Values, bench: TestRig, speed: float, rng: np.random.Generator
 ) -> SyntheticRecording:
-    """Simulate a recording of any law: motion in view, white tracking noise, and the papers' filter and differences.
-
-    Parameters
-    ----------
-    model, values
-        The law, and its parameters by effect.
-    bench
-        Mass and field of view.
-    speed
-        Start speed, m/s.
-    rng
-        Source of the noise.
-
-    Returns
-    -------
-    SyntheticRecording
-        Measured run and true motion.
-
-    """
+    """Simulate a recording of any law: motion in view, white tracking noise, and the papers' filter and differences."""
     trajectory = _simulate_in_view(model, values, bench, speed)
     n = len(trajectory.t)
     nan = np.full(n, np.nan)
@@ -161,21 +107,6 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
 
     Curves as the papers describe them have several cycles of a dither in a slide of 0.1 to 0.3 s that brakes the mass,
     and no sine above a tenth of the frame rate, which the low-pass would remove.
-
-    Parameters
-    ----------
-    source
-        The printed law.
-    unit
-        Time unit of its frequencies, a key of `laws.UNITS`.
-    bench
-        Mass; the field of view is not limited here.
-
-    Returns
-    -------
-    dict
-        Duration, share of the speed lost, range of frequencies, cycles, mean force, and "described".
-
     """
     law = laws.law_by_name(source.law)
     p = laws.read_printed(source, unit)

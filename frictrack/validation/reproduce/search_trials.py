@@ -42,18 +42,6 @@ N_BOOTSTRAP = 4000
 def mean_interval(x: Array, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of a mean.
 
-    Parameters
-    ----------
-    x
-        Values, (n,).
-    rng
-        Source of the resampling.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper limit.
-
     References
     ----------
     Efron 1979, Ann. Statist. 7: percentiles of the bootstrap.
@@ -65,62 +53,20 @@ def mean_interval(x: Array, rng: np.random.Generator) -> tuple[float, float]:
 
 
 def change_interval(x: Array, base: Array, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of a relative change of means, from bootstrap percentiles.
-
-    Parameters
-    ----------
-    x, base
-        Values of both methods, (n,) and (m,).
-    rng
-        Source of the resampling.
-
-    Returns
-    -------
-    tuple of float
-        Limits of mean(x)/mean(base) - 1.
-
-    """
+    """95 % interval of a relative change of means, from bootstrap percentiles."""
     ratio = _bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1
     low, high = np.percentile(ratio, [2.5, 97.5])
     return float(low), float(high)
 
 
 def probability_by_chance(base: Array, runs: int, change: float, rng: np.random.Generator) -> float:
-    """Probability that a method compared with itself shows at most a relative change.
-
-    Parameters
-    ----------
-    base
-        Values of the method, (n,).
-    runs
-        Runs on each side of the comparison.
-    change
-        Relative change of the mean.
-    rng
-        Source of the resampling.
-
-    Returns
-    -------
-    float
-        Probability.
-
-    """
+    """Probability that a method compared with itself shows at most a relative change."""
     ratio = _bootstrap_means(base, runs, rng) / _bootstrap_means(base, runs, rng) - 1
     return float(np.mean(ratio <= change))
 
 
 def fisher_p_value(hits: tuple[int, int], of: tuple[int, int]) -> float:
     """Two-sided p value of two equal shares (Fisher's exact test).
-
-    Parameters
-    ----------
-    hits, of
-        Hits and cases of both groups.
-
-    Returns
-    -------
-    float
-        p value.
 
     Examples
     --------
@@ -191,29 +137,7 @@ class SearchTrials:
 def run_trials(
     cost: Callable[[Array], Array], box: Any, seeds: int, reach: float, budget: int, method: SearchMethod
 ) -> SearchTrials:
-    """Run one setting with the seeds 0, 1, 2, ...
-
-    Parameters
-    ----------
-    cost
-        Function of parameter sets (P, d) that returns costs (P,).
-    box
-        Bounds (d, 2).
-    seeds
-        Number of seeds.
-    reach
-        Cost at or below which the optimum counts as found.
-    budget
-        Evaluations of each search.
-    method
-        The search with its settings.
-
-    Returns
-    -------
-    SearchTrials
-        Counts of all seeds.
-
-    """
+    """Run one setting with the seeds 0, 1, 2, ..."""
     rows = []
     for seed in range(seeds):
         begin = process_time()
@@ -247,16 +171,6 @@ def _run_settings(
 def eq8(x: Array) -> Array:
     """Test function of Eq. 8 with reversed sign, for minimisation: -(x sin(10 pi x) + 2).
 
-    Parameters
-    ----------
-    x
-        Points, (P, 1).
-
-    Returns
-    -------
-    Array
-        Values, (P,).
-
     Examples
     --------
     >>> eq8(np.array([[0.0], [1.85]])).round(6).tolist()
@@ -269,11 +183,6 @@ def eq8(x: Array) -> Array:
 
 def maximum() -> tuple[float, float]:
     """Find the maximum of Eq. 8: the root of its derivative on the highest hump.
-
-    Returns
-    -------
-    tuple of float
-        Place and value.
 
     Examples
     --------

@@ -128,21 +128,7 @@ def _force_curves(law: PaperLaw, found: Identification, group: str) -> list[tupl
 
 
 def straightness(law: PaperLaw, p: Array, v: Array) -> float:
-    """Share of a law's variation over measured speeds that a straight line in v explains.
-
-    Parameters
-    ----------
-    law, p
-        The law and its parameters, (d,).
-    v
-        Speeds, m/s, (n,).
-
-    Returns
-    -------
-    float
-        Share, at most 1.
-
-    """
+    """Share of a law's variation over measured speeds that a straight line in v explains."""
     force = law.force(p[None], v, v)[0]
     rest = force - np.polyval(np.polyfit(v, force, 1), v)
     return float(1 - rest.var() / max(force.var(), 1e-30))
