@@ -22,7 +22,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.lazy import module_of
+from frictrack.base.lazy import imports_of
 
 if TYPE_CHECKING:
     from frictrack import effects, samples, search, simulate
@@ -43,28 +43,8 @@ if TYPE_CHECKING:
     from frictrack.settings.priors import Prior
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
 
-_MODULE_OF = module_of(
-    {
-        "recording": "open_recording",
-        "tracking": "track learn_target align_track contact_sheet",
-        "measure.repairing": "repair suspect_spans",
-        "measure.calibration": "calibrate plane_map",
-        "measure.motion": "low_pass differentiate covariance KnownAcceleration cutoff_tradeoff",
-        "settings.filters": "FilterChoice",
-        "measure.friction": "free_section friction find_events with_earlier_runs",
-        "measure.error_budget": "budget",
-        "fit": "fit profile bootstrap Fit GroupFits trend CovariateTrends",
-        "diagnose.compare": "compare history Comparison",
-        "diagnose": "diagnose Diagnosis",
-        "records": "Displacement Motion Track Run",
-        "settings.priors": "Prior",
-        "effects": "effect",
-        "base.errors": "FrictrackError",
-        "base.version": "__version__",
-    }
-)
+_MODULE_OF = imports_of(__name__)
 _RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
-_MODULES = ("effects", "models", "samples", "search", "simulate")
 _ALIASES = {  # the names of modules that users know, and the room in which each stands
     "costs": "settings.costs",
     "crate": "flow.crate",
@@ -126,19 +106,21 @@ class _Package(ModuleType):
     """The package: imports names when they are first used; a function hides the module of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _MODULE_OF and isinstance(value, ModuleType)):
+        if not (isinstance(value, ModuleType) and _MODULE_OF.get(name, "frictrack") != "frictrack"):
             super().__setattr__(name, value)
 
     def __getattr__(self, name: str) -> Any:
+        if name in _ALIASES:
+            return import_module(f"frictrack.{_ALIASES[name]}")
+        if _MODULE_OF.get(name) == "frictrack":
+            return import_module(f"frictrack.{name}")
         if name in _MODULE_OF:
-            value = getattr(import_module(f"frictrack.{_MODULE_OF[name]}"), name)
+            value = getattr(import_module(_MODULE_OF[name]), name)
             setattr(self, name, value)
             return value
         if name in _RENAMED:
             warnings.warn(f"frictrack.{name} is now called {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
             return getattr(self, _RENAMED[name])
-        if name in _MODULES or name in _ALIASES:
-            return import_module(f"frictrack.{_ALIASES.get(name, name)}")
         raise AttributeError(f"module 'frictrack' has no attribute {name!r}")
 
     def __dir__(self) -> list[str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -29,40 +30,26 @@ def imported(path: str) -> Any:
     return getattr(import_module(module), name)
 
 
-def module_of(exports: Mapping[str, str]) -> dict[str, str]:
-    """Return the module of every name that a package exports.
+def imports_of(package: str) -> dict[str, str]:
+    """Return the names that a package imports for type checkers, each with the module that it comes from.
 
-    Parameters
-    ----------
-    exports
-        Names, separated by spaces, by their module.
-
-    Examples
-    --------
-    >>> module_of({"motion": "low_pass differentiate"})
-    {'low_pass': 'motion', 'differentiate': 'motion'}
-
+    So every name is written once. The block ``if TYPE_CHECKING:`` is the first one of the package.
     """
-    return {name: module for module, names in exports.items() for name in names.split()}
+    loader: Any = sys.modules[package].__loader__  # which reads packages in archives, too
+    block = next(node for node in ast.parse(loader.get_source(package)).body if isinstance(node, ast.If))
+    lines = (node for node in block.body if isinstance(node, ast.ImportFrom))
+    return {alias.name: str(line.module) for line in lines for alias in line.names}
 
 
-def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a package that imports its names on first use.
-
-    Parameters
-    ----------
-    package
-        Name of the package, as ``__name__`` has it.
-    modules
-        The module of the package that defines a name, by name. No name may be that of a module.
-
-    """
+def lazy_names(package: str) -> tuple[Callable[[str], Any], list[str]]:
+    """Return the `__getattr__` and the `__all__` of a package that imports on first use what `imports_of` returns."""
+    modules = imports_of(package)
 
     def find(name: str) -> Any:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{modules[name]}"), name)
+        value = getattr(import_module(modules[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
-    return find
+    return find, sorted(modules)

@@ -26,7 +26,7 @@
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names, module_of
+from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
@@ -57,25 +57,4 @@ if TYPE_CHECKING:
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
     from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, run_study
 
-_MODULE_OF = module_of(
-    {
-        "study_edits": "effect_of_formula",
-        "workflows": "change_and_diagnose conclude run_study plan demo",
-        "diagnosis_records": "SignificanceBudget",
-        "stored_results": "AttemptsReader preview_motion read_results ResultsReader",
-        "command_history": "Change CommandHistory undo_stacks",
-        "new_study": "check_entered describe_keys propose_study start_study survey_recording Surveyed",
-        "film_stages": "contact_sheet_path",
-        "plausibility_checks": "Findings",
-        "fit_request": "FitRequest user_effects",
-        "pipeline": "hash_path no_progress Progress RunPipeline",
-        "opening": "open_study table_needs_mass",
-        "replay": "recorded_models repeat_models replay_script",
-        "stages": "run_pipeline",
-        "session": "Session",
-        "verification": "verify EXCLUDED stored_values Values",
-    }
-)
-
-__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
-__getattr__ = lazy_names(__name__, _MODULE_OF)
+__getattr__, __all__ = lazy_names(__name__)

@@ -16,7 +16,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names, module_of
+from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, has_units
@@ -43,18 +43,4 @@ if TYPE_CHECKING:
         write_study,
     )
 
-_MODULE_OF = module_of(
-    {
-        "schema": "COLUMNS EffectTable needs_film read_frame_rate RunTable suggest to_si",
-        "column_names": "columns_line find_header has_units",
-        "writing": "find_recordings is_picture_folder is_table list_files NewRun refuse_existing write_study",
-        "loading": "load parse read_toml results_folder Study",
-        "table_files": "open_table table_headers",
-        "reading_tables": "propose_columns read_frame read_run_table read_sensor_table read_table TableData",
-        "table_cells": "TableFile",
-        "editing": "with_effect with_key with_runs without_run",
-    }
-)
-
-__all__ = [*_MODULE_OF]  # noqa: PLE0604 - they are strings
-__getattr__ = lazy_names(__name__, _MODULE_OF)
+__getattr__, __all__ = lazy_names(__name__)
