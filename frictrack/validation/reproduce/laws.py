@@ -24,26 +24,6 @@ STATIC = ("F_c", "F_s", "F_v", "v_s")
 
 
 @dataclass(frozen=True)
-class Reduction:
-    """A law whose linear coefficients are solved by least squares.
-
-    Attributes
-    ----------
-    nonlinear
-        Indices of the non-linear parameters.
-    columns
-        Function of those q (P, k), of v (n,) and t (n,) that returns force per coefficient, (P, c, n).
-    full
-        Function of q (k,) and the coefficients (c,) that returns all parameters (d,).
-
-    """
-
-    nonlinear: tuple[int, ...]  # their places among the parameters
-    columns: Callable[[Real, Real, Real], Real]  # nonlinear q (P, k), v, t -> N per coefficient, (P, c, n)
-    full: Callable[[Array, Array], Array]  # q (k,), coefficients (c,) -> p (d,)
-
-
-@dataclass(frozen=True)
 class PaperLaw:
     """An equation of the papers.
 
@@ -53,15 +33,12 @@ class PaperLaw:
         Name of the law, and names of its d parameters.
     force
         Function of parameter sets p (P, d), v (n,), m/s, and t (n,), s, that returns the force (P, n), N.
-    reductions
-        Ways to solve for its linear coefficients.
 
     """
 
     name: str
     names: tuple[str, ...]
     force: Callable[[Real, Real, Real], Real]  # p (P, d), v (n,), t (n,) -> N, (P, n)
-    reductions: tuple[Reduction, ...]
 
 
 def tustin() -> PaperLaw:
@@ -73,26 +50,20 @@ def tustin() -> PaperLaw:
     5.0
 
     """
-    return PaperLaw("tustin", STATIC, _tustin, (Reduction((3,), lambda q, v, t: _static_columns(q, v), _full_atm1),))
+    return PaperLaw("tustin", STATIC, _tustin)
 
 
 def atm1(n: int) -> PaperLaw:
     """First augmented Tustin model, Eq. 3: Tustin plus n sines in time; frequencies in Hz."""
     names = STATIC + tuple(f"{k}_{i}" for i in range(1, n + 1) for k in ("F", "f", "phi"))
-    return PaperLaw(f"atm1:{n}", names, _atm1, (Reduction((3, *range(5, 4 + 3 * n, 3)), _atm1_columns, _full_atm1),))
+    return PaperLaw(f"atm1:{n}", names, _atm1)
 
 
 def atm2(n: int) -> PaperLaw:
-    """Second augmented Tustin model, Eq. 4 with the missing t in each sum; frequencies in Hz.
-
-    Sliding sines come first, then viscous ones. It has two reductions: one with phases among the non-linear parameters,
-    and one that gives each sine a free amplitude.
-    """
+    """Second augmented Tustin model, Eq. 4 with the missing t in each sum; frequencies in Hz, sliding sines first."""
     pairs = tuple(f"{k}_{i}" for kind in ("", "v") for i in range(1, n + 1) for k in (f"f{kind}", f"phi{kind}"))
     names = ("f_c", "f_s", "f_v", "v_s", *pairs)
-    with_phases = Reduction(tuple(range(3, 4 + 4 * n)), _atm2_columns, lambda q, c: np.concatenate([c, q]))
-    free_amplitudes = Reduction((3, *range(4, 4 + 4 * n, 2)), _free_amplitude_columns, _full_free_amplitude)
-    return PaperLaw(f"atm2:{n}", names, _atm2, (with_phases, free_amplitudes))
+    return PaperLaw(f"atm2:{n}", names, _atm2)
 
 
 def atm2_printed(n: int) -> PaperLaw:
@@ -101,8 +72,7 @@ def atm2_printed(n: int) -> PaperLaw:
     f_v stands for f_v times the viscous sum, which is one number.
     """
     names = ("f_c", "f_s", "f_v", "v_s", *(f"{k}_{i}" for i in range(1, n + 1) for k in ("f", "phi")))
-    with_phases = Reduction(tuple(range(3, 4 + 2 * n)), _printed_columns, lambda q, c: np.concatenate([c, q]))
-    return PaperLaw(f"atm2_printed:{n}", names, _atm2_printed, (with_phases,))
+    return PaperLaw(f"atm2_printed:{n}", names, _atm2_printed)
 
 
 def read_as_printed(source: PrintedLaw) -> Array:
@@ -181,65 +151,13 @@ def _atm2(p: Real, v: Real, t: Real) -> Real:
 
 
 def _atm2_printed(p: Real, v: Real, t: Real) -> Real:
-    q = np.concatenate([p[:, 3:4], p[:, 4:]], axis=1)
-    columns = _printed_columns(q, v, t)
-    return np.einsum("pc,pcn->pn", p[:, :3], columns)
+    """The exponential's sum has no t as printed: it is that after one unit of time, 1 ms."""
+    f_c, f_s, f_v, v_s = (p[:, i, None] for i in range(4))
+    unit = np.full(1, effects.PRINTED_TIME_UNIT_S, dtype=t.dtype)
+    with_t, constant = (sum(_sine(p, i, at) for i in range(4, p.shape[1], 2)) for at in (t, unit))
+    return f_c * with_t + (f_s - f_c * constant) * np.exp(-v / v_s) + f_v * v
 
 
 def _sine(p: Real, i: int, t: Real) -> Real:
     """sin(2 pi f t + phi) with f, phi = p[:, i], p[:, i + 1], (P, n)."""
     return np.sin((2 * np.pi) * p[:, i, None] * t + p[:, i + 1, None])
-
-
-def _static_columns(q: Real, v: Real) -> Real:
-    decay = np.exp(-v / q[:, :1])
-    return np.stack([1 - decay, decay, np.broadcast_to(v, decay.shape)], axis=1)
-
-
-def _atm1_columns(q: Real, v: Real, t: Real) -> Real:
-    angle = (2 * np.pi) * q[:, 1:, None] * t
-    return np.concatenate([_static_columns(q, v), np.sin(angle), np.cos(angle)], axis=1)
-
-
-def _atm2_columns(q: Real, v: Real, t: Real) -> Real:
-    middle = 1 + (q.shape[1] - 1) // 2
-    decay = np.exp(-v / q[:, :1])
-    sliding = sum(_sine(q, i, t) for i in range(1, middle, 2))
-    viscous = sum(_sine(q, i, t) for i in range(middle, q.shape[1], 2))
-    return np.stack([sliding * (1 - decay), decay, viscous * v], axis=1)
-
-
-def _printed_columns(q: Real, v: Real, t: Real) -> Real:
-    """Columns of f_c, f_s and f_v as printed: the exponential's sum is that after one unit of time, 1 ms."""
-    decay = np.exp(-v / q[:, :1])
-    unit = np.full(1, effects.PRINTED_TIME_UNIT_S, dtype=t.dtype)
-    with_t, constant = (sum(_sine(q, i, at) for i in range(1, q.shape[1], 2)) for at in (t, unit))
-    return np.stack([with_t - constant * decay, decay, np.broadcast_to(v, decay.shape)], axis=1)
-
-
-def _free_amplitude_columns(q: Real, v: Real, t: Real) -> Real:
-    middle = 1 + (q.shape[1] - 1) // 2
-    decay = np.exp(-v / q[:, :1])[:, None]
-    angle = (2 * np.pi) * q[:, 1:, None] * t
-    weight = np.concatenate(
-        [np.repeat(1 - decay, middle - 1, axis=1), np.broadcast_to(v, (len(q), middle - 1, len(v)))], axis=1
-    )
-    return np.concatenate([decay, weight * np.sin(angle), weight * np.cos(angle)], axis=1)
-
-
-def _polar(c: Array) -> tuple[Array, Array]:
-    """Amplitudes and phases from coefficients of sines, then of cosines."""
-    sine, cosine = np.split(c, 2)
-    return np.hypot(sine, cosine), np.arctan2(cosine, sine)
-
-
-def _full_atm1(q: Array, c: Array) -> Array:
-    lines = np.column_stack([*_polar(c[3:]), q[1:]])[:, [0, 2, 1]]
-    return np.concatenate([c[:3], q[:1], lines.ravel()])
-
-
-def _full_free_amplitude(q: Array, c: Array) -> Array:
-    size, phase = _polar(c[1:])
-    sliding, viscous = np.split(size, 2)
-    static = [sliding.mean(), c[0], viscous.mean(), q[0]]
-    return np.concatenate([static, np.column_stack([q[1:], phase]).ravel()])

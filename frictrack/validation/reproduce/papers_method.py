@@ -26,13 +26,13 @@ from frictrack.fit import Fit, fit
 from frictrack.records import Array, Run
 from frictrack.search import SearchResult, minimise
 from frictrack.validation.reproduce import laws, printed, recordings
-from frictrack.validation.reproduce.laws import PaperLaw, Real, Reduction
+from frictrack.validation.reproduce.laws import PaperLaw, Real
 from frictrack.validation.reproduce.recordings import BEAM, SyntheticRecording
 from frictrack.validation.reproduce.sections import Effort
 
 N_SEARCHES = 3  # differential evolutions for the lowest error
 MIN_EVALUATIONS = 3000  # of each; with a smaller budget there is only one
-OPTIMA_REFINED, MAX_REFINEMENTS = 2, 60  # optima of each that are refined, and evaluations of a refinement
+OPTIMA_REFINED, MAX_REFINEMENTS = 6, 60  # optima of each that are refined, and evaluations of a refinement
 BOUNDS = {
     "F_c": (0.0, 80.0),
     "F_s": (0.0, 120.0),
@@ -129,51 +129,17 @@ def lowest_error_parameters(
 ) -> Array:
     """Find the lowest error that a law can reach, independently of the papers' searches.
 
-    Differential evolution searches the non-linear parameters, least squares solves for the others (variable projection;
-    Golub & Pereyra 1973, SIAM J. Numer. Anal. 10). The optima and `starts` are then refined within the bounds. For ATM2
-    a lower error may exist.
+    Differential evolution searches all parameters; least squares refines its optima and `starts` within the bounds. For
+    ATM2 a lower error may exist.
     """
-    thinned = series.thinned()
-    optima = [p for reduction in law.reductions for p in _reduced_optima(law, reduction, thinned, rng, budget)]
+    thinned, box = series.thinned(), search_bounds(law)
+    times = N_SEARCHES if budget >= N_SEARCHES * MIN_EVALUATIONS else 1
+    options: dict[str, Any] = {"method": "de", "rng": rng, "max_evaluations": budget * len(box) * 2 // N_SEARCHES}
+    found = [minimise(misfit(law, thinned), box, **options) for _ in range(times)]
+    optima = [p for result in found for p in result.optima[:OPTIMA_REFINED]]
     best = min((refine_parameters(law, thinned, p) for p in optima), key=lambda p: squared_error(law, p, thinned))
     refined = [refine_parameters(law, series, p) for p in (best, *starts)]
     return min((*starts, *refined), key=lambda p: squared_error(law, p, series))
-
-
-def _reduced_optima(
-    law: PaperLaw, reduction: Reduction, series: AccelerationSeries, rng: np.random.Generator, budget: int
-) -> list[Array]:
-    """Parameters (d,) at the optima of a law whose coefficients are solved for."""
-    bounds_of_search, cost = search_bounds(law)[list(reduction.nonlinear)], _reduced_error(reduction, series)
-    times = N_SEARCHES if budget >= N_SEARCHES * MIN_EVALUATIONS else 1
-    options: dict[str, Any] = {
-        "method": "de",
-        "rng": rng,
-        "max_evaluations": budget // N_SEARCHES * len(bounds_of_search),
-    }
-    found = [minimise(cost, bounds_of_search, **options) for _ in range(times)]
-    return [_full_parameters(reduction, series, q) for result in found for q in result.optima[:OPTIMA_REFINED]]
-
-
-def _reduced_error(reduction: Reduction, series: AccelerationSeries) -> Callable[[Array], Array]:
-    """Error of non-linear parameters (P, k) with the best coefficients, from normal equations."""
-
-    def cost(q: Array) -> Array:
-        columns = reduction.columns(q, series.v, series.t)
-        gram = columns @ columns.transpose(0, 2, 1)
-        size = np.einsum("pii->p", gram) / gram.shape[1]
-        gram = gram + 1e-9 * size[:, None, None] * np.eye(gram.shape[1])
-        right = columns @ series.force
-        best = np.linalg.solve(gram, right[..., None])[..., 0]
-        return (series.force @ series.force - np.einsum("pc,pc->p", right, best)) / series.mass**2
-
-    return cost
-
-
-def _full_parameters(reduction: Reduction, series: AccelerationSeries, q: Array) -> Array:
-    """All parameters (d,) for non-linear parameters q (k,) and their best coefficients."""
-    columns = reduction.columns(q[None], series.v, series.t)[0]
-    return reduction.full(q, np.linalg.lstsq(columns.T, series.force, rcond=None)[0])
 
 
 def refine_parameters(law: PaperLaw, series: AccelerationSeries, start: Array) -> Array:
