@@ -11,7 +11,7 @@ import argparse
 import json
 from pathlib import Path
 
-from frictrack.blind import make, score
+from frictrack.validation.blind import make, score
 
 
 def main() -> None:

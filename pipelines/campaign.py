@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from frictrack.batch import batch
+from frictrack.flow.batch import batch
 
 
 def main() -> None:

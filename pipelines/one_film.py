@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import frictrack as ft
-from frictrack.units import parse_quantity
+from frictrack.base.units import parse_quantity
 
 SAMPLES = ft.samples.films_folder()
 

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 if TYPE_CHECKING:
-    from frictrack.batch.tasks import StudyOutcome
+    from frictrack.flow.batch.tasks import StudyOutcome
 
 MASS = 0.5
 
@@ -73,7 +73,7 @@ def die_once(mark: str) -> str:
 
 def short_study(path: Path, seed: int) -> StudyOutcome:
     """Stand in for `begin_study`."""
-    from frictrack.batch.tasks import StudyOutcome  # noqa: PLC0415 - few tests need it
+    from frictrack.flow.batch.tasks import StudyOutcome  # noqa: PLC0415 - few tests need it
 
     time.sleep(0.02)
     with path.with_name("ended").open("a") as file:

@@ -15,9 +15,9 @@ from numpy import cos, exp, pi, sin
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from frictrack import models
-from frictrack.models import Model
-from frictrack.motion import differentiate, low_pass
+from frictrack.effects import models
+from frictrack.effects.models import Model
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import GRAVITY as G
 from frictrack.records import Displacement, Run
 from frictrack.simulate import Conditions, simulate

@@ -11,8 +11,8 @@ from film import Film, expose, moved, speckle
 from matplotlib.path import Path as Outline
 
 import frictrack as ft
-from frictrack.errors import FrictrackError
-from frictrack.polygons import inside, polygon
+from frictrack.base.errors import FrictrackError
+from frictrack.base.polygons import inside, polygon
 from frictrack.records import Array, Track
 from frictrack.study import load
 from frictrack.tracking import Areas, contact_sheet, track

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from runs import FPS, KNOWN, MASS, lift
 
-from frictrack import models
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
 from frictrack.simulate import Conditions, simulate

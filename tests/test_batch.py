@@ -22,15 +22,14 @@ from campaigns import campaign, die_once, killed_workers, results, short_study, 
 from rich.console import Console
 from scipy import stats
 
-from frictrack import workers
-from frictrack.batch import BatchState, batch, cluster, find_studies
-from frictrack.batch.driver import Journal, write_table
-from frictrack.batch.scheduler import Scheduler
-from frictrack.batch.tasks import StudyOutcome
-from frictrack.batch.trends import find_trends, fit_slope
+from frictrack.base import workers
+from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.cli.batch_progress import progress_table
-from frictrack.errors import FrictrackError, raise_faults
 from frictrack.flow import Session
+from frictrack.flow.batch import BatchState, batch, cluster, find_studies
+from frictrack.flow.batch.driver import Journal, write_table
+from frictrack.flow.batch.tasks import Scheduler, StudyOutcome
+from frictrack.flow.batch.trends import find_trends, fit_slope
 
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
 
@@ -82,7 +81,7 @@ def inline(quick: None, monkeypatch: pytest.MonkeyPatch) -> Inline:
     def here(workers: int | None = None) -> Iterator[Inline]:
         yield one
 
-    monkeypatch.setattr("frictrack.batch.driver.local_workers", here)
+    monkeypatch.setattr("frictrack.flow.batch.driver.local_workers", here)
     return one
 
 
@@ -198,7 +197,7 @@ def test_the_journal_bears_a_line_that_was_cut_off(tmp_path: Path) -> None:
 
 def test_films_of_a_study_are_measured_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first one before all others, whose failure only makes the second one the first."""
-    from frictrack.batch import tasks  # noqa: PLC0415
+    from frictrack.flow.batch import tasks  # noqa: PLC0415
 
     folder = campaign(tmp_path, 1, runs=4)
     path = folder / "day_1" / "study.toml"
@@ -361,7 +360,7 @@ def test_processes_that_cannot_start() -> None:
 @pytest.mark.parametrize("turn", range(10))
 def test_workers_of_a_batch_killed_at_100_moments(turn: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten moments in each turn."""
-    monkeypatch.setattr("frictrack.batch.scheduler.begin_study", short_study)
+    monkeypatch.setattr("frictrack.flow.batch.tasks.begin_study", short_study)
     moments = np.random.default_rng(0).permutation(np.linspace(0.001, 2.0, 100))
     kills = 0
     for i, moment in enumerate(moments[turn::10]):
@@ -403,7 +402,7 @@ CLUSTER = """
 import os, signal, sys
 from pathlib import Path
 from distributed import LocalCluster
-from frictrack.batch import batch
+from frictrack.flow.batch import batch
 
 if __name__ == "__main__":
     with LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None) as cluster:

@@ -13,10 +13,17 @@ import pytest
 from few_effects import use_few_effects
 from scipy.integrate import solve_ivp
 
-from frictrack.blind import benchmark, make, score
-from frictrack.blind import truth_sampling as drawing
-from frictrack.blind.equivalents import NOTHING, equivalent_effects, solution_at_truth
-from frictrack.blind.ideal_detector import (
+from frictrack.base.errors import FrictrackError
+from frictrack.cli import main
+from frictrack.effects import LIBRARY
+from frictrack.fit import remove_effect
+from frictrack.flow import Session, open_study
+from frictrack.records import Array
+from frictrack.simulate import Trajectory, simulate
+from frictrack.validation.blind import benchmark, make, score
+from frictrack.validation.blind import truth_sampling as drawing
+from frictrack.validation.blind.equivalents import NOTHING, equivalent_effects, solution_at_truth
+from frictrack.validation.blind.ideal_detector import (
     IdealDetector,
     degrees_of_freedom,
     ideal_detection_limit,
@@ -24,18 +31,11 @@ from frictrack.blind.ideal_detector import (
     limits_over_ideal,
     noncentrality_limit,
 )
-from frictrack.blind.outcome import Outcome, overlap, parameter_deviations
-from frictrack.blind.study_files import SEAL_FILE, open_seal, run_table, write_study
-from frictrack.blind.tally import tally, wilson
-from frictrack.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory
-from frictrack.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
-from frictrack.cli import main
-from frictrack.effects import LIBRARY
-from frictrack.errors import FrictrackError
-from frictrack.fit import remove_effect
-from frictrack.flow import Session, open_study
-from frictrack.records import Array
-from frictrack.simulate import Trajectory, simulate
+from frictrack.validation.blind.outcome import Outcome, overlap, parameter_deviations
+from frictrack.validation.blind.study_files import SEAL_FILE, open_seal, run_table, write_study
+from frictrack.validation.blind.tally import tally, wilson
+from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory
+from frictrack.validation.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
 TRUTH = Truth(

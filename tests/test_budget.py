@@ -10,17 +10,17 @@ import pytest
 from film import Film as Pictures
 from runs import BASE, Slider, integrate
 
-from frictrack import plots
-from frictrack.calibration import calibrate
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
-from frictrack.error_budget import budget
-from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.stored_results import run_results
-from frictrack.friction import friction
-from frictrack.motion import Smoother, covariance, differentiate, low_pass
+from frictrack.measure.calibration import calibrate
+from frictrack.measure.error_budget import budget
+from frictrack.measure.friction import friction
+from frictrack.measure.motion import Smoother, covariance, differentiate, low_pass
+from frictrack.present import plots
+from frictrack.present.report import tables
 from frictrack.records import Displacement, Run
-from frictrack.report import tables
 from frictrack.results import RecordingInfo, RunResults
 from frictrack.simulate.scene import read_scene
 from frictrack.simulate.scene import study_writer as scene

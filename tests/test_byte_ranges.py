@@ -18,14 +18,13 @@ from film import block_film
 from range_server import RangeServer, serving
 
 import frictrack as ft
-from frictrack import remote
-from frictrack.content_hash import CACHE_VARIABLE
-from frictrack.errors import FrictrackError, is_disk_full
-from frictrack.files import write_at
+from frictrack.base import remote
+from frictrack.base.errors import FrictrackError, is_disk_full
+from frictrack.base.files import CACHE_VARIABLE, write_at
+from frictrack.base.remote import RemoteFile
 from frictrack.flow import Session, open_study
 from frictrack.recording import byte_ranges
 from frictrack.recording.byte_ranges import RangedFile, find_ranges
-from frictrack.remote import RemoteFile
 
 
 @pytest.fixture(autouse=True)

@@ -13,10 +13,10 @@ from pinhole import checkers, homography, pictured
 from test_outline import filmed
 from test_plots import results
 
-from frictrack import report
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import run_pipeline
-from frictrack.report import fit_text, provenance, tables
+from frictrack.present import report
+from frictrack.present.report import fit_text, provenance, tables
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -128,7 +128,7 @@ def with_scale(relative, pitch=1e-4):
 
 
 def test_the_report_says_what_the_scale_does_to_forces(monkeypatch):
-    monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
+    monkeypatch.setattr("frictrack.present.plots.svg", lambda figure: "<svg></svg>")
     known = with_scale(0.004)
     assert (
         "The scale has a standard deviation of 0.40 %, and so has every force computed from acceleration"

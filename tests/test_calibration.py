@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from frictrack.calibration import calibrate, parse_scale
-from frictrack.errors import FrictrackError
-from frictrack.friction import friction
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import parse_quantity
+from frictrack.measure.calibration import calibrate, parse_scale
+from frictrack.measure.friction import friction
 from frictrack.records import Displacement, Motion, Run, Track
-from frictrack.units import parse_quantity
 
 
 def a_track(x, y, lost=(), **given):
@@ -228,7 +228,7 @@ def test_runs_in_both_directions_share_the_axis_of_the_track():
 
 
 def test_the_angle_of_the_track_is_as_sure_as_stated():
-    from frictrack.calibration.course_direction import fit_path  # noqa: PLC0415
+    from frictrack.measure.calibration.course_direction import fit_path  # noqa: PLC0415
 
     z = []
     for seed in range(200):

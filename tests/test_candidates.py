@@ -6,10 +6,10 @@ import pytest
 from rich.console import Console
 from test_plots import bars, candidate, diagnosis
 
-from frictrack import plots
-from frictrack.candidates import candidate_rows, find_row, not_passing
 from frictrack.cli.diagnosis_output import verdict
-from frictrack.report import tables
+from frictrack.present import plots
+from frictrack.present.report import tables
+from frictrack.results.candidates import candidate_rows, find_row, not_passing
 
 
 @pytest.fixture

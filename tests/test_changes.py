@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from conftest import slide
 
-from frictrack import store
-from frictrack.errors import FrictrackError
-from frictrack.flow import CommandHistory, Session, open_study, read_results
-from frictrack.store import GroupContent
+from frictrack.base.errors import FrictrackError
+from frictrack.flow import CommandHistory, Session, open_study, read_results, store
+from frictrack.flow.store import GroupContent
 
 TEXT = """# our course
 [study]

@@ -19,12 +19,13 @@ import tifffile
 from film import block_film
 from rich.console import Console
 
-from frictrack import calibration, samples
+from frictrack import samples
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plus_minus
+from frictrack.base.version import __version__
 from frictrack.cli import fit_output, main, measurement_output
-from frictrack.errors import FrictrackError
 from frictrack.flow import Session
-from frictrack.number_format import format_plus_minus
-from frictrack.version import __version__
+from frictrack.measure import calibration
 
 
 @pytest.fixture(autouse=True)
@@ -123,7 +124,7 @@ def test_track_says_how_well_each_film_was_measured(capsys: pytest.CaptureFixtur
 def test_a_track_that_cannot_be_calibrated_is_shown(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
     film_study.write_text(film_study.read_text().replace('scale = "0.5 mm/px"', 'scale = {target = "40 mm"}'))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("frictrack.calibration.plane_map", refuse_targets(calibration.plane_map))
+        patch.setattr("frictrack.measure.calibration.plane_map", refuse_targets(calibration.plane_map))
         (row,) = answer(capsys, "track", "film.toml")["runs"]
     assert row["sigma_um"] is None
     assert row["notes"][-1] == 'not calibrated: run "v3", displacement: no outline'

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, MASS, SIX, Slider, Spec, integrate, measured
 
-from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
-from frictrack.effects import LIBRARY, Path, Span
+from frictrack.effects import LIBRARY, Path, Span, models
 from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
 from frictrack.fit.pieces import pieces_of
 from frictrack.flow.plausibility_checks import withhold_verdict
-from frictrack.plausibility import Finding
+from frictrack.measure.plausibility import Finding
 from frictrack.simulate import Conditions, Start, simulate, simulate_displacement
 
 CLOCK = LIBRARY["clock_rate"]

@@ -21,15 +21,15 @@ from typing import Any
 import pytest
 from campaigns import campaign, results
 
-from frictrack.batch import BatchState, batch, cluster
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.flow.batch import BatchState, batch, cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals")]
 POISON = """
 import os, signal
 from pathlib import Path
 from typing import Any
-from frictrack.batch import tasks
+from frictrack.flow.batch import tasks
 
 def die(session, seed=0, real=tasks.Session.run):
     if "day_2" in str(session.study.path):

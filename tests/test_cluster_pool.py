@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from frictrack.batch.cluster import _ClusterPool, _ClusterTask
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.flow.batch.cluster import _ClusterPool, _ClusterTask
 
 distributed = pytest.importorskip("distributed")
 

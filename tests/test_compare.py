@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from runs import BASE, Spec, study
 
-from frictrack import models
-from frictrack.compare import compare, failing_spans, history
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.diagnose.compare import compare, failing_spans, history
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.results import to_builtins
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from frictrack import content_hash
-from frictrack.content_hash import hash_file, hash_files
+from frictrack.base import content_hash
+from frictrack.base.files import hash_file, hash_files
 from frictrack.flow import Session, open_study, verify
 from frictrack.recording import Recording, open_recording
 

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.fit.pieces.whitening import Whitening
-from frictrack.motion import NoiseStretch, correlated_noise
+from frictrack.measure.motion import NoiseStretch, correlated_noise
 
 FPS = 4000.0
 RMS = 1e-5  # m

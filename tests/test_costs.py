@@ -14,20 +14,19 @@ from runs import FPS, MASS, PITCH
 from test_next_experiment import AMBIGUOUS, LAW, explained, law_with, runs_with, take
 
 from frictrack import effects, study
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import diagnosis_output
-from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.experiments import selection
+from frictrack.diagnose.experiments import choose_runs, default_setup, next_run, selection
 from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
 from frictrack.diagnose.experiments.forecast import EvidenceForecast
 from frictrack.diagnose.experiments.proposals import RatedExperiment, _rank
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.errors import FrictrackError
 from frictrack.fit import fit
 from frictrack.flow.diagnosis_records import Predictions, resolve_prediction
-from frictrack.plan import choose_runs, default_setup, next_run
-from frictrack.verdicts import describe_predictions
+from frictrack.results.verdicts import describe_predictions
+from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 
 LAST = RunSettings(4.0, 0.35, 0.0, 4000.0)
 

@@ -22,18 +22,18 @@ from camera_films import write_photron
 from conftest import STUDY, slide
 from range_server import serving
 
-from frictrack import effects, store
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import CACHE_VARIABLE
 from frictrack.cli import main
-from frictrack.content_hash import CACHE_VARIABLE
-from frictrack.crate import CrateOptions, payload, reproduce_crate, write_crate
-from frictrack.crate.metadata import UNIT_CODES, read_authorship
-from frictrack.crate.payload import safe_place, unpack
-from frictrack.crate.reading import Crate, CrateFile, find_inputs, read_crate
-from frictrack.crate.reproducing import compare_files, tolerance_of
-from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study, stored_values
+from frictrack.flow import Session, open_study, store, stored_values
+from frictrack.flow.crate import CrateOptions, payload, reproduce_crate, write_crate
+from frictrack.flow.crate.metadata import UNIT_CODES, read_authorship
+from frictrack.flow.crate.payload import safe_place, unpack
+from frictrack.flow.crate.reading import Crate, CrateFile, find_inputs, read_crate
+from frictrack.flow.crate.reproducing import compare_files, tolerance_of
+from frictrack.flow.store import GroupContent
 from frictrack.records import Friction
-from frictrack.store import GroupContent
 
 ROOT = Path(__file__).parents[1]
 AUTHORS = ("Ada Lovelace <0000-0002-1825-0097>", "Charles Babbage")
@@ -335,7 +335,7 @@ def test_a_path_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
 def test_bombs_links_and_twins_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("zeros", bytes(4_000_000))
-    monkeypatch.setattr("frictrack.crate.payload.MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("frictrack.flow.crate.payload.MAX_UNPACKED_BYTES", 1_000_000)
     assert "unpack to" in refused(tmp_path / "bomb.zip", tmp_path / "1")
     with zipfile.ZipFile(tmp_path / "link.zip", "w") as file:
         info = zipfile.ZipInfo("link")

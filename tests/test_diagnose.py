@@ -14,12 +14,13 @@ import pytest
 from repeats import few_or_many
 from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
-from frictrack import effects, models
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose import diagnose, examination
 from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine, examine_again
 from frictrack.diagnose.explanations import Explanation, find_rivals
 from frictrack.diagnose.null_distribution import N_DRAWS
-from frictrack.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.results import to_builtins
 

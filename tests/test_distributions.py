@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from frictrack import distributions as d
+from frictrack.base import distributions as d
 
 X = np.array([-2.0, 0.0, 0.3, 1.96, 7.0, 40.0])
 P = np.array([1e-12, 1e-4, 0.01, 0.5, 0.975, 0.999])

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 import frictrack
-from frictrack import effects, plots
-from frictrack.compare import find_local_forces
+from frictrack import effects
+from frictrack.diagnose.compare import find_local_forces
 from frictrack.diagnose.residual_curves import deconvolve_force
 from frictrack.diagnose.waves import WaveScan
+from frictrack.present import plots
 from frictrack.study import schema
 
 pytest.importorskip("numpydoc", reason="the documentation needs the extra docs")
@@ -57,17 +58,19 @@ def _error_name():
 def test_every_figure_and_every_member_of_a_public_module_has_a_page():
     figures = python_api.full_names(next(g for g in python_api.GROUPS if g.title == "Figures"))
     drawn = {
-        f"frictrack.plots.{n}"
+        f"frictrack.present.plots.{n}"
         for n in plots.__all__
         if inspect.signature(getattr(plots, n)).return_annotation == "Figure"
     }
     assert drawn <= set(figures)
-    assert {f"frictrack.models.{n}" for n in ("tustin", "atm1", "of")} <= python_api.pages_of("frictrack.models").keys()
+    assert {f"frictrack.effects.models.{n}" for n in ("tustin", "atm1", "of")} <= python_api.pages_of(
+        "frictrack.effects.models"
+    ).keys()
 
 
 def test_the_pages_of_figures_show_the_code_that_draws_them():
     assert sorted(figure_pictures.CALLS.keys() - set(plots.__all__)) == []
-    page = python_api.pages_of("frictrack.plots.fit")["frictrack.plots.fit"]
+    page = python_api.pages_of("frictrack.present.plots.fit")["frictrack.present.plots.fit"]
     assert "plots.fit(fit, runs)\n```" in page
     assert "pictures/fit.png" in page
 

@@ -10,12 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.run_summaries import run_summaries
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.motion import differentiate, low_pass
+from frictrack.measure.sensors import Alignment, SensorRecord, align_drive
 from frictrack.records import Array, Displacement
-from frictrack.sensors import Alignment, SensorRecord, align_drive
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 PARTS = ((0.03, 13.2, 0.3), (0.012, 33.3, 1.1), (0.004, 73.5, 2.0))  # m, rad/s, rad: a motion that reverses

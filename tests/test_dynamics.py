@@ -7,10 +7,9 @@ import pytest
 from runs import BASE, FPS, HIDDEN, MASS, SHIFTS, Slider, force, integrate
 from scipy.integrate import solve_ivp
 
-from frictrack import models
-from frictrack.effects import Path, direction_of_motion
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import Path, direction_of_motion, models
 from frictrack.effects.library.presliding import bending
-from frictrack.errors import FrictrackError
 from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, Panels, solve_motion
 

@@ -43,14 +43,15 @@ from runs import (
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
 
-from frictrack import effects, models, store
-from frictrack.effects import LIBRARY, Path, Span
-from frictrack.errors import FrictrackError
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import LIBRARY, Path, Span, models
 from frictrack.fit import fit, restore, state
-from frictrack.motion import differentiate, low_pass
+from frictrack.flow import store
+from frictrack.flow.store import GroupContent
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions, simulate
-from frictrack.store import GroupContent
 
 SPAN = Span(duration=0.15, x_min=-0.02, x_max=0.6, v_min=0.05, v_max=6.0, fps=4000.0)
 ALL = [*LIBRARY.values(), effects.atm2(1), effects.atm2(2)]

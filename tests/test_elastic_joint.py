@@ -9,9 +9,8 @@ import pytest
 from runs import MASS, measured, study
 from scipy.integrate import solve_ivp
 
-from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.effects import Path, direction_of_motion, get
+from frictrack.effects import Path, direction_of_motion, get, models
 from frictrack.fit import fit
 from frictrack.simulate import Conditions, simulate
 

@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 from runs import BASE, HIDDEN, Spec, study
 
-from frictrack import effects, models
+from frictrack import effects
 from frictrack.cli import main
 from frictrack.diagnose import Diagnosis, diagnose, search
 from frictrack.diagnose.explanations import MAX_SIZE, Explanation, find_rivals
-from frictrack.evaluation_budget import EvaluationBudget
+from frictrack.effects import models
 from frictrack.fit import add_effect, fit, refine
 from frictrack.flow import open_study, read_results
-from frictrack.report.provenance import findings_table
+from frictrack.present.report.provenance import findings_table
 from frictrack.results import to_builtins
-from frictrack.verdicts import VERDICTS
+from frictrack.results.verdicts import VERDICTS
+from frictrack.search import EvaluationBudget
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from frictrack.friction import find_events
-from frictrack.motion import cutoff_tradeoff, differentiate, low_pass
+from frictrack.measure.friction import find_events
+from frictrack.measure.motion import cutoff_tradeoff, differentiate, low_pass
 from frictrack.records import Displacement, Run
 
 FPS = 4000.0

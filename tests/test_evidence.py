@@ -14,10 +14,10 @@ import pytest
 from runs import BASE, Spec, measured, study
 from scipy.integrate import solve_ivp
 
-from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.auxiliary_signals import KnownFindings, assess_auxiliary_signals, evidence_curves
 from frictrack.diagnose.compressed import compress_residual
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.flow.sensor_stage import auxiliary_signals
 from frictrack.records import Track

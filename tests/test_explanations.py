@@ -13,7 +13,6 @@ from few_effects import use_few_effects
 from runs import BASE, MASS, Spec, measured, study
 from scipy.integrate import solve_ivp
 
-from frictrack import models
 from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
@@ -22,13 +21,13 @@ from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
-from frictrack.effects import LIBRARY
-from frictrack.evaluation_budget import EvaluationBudget
+from frictrack.effects import LIBRARY, models
 from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import linearise, measured_series
 from frictrack.fit.stepwise import baseline_misfit, scan_effect, try_effect
 from frictrack.records import Run
+from frictrack.search import EvaluationBudget
 
 LAW = ["coulomb", "viscous"]
 SPECS = tuple(Spec(v, 1, 0.06) for v in (3.0, 5.0, 7.0, 4.0, -6.0))

@@ -17,13 +17,13 @@ import pytest
 from conftest import slide
 from tracker_program import read_project, world_positions
 
-from frictrack import export
-from frictrack.errors import FrictrackError
-from frictrack.export import FORMATS, ExportedFiles, export_results
-from frictrack.export.table_files import sheet_names
-from frictrack.export.tables import all_columns, describe, motion_columns, own_motion, track_columns
-from frictrack.export.tracker_project import PIXEL_CENTRE, tracker_axes
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
+from frictrack.present import export
+from frictrack.present.export import FORMATS, ExportedFiles, export_results
+from frictrack.present.export.table_files import sheet_names
+from frictrack.present.export.tables import all_columns, describe, motion_columns, own_motion, track_columns
+from frictrack.present.export.tracker_project import PIXEL_CENTRE, tracker_axes
 from frictrack.records import Displacement, Track
 from frictrack.results import Results
 from frictrack.samples import films_folder

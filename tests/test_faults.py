@@ -17,7 +17,7 @@ import pytest
 from campaigns import campaign, contents, results
 from repeats import few_or_many
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, run_pipeline, verify
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
@@ -217,7 +217,7 @@ def test_a_clock_that_jumps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_a_killed_writer_left_is_swept(tmp_path: Path) -> None:
-    from frictrack.files import _HOST, INTERNAL_FOLDER, lock_folder, replace_text  # noqa: PLC0415
+    from frictrack.base.files import _HOST, INTERNAL_FOLDER, lock_folder, replace_text  # noqa: PLC0415
 
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()

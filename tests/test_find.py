@@ -12,7 +12,7 @@ import pytest
 from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 from film import Film, block_film, expose, speckle
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
 from frictrack.tracking.detection.moving_bodies import locate_target
 

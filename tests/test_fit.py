@@ -25,8 +25,8 @@ from runs import (
     with_hidden,
 )
 
-from frictrack import models
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.fit import fit, refine, restore, state
 from frictrack.fit.least_squares import heldout_rms
 from frictrack.records import Displacement, Motion, Run
@@ -406,7 +406,7 @@ def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
 
 def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     """A strong swing that the law lacks, down to a slow end: the best static law of it runs away at first."""
-    from frictrack.reproduce import laws, printed, recordings  # noqa: PLC0415
+    from frictrack.validation.reproduce import laws, printed, recordings  # noqa: PLC0415
 
     known = laws.to_effects(laws.atm1(2), laws.read_printed(printed.ATM1["low"], "sample"))
     t = np.arange(468) / FPS

@@ -15,7 +15,7 @@ from conftest import F_C, F_V, slide
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as ndimage_shift
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import FitRequest, Session, open_study, pipeline, tried_models
 from frictrack.records import Filtered
 
@@ -49,7 +49,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return Found({"verdict": "complete", "missing": [], "candidates": [], "seed": rng})
 
     # by their modules: `frictrack.compare` and `frictrack.diagnose` are the functions
-    monkeypatch.setattr(import_module("frictrack.compare"), "compare", lambda fits: Found(errors(fits)))
+    monkeypatch.setattr(import_module("frictrack.diagnose.compare"), "compare", lambda fits: Found(errors(fits)))
     monkeypatch.setattr(import_module("frictrack.diagnose"), "diagnose", diagnose)
     return calls
 
@@ -155,7 +155,7 @@ def test_a_failing_stage_keeps_what_was_done(
         raise FrictrackError("displacement: expected a moving target")
 
     with monkeypatch.context() as patch:
-        patch.setattr("frictrack.motion.low_pass", broken)
+        patch.setattr("frictrack.measure.motion.low_pass", broken)
         with pytest.raises(FrictrackError, match=r'run "slow", filtered: displacement: expected a moving target'):
             session(new_study_file).bring_up_to("motion")
     assert made == ["slow displacement", "middle displacement", "fast displacement", "slow sensors"]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import is_coherent
 from frictrack.cli.diagnosis_output import unexplained
 from frictrack.cli.output import Console
 from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
@@ -23,9 +25,7 @@ from frictrack.diagnose.formulas.probability import (
 from frictrack.diagnose.formulas.shapes import KIND_POWERS
 from frictrack.diagnose.formulas.terms import Term, build_effect, coefficient_unit, parameter_bounds
 from frictrack.diagnose.smooth_forces import Axis
-from frictrack.errors import FrictrackError
 from frictrack.flow.study_edits import choose_formula, formula_number
-from frictrack.units import is_coherent
 
 FORMULA = {
     "formula": "2 N exp(-|v|/3 m/s)",

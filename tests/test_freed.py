@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
-from frictrack import effects, models
-from frictrack.errors import FrictrackError
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.flow import Session, open_study
-from frictrack.verdicts import describe_verdict
+from frictrack.results.verdicts import describe_verdict
 
 
 def study(folder, head, tables, run=()):

@@ -11,9 +11,9 @@ import pytest
 from runs import BASE, MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack import models
-from frictrack.compare import compare
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.compare import compare
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.simulate import Conditions, Start, is_smooth_at_rest, simulate, simulate_displacement
 

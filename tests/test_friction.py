@@ -8,10 +8,10 @@ import pytest
 from repeats import few_or_many
 from scipy.integrate import solve_ivp
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit import fit
-from frictrack.friction import free_section, friction, impact, moving_sections, release_time
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.friction import free_section, friction, impact, moving_sections, release_time
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import GRAVITY, Displacement, Motion, Run
 
 FPS = 4000.0

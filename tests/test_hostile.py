@@ -16,20 +16,19 @@ import pytest
 from campaigns import campaign
 from test_recording import H, W, write_video
 
-from frictrack import export, store
-from frictrack.calibration.lens import read_lens
-from frictrack.errors import MAX_MESSAGE_LENGTH, FrictrackError
-from frictrack.files import is_file_name, lock_folder, make_subfolder
-from frictrack.flow import CommandHistory, Session, open_study
+from frictrack.base.errors import MAX_MESSAGE_LENGTH, FrictrackError
+from frictrack.base.files import is_file_name, lock_folder, make_subfolder
+from frictrack.base.units import parse_quantity
+from frictrack.base.version import __version__
+from frictrack.flow import CommandHistory, Session, open_study, store
+from frictrack.flow.store import HEADER_BYTES, GroupContent
+from frictrack.flow.store.file_header import header_of, sign
+from frictrack.measure.calibration.lens import read_lens
+from frictrack.present import export
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
-from frictrack.store import HEADER_BYTES, GroupContent
-from frictrack.store.file_header import header_of
-from frictrack.store.signatures import sign
 from frictrack.study import load, parse, read_table, table_files, table_headers, write_study
-from frictrack.units import parse_quantity
-from frictrack.version import __version__
 
 RUN = '[[run]]\nname = {name}\ntable = "t.csv"\n'
 GOOD = RUN.format(name='"one"')

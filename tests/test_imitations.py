@@ -13,10 +13,10 @@ import pytest
 from runs import Slider, integrate, measured
 
 from frictrack import effects
-from frictrack.costs import Costs
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
 from frictrack.diagnose.conclusion import _limits
 from frictrack.diagnose.examination import examine
+from frictrack.diagnose.experiments import next_run
 from frictrack.diagnose.experiments.proposals import Question, Weighted, _rival_questions, list_explanations
 from frictrack.diagnose.model_selection import is_special_case
 from frictrack.diagnose.power import find_undetermined, mean_friction
@@ -27,7 +27,7 @@ from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.parameters import jacobian_basis
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import linear_estimates
-from frictrack.plan import next_run
+from frictrack.settings.costs import Costs
 
 COURSE = (0.05, 0.65)  # m
 SIGMA = 1e-5  # m

@@ -14,7 +14,7 @@ import pytest
 from browser import LIMIT_S
 from filelock import FileLock
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
 from frictrack.study import Study
 from frictrack.workbench import jobs

@@ -9,8 +9,8 @@ import pytest
 from runs import BASE, EARLIER, HIDDEN, Spec, study
 from test_reality import swinging
 
-from frictrack import effects, models
-from frictrack.effects import LIBRARY, Path
+from frictrack import effects
+from frictrack.effects import LIBRARY, Path, models
 from frictrack.fit import fit
 from frictrack.fit.pieces import JoinedPieces
 from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion

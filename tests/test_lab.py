@@ -17,7 +17,7 @@ import pytest
 from browser import CHROMIUM, Open
 
 import frictrack as ft
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.workbench.notebook import look
 

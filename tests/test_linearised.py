@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
-from frictrack import effects, models, samples
-from frictrack.evaluation_budget import EvaluationBudget
+from frictrack import effects, samples
+from frictrack.effects import models
 from frictrack.fit import add_effect, fit, reference_of, refine
 from frictrack.fit.least_squares import heldout_rms
 from frictrack.fit.linearised import (
@@ -35,6 +35,7 @@ from frictrack.fit.stepwise import (
     try_effect,
     try_effects,
 )
+from frictrack.search import EvaluationBudget
 from frictrack.simulate import Conditions, simulate
 from frictrack.simulate.dynamics import EdgeResponse
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Displacement
 
 FPS, NOISE, LINE = 1000.0, 1e-5, 60.0

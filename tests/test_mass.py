@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit import fit, restore, state
 from frictrack.records import GRAVITY, Displacement, Motion, Run
 from frictrack.results import to_builtins

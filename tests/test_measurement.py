@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from frictrack import recording
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, film_stages, open_study
 from frictrack.flow.track_quality import correct_times
 from frictrack.records import Track

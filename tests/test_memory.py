@@ -10,8 +10,8 @@ import pytest
 from runs import BASE, MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack import models, samples
-from frictrack.effects import Path, direction_of_motion, get
+from frictrack import samples
+from frictrack.effects import Path, direction_of_motion, get, models
 from frictrack.effects.library.presliding import bending
 from frictrack.fit import fit, reference_of
 from frictrack.fit.least_squares import LeastSquaresProblem

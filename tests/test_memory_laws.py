@@ -10,9 +10,8 @@ import pytest
 from runs import MASS, measured
 from scipy.integrate import solve_ivp
 
-from frictrack import models
 from frictrack.diagnose import diagnose
-from frictrack.effects import Path, direction_of_motion, get
+from frictrack.effects import Path, direction_of_motion, get, models
 from frictrack.fit import fit, refine
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate

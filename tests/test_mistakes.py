@@ -16,13 +16,13 @@ import pytest
 import tifffile
 from film import block_film
 
-from frictrack.batch import BatchState
 from frictrack.cli import main, study_commands, utility_commands  # noqa: F401 - registers the commands
 from frictrack.cli.batch_progress import LinePrinter
 from frictrack.cli.common import app
 from frictrack.cli.examples import EXAMPLES
 from frictrack.cli.progress_bars import ProgressDisplay
 from frictrack.flow import stages
+from frictrack.flow.batch import BatchState
 
 T = np.arange(300) / 4000
 X = 1.6 * T - 1.5 * T**2

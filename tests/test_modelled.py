@@ -17,12 +17,14 @@ import pytest
 from runs import Slider, integrate
 from scipy.integrate import solve_ivp
 
-from frictrack import effects, export, models, plots, report
+from frictrack import effects
+from frictrack.effects import models
 from frictrack.fit import fit, restore
 from frictrack.fit import state as state_of
 from frictrack.flow import Session, open_study
-from frictrack.friction import friction
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.friction import friction
+from frictrack.measure.motion import differentiate, low_pass
+from frictrack.present import export, plots, report
 from frictrack.records import Displacement, Run
 from frictrack.results import ModelResults, RunResults
 

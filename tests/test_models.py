@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from runs import BASE, HIDDEN, LAWS, PITCH, SHIFTS, TOLD, Slider, force
 
-from frictrack import effects, models
-from frictrack.effects import Path
-from frictrack.errors import FrictrackError
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import Path, models
 from frictrack.fit import fit
 from frictrack.records import Run
 from frictrack.simulate import Conditions, simulate

@@ -8,8 +8,8 @@ from repeats import few_or_many
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
-from frictrack.errors import FrictrackError
-from frictrack.motion import (
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion import (
     METHOD_NAMES,
     MISSING_SIGMA,
     KnownAcceleration,
@@ -18,11 +18,10 @@ from frictrack.motion import (
     low_pass,
     noise_level,
 )
-from frictrack.motion.posterior_deviations import deviations
-from frictrack.motion.smoother import FactoredSmoother
-from frictrack.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
-from frictrack.motion.structure import Structure
-from frictrack.motion.structure_search import ScoredStructure, StructureSearch
+from frictrack.measure.motion.posterior_deviations import deviations
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
+from frictrack.measure.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
+from frictrack.measure.motion.structure_search import ScoredStructure, StructureSearch
 from frictrack.records import Displacement
 
 FPS = 4000.0

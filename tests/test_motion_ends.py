@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from frictrack.errors import FrictrackError
-from frictrack.motion import Smoother, compare_filters, differentiate, low_pass
-from frictrack.motion.structure import Event, Structure
-from frictrack.motion.structure_average import ChangeGroup, StructureChange
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion import Smoother, compare_filters, differentiate, low_pass
+from frictrack.measure.motion.smoother import Event, Structure
+from frictrack.measure.motion.structure_average import ChangeGroup, StructureChange
 from frictrack.records import Displacement, Run
 
 FPS, MASS = 4000.0, 0.35

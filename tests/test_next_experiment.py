@@ -15,13 +15,12 @@ import pytest
 from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
-from frictrack import effects, models, plots
+from frictrack import effects
 from frictrack.cli import diagnosis_output
-from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
+from frictrack.diagnose.experiments import candidate_runs, fitted_setup, plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.experiments import forecast as forecasts
-from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.experiments.candidates import candidate_experiments
 from frictrack.diagnose.experiments.forecast import (
     EvidenceForecast,
@@ -45,14 +44,16 @@ from frictrack.diagnose.experiments.virtual_runs import (
     simulate_run,
 )
 from frictrack.diagnose.model_selection import information_criterion
+from frictrack.effects import models
 from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.least_squares import white_noise_covariance
 from frictrack.fit.stepwise import refine_to_end
-from frictrack.plan import candidate_runs, fitted_setup
+from frictrack.present import plots
+from frictrack.present.report import tables
 from frictrack.records import GRAVITY
-from frictrack.report import tables
 from frictrack.results import to_builtins
+from frictrack.settings.costs import Costs
 from frictrack.simulate import Conditions, simulate
 
 LAW = ["coulomb", "viscous"]

@@ -9,9 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from frictrack import store
-from frictrack.flow import Session, open_study
-from frictrack.store import GroupContent, nexus
+from frictrack.flow import Session, open_study, store
+from frictrack.flow.store import GroupContent, nexus
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +93,8 @@ def test_files_without_marks_stay_current_and_are_marked_when_written(
     shutil.copytree(results.parent, tmp_path, dirs_exist_ok=True)
     shutil.rmtree(tmp_path / "study_results")
     with monkeypatch.context() as before:  # as an earlier version wrote them
-        before.setattr("frictrack.store.encoding.mark_data", lambda group, kind: None)
-        before.setattr("frictrack.store.hdf5_io.mark_default", lambda file: None)
+        before.setattr("frictrack.flow.store.encoding.mark_data", lambda group, kind: None)
+        before.setattr("frictrack.flow.store.hdf5_io.mark_default", lambda file: None)
         Session(open_study(tmp_path / "study.toml")).bring_up_to("motion")
     path = tmp_path / "study_results" / "slow.h5"
     old = path.read_bytes()

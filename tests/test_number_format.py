@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from frictrack.number_format import (
+from frictrack.base.number_format import (
     format_change,
     format_concise,
     format_interval,

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from frictrack.calibration import calibrate, plane_map
-from frictrack.calibration.target_size import target_width
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.calibration import calibrate, plane_map
+from frictrack.measure.calibration.target_size import target_width
 from frictrack.records import Track
 
 SIZE = (130, 330)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from blocks import SHAPE, SLIDE, N, a_film
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import contact_sheet, overlay_video, target_line, track
 from frictrack.tracking.show import COLOURS, Canvas, corners

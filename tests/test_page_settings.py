@@ -15,7 +15,7 @@ import pytest
 from browser import CHROMIUM, Open, Serve, Server, Tab
 
 from frictrack.flow import Session, open_study, preview_motion, read_results
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.motion import differentiate, low_pass
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 SAMPLES = Path(__file__).parent.parent / "sample_videos"

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from runs import BASE, HIDDEN, Spec, study
 
-from frictrack import models, samples
-from frictrack.errors import FrictrackError
+from frictrack import samples
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.flow import Session, open_study, run_study, verify
 from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Track

@@ -15,8 +15,8 @@ import typer
 
 import frictrack.cli.study_commands
 import frictrack.cli.utility_commands  # noqa: F401 - they put the commands into `app`
-from frictrack.calibration import parse_scale
 from frictrack.cli.common import app
+from frictrack.measure.calibration import parse_scale
 from frictrack.study.loading import TABLES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

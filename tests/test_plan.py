@@ -19,17 +19,25 @@ from few_effects import use_few_effects
 from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
-from frictrack import effects, models
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import main, output
+from frictrack.diagnose.experiments import (
+    ExperimentSetup,
+    candidate_runs,
+    choose_runs,
+    default_setup,
+    fitted_setup,
+    summarise_plan,
+)
 from frictrack.diagnose.experiments.candidates import COULOMB_DECELERATION, DEFAULT_NOISE_PX
 from frictrack.diagnose.experiments.evidence import simulate_runs
 from frictrack.diagnose.model_selection import information_criterion
-from frictrack.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.fit import add_effect, fit
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.flow import open_study
 from frictrack.flow import plan as plan_study
-from frictrack.plan import ExperimentSetup, candidate_runs, choose_runs, default_setup, fitted_setup, summarise_plan
 from frictrack.results import to_builtins
 from frictrack.simulate import Conditions, simulate
 
@@ -202,7 +210,9 @@ def before(tmp_path):
 def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys, monkeypatch, run_plan):
     """The command asks for a plan of the very set-up that `run_plan` has planned already."""
     asked = []
-    monkeypatch.setattr("frictrack.plan.choose_runs", lambda setup, progress: asked.append(setup) or run_plan)
+    monkeypatch.setattr(
+        "frictrack.diagnose.experiments.choose_runs", lambda setup, progress: asked.append(setup) or run_plan
+    )
     main_ok(["plan", str(before), "--json"])
     assert [repr(setup) for setup in asked] == [repr(run_plan.setup)]
     found = json.loads(capsys.readouterr().out)

@@ -17,15 +17,13 @@ from rich.console import Console
 from scipy.integrate import solve_ivp
 
 from frictrack import samples
-from frictrack.blind.study_files import write_study
-from frictrack.blind.truth_sampling import draw_truth
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
 from frictrack.cli.diagnosis_output import verdict
-from frictrack.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
 from frictrack.flow.new_study import propose_study
-from frictrack.motion import differentiate, low_pass
-from frictrack.plausibility import (
+from frictrack.measure.motion import differentiate, low_pass
+from frictrack.measure.plausibility import (
     ERROR,
     EnteredValues,
     estimate_slide,
@@ -39,9 +37,11 @@ from frictrack.plausibility import (
     shifted_swings,
     wrong_incline,
 )
+from frictrack.measure.tables import displacement_of_table
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData
-from frictrack.tables import displacement_of_table
+from frictrack.validation.blind.study_files import write_study
+from frictrack.validation.blind.truth_sampling import draw_truth
 from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
 
 NOISE = 1e-5  # m

@@ -12,9 +12,9 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from frictrack import plots
-from frictrack.plots import style
-from frictrack.plots.style import RC_PARAMS
+from frictrack.present import plots
+from frictrack.present.plots import style
+from frictrack.present.plots.style import RC_PARAMS
 from frictrack.records import Curve, Displacement, Filtered, Friction, Motion, Track
 from frictrack.results import ModelResults, RecordingInfo, Results, RunResults
 

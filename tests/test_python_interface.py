@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 import frictrack as ft
-from frictrack import plots
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.present import plots
 
 T = np.arange(0, 0.2, 1 / 4000)
 F_C, MASS = 2.0, 0.35

@@ -12,7 +12,7 @@ from frictrack import samples
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.fit.observations import weight_by_noise
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
 from frictrack.study import read_table
 

@@ -13,18 +13,18 @@ from scipy.integrate import solve_ivp
 from test_series import FPS as CELL_FPS
 from test_series import given, swing, tustin_force
 
-from frictrack import effects, models
+from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import physical_objection
 from frictrack.diagnose.preparation import subsample
-from frictrack.effects import LIBRARY, Span
+from frictrack.effects import LIBRARY, Span, models
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise
-from frictrack.friction import join_swings, moving_sections
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.friction import join_swings, moving_sections
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
+from frictrack.results.verdicts import describe_verdict
 from frictrack.sampling import screened
-from frictrack.verdicts import describe_verdict
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]
 SPAN = Span(duration=0.1, x_min=0.0, x_max=0.4, v_min=1.0, v_max=4.0, fps=4000.0)

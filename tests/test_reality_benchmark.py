@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from frictrack.blind.truth import RunTruth, Truth
 from frictrack.results import to_builtins
+from frictrack.validation.blind.truth import RunTruth, Truth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from camera_films import write_cine, write_photron
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import FORMATS, open_recording, random_access
 from frictrack.recording.timebase import AuditRow
 

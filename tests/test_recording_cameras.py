@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from camera_films import write_cine, write_photron
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import open_recording
 
 CAMERAS = Path(__file__).parent / "data" / "cameras"

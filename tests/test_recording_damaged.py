@@ -16,7 +16,7 @@ from camera_films import write_cine, write_photron
 from test_recording import write_folder, write_video
 from test_recording_cameras import CAMERAS, grey
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import open_recording, random_access
 
 FORMS = ["cih", "cihx", "mraw12", "cine", "p10", "tif", "pages", "deflate", "bigtiff", "avi", "mp4", "mkv", "folder"]

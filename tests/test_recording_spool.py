@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from film import Film
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Header, Recording, random_access, spool
 
 N, H, W = 40, 24, 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Header, read_stamps
 from frictrack.recording.timebase import audit
 

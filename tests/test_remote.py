@@ -17,13 +17,13 @@ import pytest
 import tomlkit
 from range_server import serving
 
-from frictrack import remote
-from frictrack.batch.tasks import are_unchanged, file_states
-from frictrack.content_hash import CACHE_VARIABLE
-from frictrack.errors import FrictrackError
+from frictrack.base import remote
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import CACHE_VARIABLE
+from frictrack.base.remote import RemoteFile
 from frictrack.flow import Session, open_study
+from frictrack.flow.batch.tasks import are_unchanged, file_states
 from frictrack.recording.byte_ranges import find_ranges
-from frictrack.remote import RemoteFile
 from frictrack.study import parse
 from frictrack.study.loading import TABLES
 

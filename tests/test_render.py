@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.simulate.rendering import (
     Camera,
     Highlight,

@@ -17,10 +17,10 @@ from film import FULL_WELL, READ_NOISE, Film, block_film, expose, speckle
 
 import frictrack as ft
 from frictrack.diagnose.data_faults import chi2_without
-from frictrack.export import write as export_tables
 from frictrack.flow import Session, open_study, read_results
+from frictrack.present.export import write as export_tables
 from frictrack.records import Displacement, Motion, Track
-from frictrack.repairs import Repair, read_repairs, repair_codes
+from frictrack.settings.repairs import Repair, read_repairs, repair_codes
 from frictrack.study import load
 
 N, FPS, SHAPE, SIZE = 300, 4000.0, (128, 512), (60, 90)

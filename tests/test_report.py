@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from test_plots import candidate, diagnosis, model, parameter, results
 
-from frictrack import report
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit.parameters import SCATTER_BOUNDS
-from frictrack.report import markup, tables, verdict_text
-from frictrack.report import measurement_quality as of_measurement
-from frictrack.report.fit_text import next_steps
+from frictrack.present import report
+from frictrack.present.report import markup, tables, verdict_text
+from frictrack.present.report import measurement_quality as of_measurement
+from frictrack.present.report.fit_text import next_steps
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -61,7 +61,7 @@ def page(text) -> Page:
 @pytest.fixture
 def quick(monkeypatch):
     """Figures are made but not written out: where only the words matter."""
-    monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
+    monkeypatch.setattr("frictrack.present.plots.svg", lambda figure: "<svg></svg>")
 
 
 def test_page_fetches_nothing_from_outside(text, page):
@@ -341,7 +341,7 @@ def test_a_good_measurement_is_said_in_two_sentences():
     ],
 )
 def test_the_worst_of_a_measurement_is_said(changes, said, monkeypatch):
-    monkeypatch.setattr("frictrack.plots.svg", lambda figure: "<svg></svg>")
+    monkeypatch.setattr("frictrack.present.plots.svg", lambda figure: "<svg></svg>")
     found = measured(**changes)
     assert said in of_measurement.measurement(found.runs)[1]
     assert said in report.render(found)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from test_plots import candidate, diagnosis, results
 
-from frictrack import report
+from frictrack.present import report
 
 pytest.importorskip("playwright.sync_api")
 from playwright.sync_api import sync_playwright

@@ -13,11 +13,12 @@ from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 import frictrack as ft
-from frictrack import reproduce
+from frictrack.base.errors import FrictrackError
 from frictrack.cli.utility_commands import app
 from frictrack.effects import Path as Way
-from frictrack.errors import FrictrackError
-from frictrack.reproduce import (
+from frictrack.search import GA
+from frictrack.validation import reproduce
+from frictrack.validation.reproduce import (
     FULL,
     QUICK,
     Claim,
@@ -33,9 +34,8 @@ from frictrack.reproduce import (
     tustin_model,
     write_reproduction,
 )
-from frictrack.reproduce.page import SectionStore, as_text, format_cell, render_page
-from frictrack.reproduce.sections import FAILS, HOLDS, OPEN, claim
-from frictrack.search import GA
+from frictrack.validation.reproduce.page import SectionStore, as_text, format_cell, render_page
+from frictrack.validation.reproduce.sections import FAILS, HOLDS, OPEN, claim
 
 Array = np.ndarray
 

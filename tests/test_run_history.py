@@ -8,9 +8,9 @@ from runs import measured
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose import diagnose
 from frictrack.effects import LIBRARY
-from frictrack.errors import FrictrackError
 from frictrack.fit import add_effect, fit
 
 MASS = 0.35

@@ -10,8 +10,9 @@ import pytest
 
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
-from frictrack.friction import free_section
-from frictrack.motion import differentiate, low_pass, noise_level
+from frictrack.measure.friction import free_section
+from frictrack.measure.motion import differentiate, low_pass, noise_level
+from frictrack.measure.tables import displacement_of_table, jitter_notes, with_even_clock
 from frictrack.records import Displacement, Run
 from frictrack.sampling import (
     common_unevenness,
@@ -24,7 +25,6 @@ from frictrack.sampling import (
     unwrapped,
 )
 from frictrack.study import TableData
-from frictrack.tables import displacement_of_table, jitter_notes, with_even_clock
 from frictrack.tracking.checks import correct_ticks, slips
 from tests.test_timing import a_track
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from runs import BASE, Spec, study
 
-from frictrack import effects, models
+from frictrack import effects
 from frictrack.diagnose import power
 from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.fit.linearised import (
     candidate_grids,

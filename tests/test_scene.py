@@ -10,7 +10,7 @@ import tifffile
 
 import frictrack as ft
 from frictrack import samples
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.simulate.scene import film_scene, read_scene, render_scene
 
 SCENE = """

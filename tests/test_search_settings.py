@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 import frictrack as ft
-from frictrack import plots
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import study_commands  # noqa: F401 - its commands register themselves
 from frictrack.cli.common import app
-from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, read_results
+from frictrack.present import plots
 from frictrack.study import parse
 
 MODEL = ["coulomb", "viscous"]

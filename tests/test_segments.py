@@ -15,7 +15,7 @@ import pytest
 import tifffile
 from film import block_film
 
-from frictrack import workers
+from frictrack.base import workers
 from frictrack.cli import main
 from frictrack.flow import Session, open_study
 from frictrack.recording import Recording, open_recording

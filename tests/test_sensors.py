@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from frictrack.errors import FrictrackError
-from frictrack.plausibility import implausible_sensors
-from frictrack.records import Array, Displacement
-from frictrack.sensors import (
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.plausibility import implausible_sensors
+from frictrack.measure.sensors import (
     Alignment,
     AlignmentProblem,
     SensorComparison,
@@ -24,6 +23,7 @@ from frictrack.sensors import (
     release_energy,
     second_differences,
 )
+from frictrack.records import Array, Displacement
 
 OMEGA, SHAKE = 2 * np.pi * 60.0, 5.7  # rad/s, m/s^2: a vibration
 DECAY = 1.3  # 1/s, of what viscous friction adds

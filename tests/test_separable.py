@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from frictrack import effects, models
-from frictrack.effects import Path, Span
+from frictrack import effects
+from frictrack.effects import Path, Span, models
 from frictrack.fit import ParameterLayout, fit
 from frictrack.fit.linearised import linearise
 from frictrack.fit.separable import (

@@ -14,14 +14,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from frictrack import effects, export, models, plots, report, samples
-from frictrack.compare import compare
-from frictrack.errors import FrictrackError
+from frictrack import effects, samples
+from frictrack.base.errors import FrictrackError
+from frictrack.diagnose.compare import compare
+from frictrack.effects import models
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations import friction_pieces
 from frictrack.fit.observations.measured_friction import block_covariance
 from frictrack.flow import Session, open_study
-from frictrack.motion import differentiate, low_pass
+from frictrack.measure.motion import differentiate, low_pass
+from frictrack.present import export, plots, report
 from frictrack.records import Displacement, Motion, Run
 from frictrack.results import to_builtins
 from frictrack.study import read_table

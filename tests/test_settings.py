@@ -9,9 +9,8 @@ import pytest
 from runs import BASE, MASS, Spec, measured, study
 
 import frictrack as ft
-from frictrack import models
-from frictrack.effects import catalogue, settings
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import catalogue, models, settings
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, user_effects
 from frictrack.study.writing import EFFECT

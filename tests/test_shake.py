@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from frictrack.calibration import estimate_shake, subtract_shake
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.calibration import estimate_shake, subtract_shake
 from frictrack.records import Track
 
 N, FPS, SIGMA = 1000, 4000.0, 0.02

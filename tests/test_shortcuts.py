@@ -8,9 +8,9 @@ from runs import measured
 from test_series import swing
 
 from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.experiments.forecast import compress_response
 from frictrack.diagnose.experiments.virtual_runs import LinearisedRun, RunDesign, extend_layout, simulate_run
-from frictrack.errors import FrictrackError
 from frictrack.fit import LeastSquaresProblem, fit, refine
 from frictrack.fit.least_squares import (
     displacement_response,

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
-from frictrack.errors import FrictrackError
 from frictrack.flow import Session, SignificanceBudget, open_study
 from frictrack.flow.diagnosis_records import (
     ALPHA_FIRST,

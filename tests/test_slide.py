@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, MASS, PITCH, SHIFTS, TOLD, Slider, integrate, picture
 
-from frictrack import models
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions, simulate
 

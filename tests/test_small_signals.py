@@ -11,13 +11,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
-from frictrack.blind.equivalents import replacements, solution_at_truth
 from frictrack.diagnose.examination import examine
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain, parameter_penalty
 from frictrack.effects import LIBRARY
 from frictrack.fit import add_effect
-from frictrack.plots import passes
+from frictrack.present.plots import passes
 from frictrack.records import Displacement, Run
+from frictrack.validation.blind.equivalents import replacements, solution_at_truth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 

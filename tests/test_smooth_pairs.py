@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from runs import Spec, study
 
-from frictrack import models
 from frictrack.diagnose import diagnose
+from frictrack.effects import models
 from frictrack.fit import fit
 
 LAW = ["coulomb", "stribeck", "viscous"]

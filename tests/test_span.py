@@ -10,9 +10,9 @@ import pytest
 from film import block_film
 
 from frictrack import Run, calibrate, differentiate, friction, low_pass, track
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.motion import KnownAcceleration, cutoff_tradeoff
+from frictrack.measure.motion import KnownAcceleration, cutoff_tradeoff
 from frictrack.records import Displacement
 from frictrack.simulate.rendering import write_film
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frictrack.errors import FrictrackError
-from frictrack.units import _PREFIXES, _UNITS, _WITHOUT_PREFIX, _convert, _convert_with_pint
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import _PREFIXES, _UNITS, _WITHOUT_PREFIX, _convert, _convert_with_pint
 
 HEAVY = ("scipy", "cv2", "pandas", "matplotlib", "pint", "jinja2", "tifffile", "openpyxl")
 SCIENCE = tuple(f"frictrack.{part}" for part in ("fit", "diagnose", "motion", "tracking", "plan", "report", "simulate"))

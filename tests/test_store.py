@@ -10,11 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
-from frictrack import store
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.flow import store
+from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Curve, Track
 from frictrack.results import RecordingInfo
-from frictrack.store import GroupContent, Provenance
 
 
 def track(n: int = 5) -> Track:
@@ -176,8 +176,8 @@ def test_a_file_of_another_program_is_left_alone(tmp_path: Path) -> None:
 def test_a_later_schema_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "v3.h5"
     with monkeypatch.context() as later:
-        later.setattr("frictrack.store.file_header.SCHEMA", 99)
-        later.setattr("frictrack.store.hdf5_io.__version__", "7.1.0")
+        later.setattr("frictrack.flow.store.file_header.SCHEMA", 99)
+        later.setattr("frictrack.flow.store.hdf5_io.__version__", "7.1.0")
         store.write(path, {"a": GroupContent({"n": 1})})
     before = path.read_bytes()
     words = rf"expected .*v3\.h5 of schema {store.SCHEMA} at most but it has 99 and was written by frictrack 7\.1\.0"

@@ -23,14 +23,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from frictrack import store, study
-from frictrack.errors import FrictrackError
-from frictrack.flow import Session, open_study
+from frictrack import study
+from frictrack.base.errors import FrictrackError
+from frictrack.base.version import __version__
+from frictrack.flow import Session, open_study, store
 from frictrack.flow import schema as written
-from frictrack.store import GroupContent, Provenance, sandbox, signatures
-from frictrack.store.checksums import array_checksum, wrong_checksums
-from frictrack.store.file_header import header_of
-from frictrack.version import __version__
+from frictrack.flow.store import GroupContent, Provenance, sandbox, signatures
+from frictrack.flow.store.checksums import array_checksum, wrong_checksums
+from frictrack.flow.store.file_header import header_of
 
 
 def sealed(hdf5, *how):
@@ -208,7 +208,7 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGALRM")
 def test_a_process_that_hangs_ends_also_when_nobody_waits(sound: Path) -> None:
     code = """
-from frictrack.store import sandbox
+from frictrack.flow.store import sandbox
 import ctypes
 sandbox.MIN_TIMEOUT_S = 0.3
 sandbox.run_sandbox_process(lambda path: ctypes.CDLL(None).sleep(60))

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 import tifffile
 
-from frictrack.errors import FrictrackError
-from frictrack.filters import FilterChoice
+from frictrack.base.errors import FrictrackError
+from frictrack.settings.filters import FilterChoice
 from frictrack.study import find_recordings, load, parse, read_sensor_table, read_table, write_study
 
 CAMERA = '[camera]\nfps = 4000\nscale = "0.5 mm/px"\n'

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.study import find_recordings, load, propose_columns, read_run_table, read_table
 
 # What Tracker 6 writes: the name of the track, the names of the columns, numbers as Java prints them.

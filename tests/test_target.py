@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import driver, find_reference, track
 from frictrack.tracking.detection import resolve_target, rests_while_others_move

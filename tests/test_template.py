@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from film import FULL_WELL, READ_NOISE, Film, block_film, expose, moved, speckle
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.tracking import TargetModel, learn_target, track
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX, shift_expansion
 from frictrack.tracking.measure import (

@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import frictrack as ft
-from frictrack.threads import map_in_threads, one_thread
+from frictrack.base.workers import map_in_threads, one_thread
 
 
 def counts() -> set[int]:

@@ -15,9 +15,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import hash_path, open_study, run_pipeline, survey_recording
-from frictrack.flow.survey import expand_folders
+from frictrack.flow.new_study import expand_folders
 from frictrack.study import find_recordings, open_table, read_table, table_headers
 from frictrack.study import table_cells as xml_limits
 

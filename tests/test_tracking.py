@@ -8,7 +8,7 @@ import pytest
 from film import Film, block_film, expose, speckle
 from scipy.ndimage import map_coordinates
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.tracking import target_line, track
 
 SIZE, SHAPE = (36, 48), (64, 240)  # of the block and the picture, px

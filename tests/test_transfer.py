@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import frictrack as ft
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
 from frictrack.effects import carries_over, get, known
-from frictrack.errors import FrictrackError
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study
-from frictrack.priors import Prior
+from frictrack.settings.priors import Prior
 
 MASS, F_C, F_V = 0.5, 3.0, 0.8
 LAW = ["coulomb", "viscous"]

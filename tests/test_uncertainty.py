@@ -17,15 +17,16 @@ from scipy.stats import t as student
 from typer.testing import CliRunner
 
 import frictrack as ft
-from frictrack import models, plots
+from frictrack.base.errors import FrictrackError
 from frictrack.cli import study_commands  # noqa: F401 - registers the commands
 from frictrack.cli.common import app
-from frictrack.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
 from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.fit.uncertainty.profile_likelihood import FixedQuantityProblem, ProfileSearch
 from frictrack.fit.uncertainty.reported_values import parse_quantity
-from frictrack.report import fit_text, tables
+from frictrack.present import plots
+from frictrack.present.report import fit_text, tables
 from frictrack.results import ModelResults
 
 Z = 1.959964

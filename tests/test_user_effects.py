@@ -11,9 +11,9 @@ import pytest
 from runs import BASE, HIDDEN, Spec, study
 
 import frictrack as ft
-from frictrack import effects, models
-from frictrack.effects import DECLARED, Path, Span, formula, settings
-from frictrack.errors import FrictrackError
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import DECLARED, Path, Span, formula, models, settings
 from frictrack.fit import restore, state
 from frictrack.records import GRAVITY
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
-from frictrack import plots
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.present import plots
 from frictrack.records import Run
 
 FPS, MASS, GRAVITY = 2000, 0.35, 9.80665

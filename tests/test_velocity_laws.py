@@ -9,11 +9,10 @@ import pytest
 from runs import BASE, TOLD, Spec, measured, study
 from scipy.integrate import solve_ivp
 
-from frictrack import models
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.explanations import Explanation, Explanations
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
-from frictrack.effects import LIBRARY
+from frictrack.effects import LIBRARY, models
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import gain_by_smaller_scatter, try_together

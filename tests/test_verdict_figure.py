@@ -10,12 +10,13 @@ from runs import BASE, Spec, study
 from test_plots import candidate, diagnosis, drawn, model, results
 
 import frictrack as ft
-from frictrack import models, plots
-from frictrack.candidates import candidate_rows
 from frictrack.diagnose.residual_curves import residual_series
-from frictrack.plots import failed_model
-from frictrack.plots.verdict import HeldOutError, _spans, data_of_diagnosis, data_of_study
-from frictrack.report import tables
+from frictrack.effects import models
+from frictrack.present import plots
+from frictrack.present.plots import failed_model
+from frictrack.present.plots.verdict import HeldOutError, _spans, data_of_diagnosis, data_of_study
+from frictrack.present.report import tables
+from frictrack.results.candidates import candidate_rows
 
 PATCH = {"F": 2.0, "x_c": 0.2, "w": 0.008}
 REPEAT = {"share": 0.9, "runs": 2, "of": 2, "evidence": 50.0}

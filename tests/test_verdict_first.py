@@ -12,15 +12,15 @@ import pytest
 from rich.console import Console
 from runs import BASE, HIDDEN, Spec, study
 
-from frictrack import models
 from frictrack.cli import main, output
 from frictrack.diagnose import Diagnosis, conclusion, diagnose
 from frictrack.diagnose.conclusion import Conclusion
+from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study, read_results
-from frictrack.report.fit_text import next_steps
+from frictrack.present.report.fit_text import next_steps
 from frictrack.results import to_builtins
-from frictrack.verdicts import VERDICT_ONLY
+from frictrack.results.verdicts import VERDICT_ONLY
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05))

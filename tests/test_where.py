@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
-from frictrack import effects, models, plots, samples
-from frictrack.compare import failing_spans, find_local_forces, start_search
-from frictrack.compare.local_forces import GlobalSignificance, _bumps_in_time, bump_columns, curve_length
+from frictrack import effects, samples
+from frictrack.diagnose.compare import failing_spans, find_local_forces, start_search
+from frictrack.diagnose.compare.local_forces import GlobalSignificance, _bumps_in_time, bump_columns, curve_length
 from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, describe_axes
 from frictrack.diagnose.residual_curves import deconvolve_force, find_failure_pattern, mean_curve, residual_figures
 from frictrack.diagnose.waves import WaveScan
+from frictrack.effects import models
 from frictrack.fit import add_effect, fit
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
-from frictrack.plots import style
+from frictrack.present import plots
+from frictrack.present.plots import style
 
 DRY = {"coulomb": BASE["coulomb"], "viscous": BASE["viscous"]}
 LAW = "coulomb,viscous"

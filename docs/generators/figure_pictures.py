@@ -1,4 +1,4 @@
-"""Draw the figures of the Python interface on the sample runs, for the pages of `frictrack.plots`."""
+"""Draw the figures of the Python interface on the sample runs, for the pages of `frictrack.present.plots`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from page_text import small_png, write_page
 
 PICTURE_DPI = 90
 SETUP = """import frictrack as ft
-from frictrack import plots
+from frictrack.present import plots
 
 runs = ft.samples.runs()
 fit = ft.fit("tustin", runs)
@@ -19,7 +19,7 @@ fit = ft.fit("tustin", runs)
 DIAGNOSIS = "diagnosis = ft.diagnose(fit)\n"
 PAPERS = 'papers = ft.fit("tustin", runs, domain="force")\n'
 BETTER = 'better = ft.fit(["coulomb", "stribeck", "viscous", "patch"], runs)\n'
-STYLES = "from frictrack.plots.style import run_styles\n"
+STYLES = "from frictrack.present.plots.style import run_styles\n"
 FILTERED = "filtered = ft.low_pass(runs[2].displacement)\n"
 # By function: what comes after the setup, and the call.
 CALLS: dict[str, tuple[str, str]] = {
@@ -86,7 +86,7 @@ def example_of(name: str) -> str:
     Parameters
     ----------
     name
-        Name of the function in `frictrack.plots`.
+        Name of the function in `frictrack.present.plots`.
 
     """
     if name not in CALLS:

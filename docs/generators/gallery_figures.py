@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from frictrack.plots.style import DOT_STYLE, RUN_STYLES, axis_label, axis_scale, new_figure, styled
+from frictrack.present.plots.style import DOT_STYLE, RUN_STYLES, axis_label, axis_scale, new_figure, styled
 from frictrack.records import Array
 
 AXIS_LABELS = {"t": "time / s", "x": "position / m", "v": "velocity / (m/s)"}

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import models
-from frictrack.models import Model
-from frictrack.motion import differentiate, low_pass
+from frictrack.effects import models
+from frictrack.effects.models import Model
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement, EarlierRuns, Run
 from frictrack.simulate import Conditions, Trajectory, simulate
 

@@ -7,11 +7,11 @@ from functools import cache
 
 from gallery_runs import COURSE_M, FPS, MASS_KG, NOISE_M, PITCH_M, TUSTIN
 
-from frictrack import models
 from frictrack.diagnose import MIN_CHI2_SEPARATED
+from frictrack.diagnose.experiments import ExperimentSetup
 from frictrack.diagnose.experiments.evidence import EvidenceTables, tabulate_evidence
 from frictrack.diagnose.experiments.selection import REFERENCE_INSTRUCTION
-from frictrack.plan import ExperimentSetup
+from frictrack.effects import models
 
 FIRST_RUN = "4 m/s"  # key of the run that has been filmed already
 

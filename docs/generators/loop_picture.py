@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import frictrack as ft
-from frictrack import plots
+from frictrack.present import plots
 
 PICTURE = Path(__file__).parents[1] / "_static" / "loop.png"
 

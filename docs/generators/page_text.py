@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 from PIL import Image
 
-from frictrack.plots import png
+from frictrack.present.plots import png
 
 MAX_COLOURS = 128  # of a picture
 

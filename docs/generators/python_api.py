@@ -13,7 +13,7 @@ from figure_pictures import draw_pictures, example_of
 from page_text import keep_only, prose, table, write_page
 
 import frictrack
-from frictrack import plots
+from frictrack.present import plots
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ GROUPS = (
     Group(
         "Figures",
         "Every function draws one matplotlib figure of what the interface returns.",
-        "frictrack.plots",
+        "frictrack.present.plots",
         (*(name for name in plots.__all__ if returns_figure(getattr(plots, name))), "svg", "png"),
     ),
 )

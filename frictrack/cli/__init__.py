@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 
 # The matrices are many and small: several threads of linear algebra would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

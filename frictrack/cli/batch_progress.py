@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from frictrack.batch import BatchState
+    from frictrack.flow.batch import BatchState
 
 MAX_SILENCE_S = 15.0  # between two lines in a log file: a study takes minutes
 MAX_LINES = 8  # of current tasks, and of failures

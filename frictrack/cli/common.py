@@ -15,8 +15,8 @@ from frictrack.cli.examples import EXAMPLES, WHOLE_PROGRAM, format_examples
 from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
 
 if TYPE_CHECKING:
+    from frictrack.base.workers import WorkerPool
     from frictrack.flow import Session
-    from frictrack.workers import WorkerPool
 
 app = typer.Typer(
     help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
@@ -61,7 +61,7 @@ def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Call
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from frictrack.version import __version__  # noqa: PLC0415
+        from frictrack.base.version import __version__  # noqa: PLC0415
 
         sys.stdout.write(f"frictrack {__version__}\n")
         raise typer.Exit
@@ -102,7 +102,7 @@ def _film_workers(workers: int) -> Iterator[WorkerPool | None]:
     if workers == 1:
         yield None
         return
-    from frictrack.workers import local_workers  # noqa: PLC0415 - only needed for several processes
+    from frictrack.base.workers import local_workers  # noqa: PLC0415 - only needed for several processes
 
     with local_workers(workers) as pool:
         yield pool

@@ -9,12 +9,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
+from frictrack.base.number_format import format_plain
 from frictrack.cli.fit_output import fails_at
 from frictrack.cli.tables import filled_columns, table
-from frictrack.motion_axes import AXES
-from frictrack.number_format import format_plain
-from frictrack.verdicts import (
+from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
+from frictrack.results.motion_axes import AXES
+from frictrack.results.verdicts import (
     CHECK_FIRST,
     VERDICT_ONLY,
     describe_alternatives,

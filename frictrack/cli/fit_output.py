@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frictrack.base.number_format import format_plain, format_plus_minus, format_share
 from frictrack.cli.tables import break_name
 from frictrack.cli.tables import table as _table
-from frictrack.error_rows import error_rows
-from frictrack.number_format import format_plain, format_plus_minus, format_share
-from frictrack.verdicts import describe_predictions, describe_tests
+from frictrack.results.error_rows import error_rows
+from frictrack.results.verdicts import describe_predictions, describe_tests
 
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
 

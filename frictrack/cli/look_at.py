@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from frictrack.error_rows import held_out_error
-from frictrack.number_format import describe_change
+from frictrack.base.number_format import describe_change
+from frictrack.results.error_rows import held_out_error
 
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {

@@ -8,9 +8,9 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from frictrack.base.number_format import format_plain
 from frictrack.cli.tables import cell, filled_columns
 from frictrack.cli.tables import table as _table
-from frictrack.number_format import format_plain
 
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
 NOT_IN_TABLE = (

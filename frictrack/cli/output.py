@@ -8,14 +8,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.candidates import candidate_rows
+from frictrack.base.number_format import format_plain, format_plus_minus
 from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, plan, verdict  # noqa: F401
 from frictrack.cli.fit_output import compare, edit, fit, history, parameters  # noqa: F401 - `print_result` looks the function up here
 from frictrack.cli.measurement_output import stages, track  # noqa: F401
 from frictrack.cli.tables import cell, table
-from frictrack.error_rows import error_rows
-from frictrack.number_format import format_plain, format_plus_minus
-from frictrack.verdicts import CHECK_FIRST, describe_verdict, force_without_effect
+from frictrack.results.candidates import candidate_rows
+from frictrack.results.error_rows import error_rows
+from frictrack.results.verdicts import CHECK_FIRST, describe_verdict, force_without_effect
 
 MAX_NAMED, MAX_PARAMETERS = 3, 6  # that `frictrack run` prints without --details
 BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors

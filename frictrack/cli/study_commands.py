@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from frictrack.base.errors import FrictrackError
 from frictrack.cli.common import (
     Effect,
     EffectOrFormula,
@@ -24,8 +25,7 @@ from frictrack.cli.common import (
     print_verdict,
 )
 from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
-from frictrack.errors import FrictrackError
-from frictrack.export import FORMATS, export_results
+from frictrack.present.export import FORMATS, export_results
 
 PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study
 if TYPE_CHECKING:
@@ -337,7 +337,7 @@ def report(
         path = session.report()
     files = {"report": str(path)}
     if pdf:
-        from frictrack.report import print_pdf  # noqa: PLC0415
+        from frictrack.present.report import print_pdf  # noqa: PLC0415
 
         path = print_pdf(path)
         files["pdf"] = str(path)
@@ -400,7 +400,7 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
 
 def _export_crate(study: Path, output: Path | None, options: dict[str, Any], as_json: bool) -> None:
     """Write a study with all results as a research object."""
-    from frictrack.crate import CrateOptions, write_crate  # noqa: PLC0415
+    from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
 
     with open_session(study) as session:
         result = write_crate(session, output, CrateOptions(**options))

@@ -9,7 +9,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.number_format import format_plain
+from frictrack.base.number_format import format_plain
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from frictrack.base.errors import FrictrackError
 from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
 from frictrack.cli.examples import EXAMPLES, format_examples
 from frictrack.cli.look_at import look_at
-from frictrack.errors import FrictrackError
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -136,8 +136,8 @@ def batch(
     Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv and .html
     with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
     """
-    from frictrack.batch import batch as run_all  # noqa: PLC0415
     from frictrack.cli.batch_progress import watch_batch  # noqa: PLC0415
+    from frictrack.flow.batch import batch as run_all  # noqa: PLC0415
 
     with watch_batch() as watch:
         result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
@@ -250,7 +250,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
         option = "--allow-addresses" if recordings is None else "--recordings"
         raise FrictrackError(f"expected a crate together with {option}", usage=True)
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
-    from frictrack.reproduce import reproduce as make  # noqa: PLC0415
+    from frictrack.validation.reproduce import reproduce as make  # noqa: PLC0415
 
     with progress_bars() as progress:
         result = make(out, quick=quick, seed=seed, progress=progress)
@@ -260,7 +260,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
 def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool, *, allow_addresses: bool) -> None:
     """Compute the results of a crate again and compare them."""
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
-    from frictrack.crate import reproduce_crate  # noqa: PLC0415
+    from frictrack.flow.crate import reproduce_crate  # noqa: PLC0415
 
     with progress_bars() as progress:
         result = reproduce_crate(crate, out, recordings, progress, allow_addresses=allow_addresses)
@@ -297,8 +297,8 @@ def make(  # noqa: PLR0913, PLR0917 - the options of the command
     A study hides one effect, none, two, or one that the library does not have (of 420: 200, 100, 60 and 60). Of 40
     films, 20 hide one effect, 10 none, and 10 a fault of the measurement. Writes the studies and the sealed truth.
     """
-    from frictrack.blind import make as written  # noqa: PLC0415
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
+    from frictrack.validation.blind import make as written  # noqa: PLC0415
 
     with progress_bars() as progress:
         result = written(out, n, seed=seed, film=film, kind=kind, workers=workers, progress=progress)
@@ -312,8 +312,8 @@ def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = F
     Reads the studies; adds the effects that are named. Writes score.json. An interrupted run continues where it
     stopped.
     """
-    from frictrack.blind import score as scored  # noqa: PLC0415
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
+    from frictrack.validation.blind import score as scored  # noqa: PLC0415
 
     with progress_bars() as progress:
         result = scored(out, seed=seed, workers=workers, progress=progress)

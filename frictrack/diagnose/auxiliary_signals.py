@@ -27,12 +27,12 @@ from scipy.fft import dct
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
+from frictrack.base.distributions import normal_sf
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
-from frictrack.distributions import normal_sf
 from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.motion import derivatives, low_pass, noise_level
+from frictrack.measure.motion import derivatives, low_pass, noise_level
 from frictrack.records import Array, Displacement, Run
 
 MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from frictrack.compare import failing_spans
-from frictrack.costs import DEFAULT_COSTS, Costs
+from frictrack.base.distributions import RNG, accepts_seed
+from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
     Evidence,
@@ -20,6 +21,7 @@ from frictrack.diagnose.auxiliary_signals import (
     assess_auxiliary_signals,
     evidence_curves,
 )
+from frictrack.diagnose.compare import failing_spans
 from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Diagnosis, HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.examination import ALPHA, Examination
@@ -35,14 +37,12 @@ from frictrack.diagnose.search import Progress, SearchSettings, search_effects
 from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
 from frictrack.diagnose.verdict import NOTHING_TO_EXPLAIN, Grounds, judge
 from frictrack.effects import Effect
-from frictrack.errors import FrictrackError
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.stepwise import refine_to_end
-from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
-from frictrack.threads import one_thread
+from frictrack.settings.costs import DEFAULT_COSTS, Costs
 
 
 @accepts_seed

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, lack_of_fit
 from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.null_distribution import draw_null_ensemble
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
-from frictrack.models import Model
-from frictrack.number_format import format_number
 from frictrack.records import Mask, Run
-from frictrack.repairs import TRACKED_AGAIN
+from frictrack.settings.repairs import TRACKED_AGAIN
 
 MIN_EXCESS_SIGMAS = 4.0  # of chi-squared above its expectation, for a misfit to stand without the repaired frames
 MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames

@@ -190,7 +190,7 @@ class Diagnosis(NotebookView):
 
     """
 
-    drawn_by: ClassVar[str] = "frictrack.plots:verdict"
+    drawn_by: ClassVar[str] = "frictrack.present.plots:verdict"
     model: list[str]
     verdict: str
     missing: list[str]

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects import Effect, EffectRecord, Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity
-from frictrack.number_format import format_length, format_number
 from frictrack.records import GRAVITY, Array, stretches
 
 MIN_SHARE_OF_PEAK = 0.8  # of the largest contribution; the first stretch above it is described

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.fft import dct
 
 from frictrack import effects
+from frictrack.base.distributions import chi2_isf
 from frictrack.diagnose.model_selection import event_penalty, information_criterion, likelihood_gain
 from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
-from frictrack.distributions import chi2_isf
 from frictrack.effects import Effect
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, measured_series
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
-from frictrack.models import Model
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half for candidates

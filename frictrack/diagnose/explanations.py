@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.examination import Examination, ScannedCandidate, list_candidates
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
@@ -29,7 +30,6 @@ from frictrack.diagnose.model_selection import (
 )
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
 from frictrack.fit.stepwise import (

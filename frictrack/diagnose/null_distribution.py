@@ -21,7 +21,7 @@ from scipy.fft import idct
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import Float32Array, LinearisedModel, ScannedSeries, linearise
 from frictrack.fit.pieces import Piece, Rows
-from frictrack.motion import (
+from frictrack.measure.motion import (
     DIFFERENCE_ORDER,
     FALLBACK_ORDER,
     difference_order,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chndtrinc
 
+from frictrack.base.number_format import format_plain
 from frictrack.diagnose.examination import Examination, ScannedCandidate
 from frictrack.diagnose.model_selection import MIN_SIGNIFICANCE
 from frictrack.diagnose.null_distribution import NullEnsemble
@@ -22,7 +23,6 @@ from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import MIN_COLUMN_SQUARE, MIN_UNEXPLAINED_SHARE, CandidateScan
 from frictrack.fit.uncertainty import Estimate, linear_estimates
-from frictrack.number_format import format_plain
 from frictrack.records import Array
 
 POWER = 0.95  # probability of detection at the limit

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.observations import observation_of

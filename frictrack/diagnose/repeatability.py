@@ -23,8 +23,8 @@ from frictrack.diagnose.waves import FoundWaves, WaveScan
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import linearise
 from frictrack.fit.pieces import Rows
-from frictrack.motion_axes import AXES
 from frictrack.records import Array
+from frictrack.results.motion_axes import AXES
 
 N_DRAWS = 199
 MIN_SINGULAR_VALUE = 1e-6  # of a direction of the model in one run; smaller ones are rounding

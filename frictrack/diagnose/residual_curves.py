@@ -21,17 +21,17 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.compare import LocalForces, continue_search, find_local_forces, start_search
+from frictrack.base.errors import FrictrackError
+from frictrack.diagnose.compare import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.diagnose.repeatability import Repeatability, assess_repeatability
 from frictrack.diagnose.smooth_forces import ResidualForces, separate_curves
 from frictrack.diagnose.waves import SpectralLine, WaveScan
 from frictrack.effects import Path
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
-from frictrack.motion_axes import AXES
 from frictrack.records import Array
+from frictrack.results.motion_axes import AXES
 
 ALPHA = 0.01  # significance level of a wave
 N_REWEIGHTED = 40  # steps of iteratively reweighted least squares

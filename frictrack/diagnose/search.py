@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from frictrack.base.distributions import RNG
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import (
@@ -26,13 +27,12 @@ from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch, Shape, is_noise
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion, objection
 from frictrack.effects import Effect
-from frictrack.evaluation_budget import EvaluationBudget
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.observations import observation_of
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
-from frictrack.randomness import RNG
 from frictrack.records import Run
-from frictrack.verdicts import join_as_one
+from frictrack.results.verdicts import join_as_one
+from frictrack.search import EvaluationBudget
 
 N_LISTED, MAX_P_LISTED = 2, 0.05  # effects that are always listed; p-value of the others
 MIN_BIC_BEATEN = 40.0  # by which one formula explains more than the effects, so that no larger set is searched

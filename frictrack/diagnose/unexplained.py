@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logsumexp
 
+from frictrack.base.number_format import format_probability
 from frictrack.diagnose.formulas import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -29,9 +30,8 @@ from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.smooth_forces import candidate_axes, forces_of, smooth_forces
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.observations import keep_compared_frames
-from frictrack.motion_axes import AXES
-from frictrack.number_format import format_probability
 from frictrack.records import Array
+from frictrack.results.motion_axes import AXES
 
 FIRST_FORMULA = "formula:1"  # as in `frictrack add STUDY formula:1`
 PRIOR_NONE = 0.1  # prior probability of a cause outside of the library

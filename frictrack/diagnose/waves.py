@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.distributions import chi2_sf
+from frictrack.base.distributions import chi2_sf
 from frictrack.effects import LIBRARY
 from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, scan_candidate
 from frictrack.records import Array

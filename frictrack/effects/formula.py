@@ -18,12 +18,12 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from simpleeval import SimpleEval
 
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import is_coherent
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span, frequencies
-from frictrack.errors import FrictrackError
 from frictrack.records import GRAVITY, Array
-from frictrack.units import is_coherent
 
 VARIABLES = ("t", "x", "v", "s", "L", "mass")  # of a `Path`; L is the load, s the direction of motion
 CONSTANTS = {"g": GRAVITY, "pi": np.pi}

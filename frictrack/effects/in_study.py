@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from frictrack.number_format import format_number
+from frictrack.base.number_format import format_number
 from frictrack.records import Array
 
 N_MARKS = 20  # of a rule, or flashes of a diode, that are evaluated

@@ -18,11 +18,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.formula import OPEN, Places
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.registry import DECLARED, is_library
-from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 Declared = str | tuple[str, float, float] | Parameter  # unit; unit and bounds; or everything

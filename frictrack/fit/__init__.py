@@ -10,9 +10,11 @@ from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
-from frictrack import models
-from frictrack.effects import check_ties
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import RNG, accepts_seed
+from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import one_thread
+from frictrack.effects import check_ties, models
+from frictrack.effects.models import Model
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
@@ -51,12 +53,9 @@ from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
-from frictrack.models import Model
-from frictrack.priors import Prior
-from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array, Run
 from frictrack.search import Convergence, SearchMethod
-from frictrack.threads import one_thread
+from frictrack.settings.priors import Prior
 
 __all__ = [
     "PRIOR_NEEDS_NOISE",

@@ -10,8 +10,9 @@ from itertools import product
 import numpy as np
 from scipy.optimize import least_squares
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Parameter, Span
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, refine
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout
@@ -34,7 +35,6 @@ from frictrack.fit.stepwise import (
     reorder_effects,
     reversed_ties,
 )
-from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 MAX_SETTINGS_TRIED = 600  # grid points tried

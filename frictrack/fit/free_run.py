@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.effects.models import Model, Values
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import without_mass
 from frictrack.fit.pieces import Piece, Reference, whole_piece
-from frictrack.friction import count_flights
-from frictrack.models import Model, Values
+from frictrack.measure.friction import count_flights
 from frictrack.records import Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement
 

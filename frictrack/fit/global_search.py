@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
+from frictrack.effects.models import Model
 from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
@@ -26,7 +27,6 @@ from frictrack.fit.separable import (
     chain_block,
     displacement_block,
 )
-from frictrack.models import Model
 from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 

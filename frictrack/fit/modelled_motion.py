@@ -23,7 +23,7 @@ from frictrack.fit.collisions import frames_of_impact
 from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import mass_ratio, penalty_jacobian, without_mass
 from frictrack.fit.pieces import Piece
-from frictrack.motion import noise_level
+from frictrack.measure.motion import noise_level
 from frictrack.records import Array, ModelledMotion, Run
 
 DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations

@@ -20,17 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.distributions import chi2_sf
+from frictrack.base.distributions import chi2_sf
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Effect, Parameter, carries_over, scales_with_load
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, white_noise_covariance
 from frictrack.fit.parameters import MASS, prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, reported_names, reported_values_and_jacobian
-from frictrack.models import Model
-from frictrack.number_format import format_plus_minus
-from frictrack.priors import Prior
 from frictrack.records import Array
+from frictrack.settings.priors import Prior
 
 PRIOR_NEEDS_NOISE = (
     'expected domain = "displacement" with a prior but got "force", which gives the runs no weight against a prior; '

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.distributions import normal_ppf
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import as_seed, normal_ppf
+from frictrack.base.errors import FrictrackError
+from frictrack.base.lazy import imported
+from frictrack.base.number_format import format_number, format_plus_minus
+from frictrack.effects.models import Model
 from frictrack.fit.collisions import collisions
 from frictrack.fit.free_run import FreeRun, free_errors
 from frictrack.fit.observations import Observation, observation_of
@@ -31,14 +34,10 @@ from frictrack.fit.uncertainty import (
     with_misfit,
 )
 from frictrack.fit.velocity_law import law_branches
-from frictrack.lazy import imported
-from frictrack.models import Model
-from frictrack.number_format import format_number, format_plus_minus
-from frictrack.priors import Prior
-from frictrack.randomness import as_seed
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
 from frictrack.search import Convergence
+from frictrack.settings.priors import Prior
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -120,7 +119,7 @@ class StorableFit(NotebookView):
             raise FrictrackError(f'plot: expected {" or ".join(FIGURES)} but got "{kind}"', usage=True)
         fitted: Any = self
         runs = (*fitted.weighed, *getattr(fitted, "validation", ()))
-        figure: Figure = imported(f"frictrack.plots:{FIGURES[kind]}")(self, runs)
+        figure: Figure = imported(f"frictrack.present.plots:{FIGURES[kind]}")(self, runs)
         return figure
 
 

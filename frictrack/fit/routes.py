@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
 
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import RNG
+from frictrack.base.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
 from frictrack.fit.pieces import Reference
-from frictrack.randomness import RNG
 from frictrack.records import Array, Run
 from frictrack.search import METHODS, Convergence, SearchMethod, search_method
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Path
+from frictrack.effects.models import Model, Values
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import mass_ratio, without_mass
-from frictrack.models import Model, Values
 from frictrack.records import Array, Curve
 
 POINTS = 40  # of a curve

@@ -27,14 +27,21 @@
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names, module_of
+from frictrack.base.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
     from frictrack.flow.diagnosis_records import SignificanceBudget
     from frictrack.flow.film_stages import contact_sheet_path
     from frictrack.flow.fit_request import FitRequest, user_effects
-    from frictrack.flow.new_study import check_entered, describe_keys, propose_study, start_study
+    from frictrack.flow.new_study import (
+        Surveyed,
+        check_entered,
+        describe_keys,
+        propose_study,
+        start_study,
+        survey_recording,
+    )
     from frictrack.flow.opening import open_study, table_needs_mass
     from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
@@ -48,7 +55,6 @@ if TYPE_CHECKING:
         read_results,
     )
     from frictrack.flow.study_edits import effect_of_formula
-    from frictrack.flow.survey import Surveyed, survey_recording
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
     from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, run_study
 

@@ -16,8 +16,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, lock_folder
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import INTERNAL_FOLDER, lock_folder
 
 FILE_NAME = "log.jsonl"
 _KEYS = {  # key of a line in the log -> field of `Change`

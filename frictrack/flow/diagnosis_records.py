@@ -26,8 +26,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
 
 Row = TypeVar("Row")
 TESTS_FILE = "tests.json"
@@ -307,7 +307,7 @@ class Predictions:
         Parameters
         ----------
         named
-            The run; see `frictrack.plan.next_run`.
+            The run; see `frictrack.diagnose.experiments.next_run`.
         model
             Effects of the model.
         runs

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import MEASURED, Displacement, Track
 from frictrack.results import BACKWARD, RecordingInfo
 
 if TYPE_CHECKING:
-    from frictrack.calibration import PlaneMap
+    from frictrack.base.workers import WorkerPool
     from frictrack.flow.pipeline import RunPipeline
+    from frictrack.measure.calibration import PlaneMap
     from frictrack.recording import Recording
     from frictrack.study import RunTable, Study
     from frictrack.tracking import TargetModel
-    from frictrack.workers import WorkerPool
 
 REFERENCE = "reference"  # name of the track that frictrack adds, as it adds `BACKWARD`
 REASON_COVERED = "the target passes over it"
@@ -120,7 +120,7 @@ def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, trac
         Results of the stages before.
 
     """
-    from frictrack.repairing import repair  # noqa: PLC0415 - loads OpenCV
+    from frictrack.measure.repairing import repair  # noqa: PLC0415 - loads OpenCV
     from frictrack.tracking import contact_sheet, relearn_target  # noqa: PLC0415
 
     repairs = pipeline.run.repair
@@ -278,7 +278,7 @@ def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
         If the calibration is wrong.
 
     """
-    from frictrack.calibration import plane_map  # noqa: PLC0415
+    from frictrack.measure.calibration import plane_map  # noqa: PLC0415
 
     run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
@@ -308,8 +308,8 @@ def make_film_displacement(pipeline: RunPipeline, tracks: dict[str, Track], trac
         In m, without lens distortion, along the course.
 
     """
-    from frictrack.calibration import calibrate, plane_map  # noqa: PLC0415
     from frictrack.flow.track_quality import correct_track, residual_shake  # noqa: PLC0415
+    from frictrack.measure.calibration import calibrate, plane_map  # noqa: PLC0415
     from frictrack.sampling import screened  # noqa: PLC0415
     from frictrack.tracking import align_track  # noqa: PLC0415
 

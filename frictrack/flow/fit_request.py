@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from frictrack import effects, models
-from frictrack.effects import Effect, EffectSettings, check_ties, definitions
-from frictrack.errors import FrictrackError
-from frictrack.models import Model
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
+from frictrack.effects.models import Model
 from frictrack.search import METHODS, SearchMethod, search_method
 from frictrack.study import EffectTable
 

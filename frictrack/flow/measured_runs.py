@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow.pipeline import Progress, RunPipeline
 from frictrack.flow.stages import run_pipelines
 from frictrack.study import Study
 
 if TYPE_CHECKING:
+    from frictrack.base.workers import WorkerPool
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.workers import WorkerPool
 
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 
@@ -118,7 +118,7 @@ class MeasuredRuns:
 
     def notes(self) -> list[dict[str, str]]:
         """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
-        from frictrack.friction import impact  # noqa: PLC0415
+        from frictrack.measure.friction import impact  # noqa: PLC0415
 
         notes = [
             (pipeline.run.name, note) for pipeline in self.pipelines for note in pipeline.get("displacement").notes

@@ -8,15 +8,15 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plus_minus
+from frictrack.base.units import lacks_unit, parse_quantity
+from frictrack.flow.new_study import FROM_FILE, Surveyed, expand_folders, survey_recording
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.stages import run_pipeline
-from frictrack.flow.survey import FROM_FILE, Surveyed, expand_folders, survey_recording
-from frictrack.number_format import format_plus_minus
-from frictrack.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
+from frictrack.measure.calibration import parse_scale
+from frictrack.measure.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
 from frictrack.study import NewRun, Study, list_files, refuse_existing, write_study
-from frictrack.units import lacks_unit, parse_quantity
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
 LEFT_OPEN = {"units": "with the units of the file in the brackets", "track": "with the name of the track"}

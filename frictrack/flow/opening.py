@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import RunPipeline
+from frictrack.measure.calibration import parse_scale
 from frictrack.study import COLUMNS, RunTable, Study, load
 
 

@@ -17,21 +17,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from frictrack import store
-from frictrack.content_hash import hash_file
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import hash_file
+from frictrack.base.remote import RemoteFile, local_path
+from frictrack.base.version import __version__
+from frictrack.flow import store
+from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Displacement, Motion, Run, Track
-from frictrack.remote import RemoteFile, local_path
-from frictrack.repairs import Repair
 from frictrack.results import Sensors, to_builtins
-from frictrack.store import GroupContent, Provenance
+from frictrack.settings.repairs import Repair
 from frictrack.study import RunTable, Study
-from frictrack.version import __version__
 
 if TYPE_CHECKING:
+    from frictrack.base.workers import WorkerPool
     from frictrack.recording import Recording
     from frictrack.tracking import TargetModel
-    from frictrack.workers import WorkerPool
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects, store
-from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError, raise_faults
+from frictrack import effects
+from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.units import lacks_unit
+from frictrack.flow import store
 from frictrack.flow.pipeline import RunPipeline, digest
-from frictrack.friction import free_section
-from frictrack.plausibility import (
+from frictrack.flow.store import GroupContent, Provenance
+from frictrack.measure.calibration import parse_scale
+from frictrack.measure.friction import free_section
+from frictrack.measure.plausibility import (
     ERROR,
     EnteredValues,
     Finding,
@@ -34,9 +37,7 @@ from frictrack.plausibility import (
 from frictrack.records import Displacement, Run, Track
 from frictrack.results import to_builtins
 from frictrack.sampling import copies
-from frictrack.store import GroupContent, Provenance
 from frictrack.study import RunTable, Study, read_toml
-from frictrack.units import lacks_unit
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
@@ -326,7 +327,7 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) 
 
     Examples
     --------
-    >>> from frictrack.plausibility import Finding
+    >>> from frictrack.measure.plausibility import Finding
     >>> diagnosis = {"verdict": "missing", "missing": ["collision"], "model": ["coulomb"], "undetermined": []}
     >>> finding = Finding("mass", "the mass is 10 times too large", run="a", contradicts=True)
     >>> withhold_verdict(diagnosis, [finding])["verdict"]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from frictrack import store
+from frictrack.flow import store
 from frictrack.flow.command_history import Change, CommandHistory
 from frictrack.flow.diagnosis_records import ALPHA_FIRST
 from frictrack.flow.fit_request import FitRequest

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.error_budget import budget
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow.film_stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.flow.plausibility_checks import find_duplicate_runs
 from frictrack.flow.sensor_stage import sensor_summary
 from frictrack.flow.summaries import CutoffSummary, Events
 from frictrack.flow.track_quality import residual_shake, track_quality
+from frictrack.measure.error_budget import budget
 from frictrack.records import CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import to_builtins
 
@@ -91,7 +91,7 @@ def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, An
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Describe how well a film was measured, and where its pictures are."""
-    from frictrack.repairing import suspect_spans  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.measure.repairing import suspect_spans  # noqa: PLC0415 - loads OpenCV; tables do without
     from frictrack.tracking import target_line  # noqa: PLC0415
 
     displacement, notes = _displacement_and_notes(pipeline)

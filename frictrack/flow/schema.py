@@ -1,6 +1,6 @@
 """Write the page SCHEMA.md, which describes the HDF5 files, from the declarations in the code.
 
-    python -m frictrack.flow.schema        writes frictrack/store/SCHEMA.md
+    python -m frictrack.flow.schema        writes frictrack/flow/store/SCHEMA.md
 
 h5py and HDF5 tools can list a file, but not what a field means; the meaning stands only in the declarations, so this
 module stays ours.
@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import store
-from frictrack.files import replace_text
+from frictrack.base.files import replace_text
+from frictrack.flow import store
 from frictrack.flow.stages import FILM, TABLE
+from frictrack.flow.store import Provenance
 from frictrack.records import Curve, ModelledMotion
-from frictrack.store import Provenance
 
 PAGE = Path(store.__file__).parent / "SCHEMA.md"
 MODEL_MEMBERS = {

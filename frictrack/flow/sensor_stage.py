@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.flow.summaries import ImpactEnergy, SensorSummary
-from frictrack.friction import release_time
-from frictrack.motion import KnownAcceleration, differentiate, low_pass
-from frictrack.records import Array, Displacement, Motion, Run, Track
-from frictrack.results import BACKWARD, Sensors
-from frictrack.sensors import (
+from frictrack.measure.friction import release_time
+from frictrack.measure.motion import KnownAcceleration, differentiate, low_pass
+from frictrack.measure.sensors import (
     Alignment,
     AlignmentProblem,
     SensorComparison,
@@ -29,8 +27,10 @@ from frictrack.sensors import (
     release_energy,
     second_differences,
 )
+from frictrack.measure.tables import with_even_clock
+from frictrack.records import Array, Displacement, Motion, Run, Track
+from frictrack.results import BACKWARD, Sensors
 from frictrack.study import RunTable, TableData, read_run_table, read_sensor_table
-from frictrack.tables import with_even_clock
 
 if TYPE_CHECKING:
     from frictrack.flow.pipeline import RunPipeline

@@ -13,28 +13,29 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
-from frictrack import effects, store
-from frictrack.costs import DEFAULT_COSTS
-from frictrack.errors import FrictrackError
-from frictrack.files import lock_work
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import lock_work
+from frictrack.base.version import __version__
+from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
 from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
 from frictrack.flow.measured_runs import MeasuredRuns
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.store import Provenance
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
 from frictrack.flow.tried_models import TriedModels
 from frictrack.results import Results, to_builtins
+from frictrack.results.verdicts import describe_no_run, describe_tests
 from frictrack.search import METHODS, read_settings
-from frictrack.store import Provenance
+from frictrack.settings.costs import DEFAULT_COSTS
 from frictrack.study import Study, suggest
-from frictrack.verdicts import describe_no_run, describe_tests
-from frictrack.version import __version__
 
 if TYPE_CHECKING:
+    from frictrack.base.workers import WorkerPool
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.workers import WorkerPool
 
 MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
 STUDY_EDITS = {  # command -> function of `study_edits` that changes the study
@@ -219,7 +220,7 @@ class Session:
 
         """
         from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
-        from frictrack.tables import jitter_notes  # noqa: PLC0415
+        from frictrack.measure.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
@@ -301,7 +302,7 @@ class Session:
             stored = self.models.stored_summary("comparison", self._history_key())
             if stored is not None:
                 return stored
-        from frictrack.compare import compare  # noqa: PLC0415
+        from frictrack.diagnose.compare import compare  # noqa: PLC0415
 
         self.bring_up_to("friction")
         self.models.current()
@@ -338,10 +339,10 @@ class Session:
         Returns
         -------
         dict
-            "next": the run, see `frictrack.plan.next_run`, or None; "next_reason": why there is none.
+            "next": the run, see `frictrack.diagnose.experiments.next_run`, or None; "next_reason": why there is none.
 
         """
-        from frictrack.plan import next_run  # noqa: PLC0415
+        from frictrack.diagnose.experiments import next_run  # noqa: PLC0415
 
         group, request = self.models.current()
         fitted = self.models.fit(group)
@@ -610,7 +611,7 @@ class Session:
         key = report_key(inputs, results_key(self.models, self.runs), self.models.current()[0])
         if anew or (written := stored_report_key(path)) is None or written[0] != key:
             self.progress(0, 0, f"writing {path.name}")
-            from frictrack import report  # noqa: PLC0415 - takes seconds to import and draw
+            from frictrack.present import report  # noqa: PLC0415 - takes seconds to import and draw
 
             report.write(replace(read_results(self.study), notes=notes), path, key)
         return path

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from frictrack import models
-from frictrack.errors import FrictrackError
-from frictrack.filters import SETTINGS as FILTER_SETTINGS
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import models
 from frictrack.flow.film_stages import (
     make_film_displacement,
     make_further_tracks,
@@ -22,19 +21,20 @@ from frictrack.flow.film_stages import (
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, make_run, no_progress
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
+from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.study import RunTable, Study
 
 if TYPE_CHECKING:
-    from frictrack.workers import WorkerPool
+    from frictrack.base.workers import WorkerPool
 
 MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 
 def make_table_displacement(pipeline: RunPipeline) -> Displacement:
     """Compute the displacement of a table of positions."""
-    from frictrack.repairing import repaired_rows  # noqa: PLC0415
+    from frictrack.measure.repairing import repaired_rows  # noqa: PLC0415
+    from frictrack.measure.tables import displacement_of_table  # noqa: PLC0415
     from frictrack.study import read_run_table  # noqa: PLC0415
-    from frictrack.tables import displacement_of_table  # noqa: PLC0415
 
     run = pipeline.run
     found = displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
@@ -51,14 +51,14 @@ def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
 def make_filtered(pipeline: RunPipeline, displacement: Displacement, sensors: Sensors) -> Filtered:
     """Low-pass the displacement, with the acceleration of a sensor if it agrees with the camera."""
     from frictrack.flow.sensor_stage import fused_acceleration  # noqa: PLC0415
-    from frictrack.motion import low_pass  # noqa: PLC0415
+    from frictrack.measure.motion import low_pass  # noqa: PLC0415
 
     return low_pass(displacement, method=pipeline.run.filter_choice, acceleration=fused_acceleration(sensors))
 
 
 def make_motion(pipeline: RunPipeline, filtered: Filtered) -> Motion:
     """Differentiate the filtered displacement."""
-    from frictrack.motion import differentiate  # noqa: PLC0415
+    from frictrack.measure.motion import differentiate  # noqa: PLC0415
 
     return differentiate(filtered)
 
@@ -67,14 +67,14 @@ def make_cutoff(
     pipeline: RunPipeline, displacement: Displacement, filtered: Filtered, motion: Motion
 ) -> CutoffTradeOff:
     """Compute what another cut-off frequency would change."""
-    from frictrack.motion import cutoff_tradeoff  # noqa: PLC0415
+    from frictrack.measure.motion import cutoff_tradeoff  # noqa: PLC0415
 
     return cutoff_tradeoff(displacement, filtered, motion)
 
 
 def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
     """Compute the friction force; an unknown mass is estimated first."""
-    from frictrack.friction import friction  # noqa: PLC0415
+    from frictrack.measure.friction import friction  # noqa: PLC0415
 
     run = make_run(pipeline.run, displacement, motion, sensors)
     if run.mass is not None or run.friction_N is not None:
@@ -86,15 +86,15 @@ def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Mot
 
 def make_events(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> RunEvents:
     """Find release, stops and reversals."""
-    from frictrack.friction import find_events  # noqa: PLC0415
+    from frictrack.measure.friction import find_events  # noqa: PLC0415
 
     return find_events(make_run(pipeline.run, displacement, motion, sensors))
 
 
 def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
     """Compute the friction force of a run; if it has no free section because the incline is missing, say so."""
-    from frictrack.friction import friction  # noqa: PLC0415
-    from frictrack.plausibility import missing_incline, path_angle  # noqa: PLC0415
+    from frictrack.measure.friction import friction  # noqa: PLC0415
+    from frictrack.measure.plausibility import missing_incline, path_angle  # noqa: PLC0415
 
     try:
         return friction(run)

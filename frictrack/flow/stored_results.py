@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import store
-from frictrack.errors import FrictrackError
-from frictrack.filters import STRUCTURAL, FilterChoice
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number, format_plus_minus
+from frictrack.base.version import __version__
+from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import RunPipeline, digest, no_progress
@@ -26,14 +27,13 @@ from frictrack.flow.plausibility_checks import duplicate_notes, stored_findings
 from frictrack.flow.run_summaries import film_quality, run_budget
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import run_pipeline
+from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import TriedModels, model_results
-from frictrack.motion import derivatives, low_pass
-from frictrack.number_format import format_number, format_plus_minus
+from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults
-from frictrack.store import Provenance
+from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
-from frictrack.version import __version__
 
 PICTURE_STAGES = ("recording", "track", "tracks")  # whose results are the positions in the picture
 HEAD_BYTES = 2000  # of a report, in which its key stands
@@ -231,7 +231,7 @@ def _report_reason(path: Path, results: str, group: str) -> str:
     if found is None:
         return "an earlier version of frictrack wrote it"
     if found[2] != group:
-        from frictrack.plots import plain_name  # noqa: PLC0415 - loads matplotlib
+        from frictrack.present.plots import plain_name  # noqa: PLC0415 - loads matplotlib
 
         return f"it was written for {plain_name(found[2])}, but {plain_name(group)} is the current model"
     return "" if found[1] == results else "results were computed again since it was written"

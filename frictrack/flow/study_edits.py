@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frictrack.errors import FrictrackError
-from frictrack.files import replace_text
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import replace_text
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
 from frictrack.flow.tried_models import TriedModels

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.calibration import MIN_ROTATION, estimate_shake, subtract_shake
+from frictrack.measure.calibration import MIN_ROTATION, estimate_shake, subtract_shake
 from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
 

@@ -10,17 +10,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from frictrack import store
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
+from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.fit_request import FitRequest
 from frictrack.flow.pipeline import Progress, RunPipeline, digest
-from frictrack.priors import Prior
+from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
 from frictrack.search import Convergence
-from frictrack.store import GroupContent, Provenance
+from frictrack.settings.priors import Prior
 from frictrack.study import RunTable, Study
 
 RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion, "convergence": Convergence}  # groups in that of a model
@@ -69,7 +69,7 @@ class TriedModels:
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
         if self._runs is None:
-            from frictrack.friction import with_earlier_runs  # noqa: PLC0415
+            from frictrack.measure.friction import with_earlier_runs  # noqa: PLC0415
 
             pauses = [pipeline.run.pause for pipeline in self._pipelines]
             self._runs = with_earlier_runs([pipeline.to_run() for pipeline in self._pipelines], pauses)

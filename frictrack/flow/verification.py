@@ -22,15 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import store
-from frictrack.errors import FrictrackError
-from frictrack.files import is_busy
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import is_busy
+from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
 from frictrack.flow.stages import FILM, TABLE, run_pipeline
+from frictrack.flow.store import Fault, Provenance
 from frictrack.flow.summaries import Verification
 from frictrack.flow.tried_models import TriedModels
-from frictrack.store import Fault, Provenance
 from frictrack.study import Study, load, results_folder
 
 Provenances = Callable[[Path], dict[str, Provenance]]

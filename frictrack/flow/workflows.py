@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack import samples
-from frictrack.calibration import parse_scale
-from frictrack.candidates import candidate_rows
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
 from frictrack.flow.summaries import DemoSummary, ModelChange
+from frictrack.measure.calibration import parse_scale
 from frictrack.results import to_builtins
+from frictrack.results.candidates import candidate_rows
 from frictrack.study import Study
 
 if TYPE_CHECKING:
-    from frictrack.plan import ExperimentSetup
+    from frictrack.diagnose.experiments import ExperimentSetup
 
 OnVerdict = Callable[[dict[str, Any]], None]
 MAX_CANDIDATES_FITTED = 6
@@ -164,8 +164,8 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
         If mass, frame rate or scale are unknown, or the folder cannot be written.
 
     """
-    from frictrack.plan import choose_runs, summarise_plan  # noqa: PLC0415
-    from frictrack.report import write_plan  # noqa: PLC0415 - loads matplotlib
+    from frictrack.diagnose.experiments import choose_runs, summarise_plan  # noqa: PLC0415
+    from frictrack.present.report import write_plan  # noqa: PLC0415 - loads matplotlib
 
     named: dict[str, Any] = {"next": None, "next_reason": None}
     if study.runs:
@@ -182,7 +182,7 @@ def plan(study: Study, progress: Progress = no_progress) -> dict[str, Any]:
 
 def _setup_without_runs(study: Study) -> ExperimentSetup:
     """Return the set-up of a study without films: mass and camera are given, the rest is assumed."""
-    from frictrack.plan import default_setup  # noqa: PLC0415
+    from frictrack.diagnose.experiments import default_setup  # noqa: PLC0415
 
     faults = []
     if study.mass is None:
@@ -206,8 +206,8 @@ def _setup_without_runs(study: Study) -> ExperimentSetup:
 
 def _setup_of_fit(session: Session) -> ExperimentSetup:
     """Return the set-up as the current fit describes it."""
+    from frictrack.diagnose.experiments import fitted_setup  # noqa: PLC0415
     from frictrack.fit import Fit  # noqa: PLC0415
-    from frictrack.plan import fitted_setup  # noqa: PLC0415
 
     fitted = session.models.fit(session.models.current()[0])
     if not isinstance(fitted, Fit):

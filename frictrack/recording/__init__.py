@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.remote import RemoteFile, trim_cache
 from frictrack.recording.base import Frame, FrameRange, Header, Recording
 from frictrack.recording.byte_ranges import find_ranges
 from frictrack.recording.folder import Folder
@@ -14,7 +15,6 @@ from frictrack.recording.spool import random_access
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.timebase import Stamps, read_stamps
 from frictrack.recording.video import Video
-from frictrack.remote import RemoteFile, trim_cache
 
 __all__ = [
     "FORMATS",

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.content_hash import hash_files
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import hash_files
 from frictrack.recording.byte_ranges import RangedFile, file_size, identify
 from frictrack.recording.timebase import Header, audit
 
@@ -211,7 +211,7 @@ class Recording(ABC):
 
     @property
     def hash(self) -> str:
-        """SHA-256 over every byte of the recording's files; see `frictrack.content_hash.hash_files`.
+        """SHA-256 over every byte of the recording's files; see `frictrack.base.files.hash_files`.
 
         Of a remote film that is read in parts, it is what the store states; see `recording.byte_ranges`. Raises
         `FrictrackError` where a file has vanished since it was opened, or cannot be read.

@@ -1,4 +1,4 @@
-"""Read parts of remote files. What was read is kept in a file with holes in the cache folder of `frictrack.remote`.
+"""Read parts of remote files. What was read is kept in a file with holes in the cache folder of `frictrack.base.remote`.
 
 A file is read in parts only if its store states what identifies the content: a checksum, a version or a strong ETag.
 This statement takes the place of the hash over every byte.
@@ -20,9 +20,9 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
-from frictrack.files import write_at
-from frictrack.remote import RemoteFile, cache_folder, describe_cause
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import write_at
+from frictrack.base.remote import RemoteFile, cache_folder, describe_cause
 
 BLOCK_BYTES = 1 << 14  # that are fetched and kept together
 _MAX_RUN_BLOCKS = 512  # blocks of one request: 8 MB

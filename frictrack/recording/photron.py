@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording.base import Header
 from frictrack.recording.byte_ranges import RangedFile, file_size
 from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes

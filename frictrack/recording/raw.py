@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording.base import Frame, Recording
 from frictrack.recording.byte_ranges import RangedFile, RangeReader
 

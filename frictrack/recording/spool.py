@@ -15,8 +15,8 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
-from frictrack.files import write_at
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import write_at
 from frictrack.recording.base import Frame, Recording
 from frictrack.recording.byte_ranges import RangedFile
 from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes

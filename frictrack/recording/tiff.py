@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, grey
 from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
 

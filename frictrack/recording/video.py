@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording.base import Frame, Header, Recording
 
 # What FFmpeg and OpenCV would say on stderr about broken files, `Recording` says in words.

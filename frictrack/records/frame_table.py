@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError, raise_faults
-from frictrack.lazy import imported
+from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.lazy import imported
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,7 +28,7 @@ class NotebookView:
         return figure
 
     def _repr_html_(self) -> str:
-        page: str = imported("frictrack.plots:html")(self)
+        page: str = imported("frictrack.present.plots:html")(self)
         return page
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -143,7 +143,7 @@ class FrameTable(NotebookView):
 
     min_rows: ClassVar[int] = 2
     signals: ClassVar[tuple[str, ...]] = ()  # columns that a viewer draws against t, the first one above all
-    drawn_by = "frictrack.plots:table"
+    drawn_by = "frictrack.present.plots:table"
 
     def __post_init__(self) -> None:
         faults: list[str] = []

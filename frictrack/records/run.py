@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.errors import FrictrackError, raise_faults
-from frictrack.lazy import imported
+from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.lazy import imported
 from frictrack.records.frame_table import Array, NotebookView, scalar
 from frictrack.records.series import Displacement, Motion
 
@@ -73,7 +73,7 @@ class Run(NotebookView):
 
     """
 
-    drawn_by: ClassVar[str] = "frictrack.plots:motion"
+    drawn_by: ClassVar[str] = "frictrack.present.plots:motion"
     displacement: Displacement
     motion: Motion
     mass: float | None = scalar("kg", default=None)
@@ -129,7 +129,7 @@ class Run(NotebookView):
         """
         if what not in ("motion", "filters"):
             raise FrictrackError(f'plot: expected "motion" or "filters" but got "{what}"')
-        figure: Figure = imported(f"frictrack.plots:{what}")(self)
+        figure: Figure = imported(f"frictrack.present.plots:{what}")(self)
         return figure
 
     def _cut_to_motion(self) -> None:
@@ -202,7 +202,9 @@ class Run(NotebookView):
 
         """
         optional = {"friction": friction, "drive": drive, "sigma": sigma}
-        run: Run = imported("frictrack.tables:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
+        run: Run = imported("frictrack.measure.tables:run_of_arrays")(
+            t, x, mass=mass, optional=optional, settings=settings
+        )
         return run
 
     @classmethod
@@ -251,7 +253,7 @@ class Run(NotebookView):
         0.35
 
         """
-        make = imported("frictrack.tables:run_of_dataframe")
+        make = imported("frictrack.measure.tables:run_of_dataframe")
         run: Run = make(frame, columns or {}, mass, settings)
         return run
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import robust_std, student_sf
+from frictrack.base.distributions import robust_std, student_sf
 from frictrack.records import Array
 from frictrack.sampling.outlier_search import consecutive_noise
 from frictrack.sampling.steps import quantum

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.distributions import MEDIAN_TO_SIGMA, chi2_ppf, noise_of_differences
+from frictrack.base.distributions import MEDIAN_TO_SIGMA, chi2_ppf, noise_of_differences
 from frictrack.records import Array, Mask
 
 # Robust deviations of a fourth difference, below which no row near it is looked at; the first and last rows enter it

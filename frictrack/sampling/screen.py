@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import noise_of_differences, robust_std
+from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Displacement
 from frictrack.sampling.clock import base_interval
 from frictrack.sampling.outlier_search import Outliers, outliers

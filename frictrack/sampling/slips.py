@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import noise_of_differences, robust_std
+from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Mask
 from frictrack.sampling.steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.search.evaluator import CostEvaluator
 from frictrack.search.method import SearchMethod, setting

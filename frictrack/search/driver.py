@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch

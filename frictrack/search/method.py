@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.search.evaluator import CostEvaluator
 
 PAPER_NAMES = {"p_c": "crossover", "p_m": "mutation", "l": "bits"}  # symbol of the papers in small letters -> setting

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, direction_of_motion
-from frictrack.errors import FrictrackError
-from frictrack.models import Model, Values
+from frictrack.effects.models import Model, Values
 from frictrack.records import GRAVITY, Array
 from frictrack.simulate.conditions import Conditions
 from frictrack.simulate.dynamics import CollocationSolution, Panels

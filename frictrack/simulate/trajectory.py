@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
-from frictrack.errors import FrictrackError
-from frictrack.models import Model, Values
+from frictrack.effects.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.conditions import Conditions
 from frictrack.simulate.dynamics import (

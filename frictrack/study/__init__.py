@@ -16,7 +16,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
 
 from typing import TYPE_CHECKING
 
-from frictrack.lazy import lazy_names, module_of
+from frictrack.base.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, has_units

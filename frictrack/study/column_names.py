@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import parse_quantity
 from frictrack.study.schema import COLUMNS
-from frictrack.units import parse_quantity
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]](?=\s*$|\s+(?:run|trial|set|data set)?\s*#?\d+\s*$)", re.IGNORECASE)
 """Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"."""

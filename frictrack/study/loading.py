@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from frictrack.costs import DEFAULT_COSTS, Costs
-from frictrack.errors import FrictrackError
-from frictrack.files import MAX_NAME_LENGTH, is_file_name
-from frictrack.priors import Prior
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
+from frictrack.settings.costs import DEFAULT_COSTS, Costs
+from frictrack.settings.priors import Prior
 from frictrack.study.schema import (
     CameraTable,
     CostsTable,

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.remote import local_path
+from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
-from frictrack.remote import local_path
 from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns, may_hold
 from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
-from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd

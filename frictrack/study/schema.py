@@ -14,15 +14,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from frictrack.costs import DEFAULT_COSTS
-from frictrack.errors import FrictrackError
-from frictrack.filters import STRUCTURAL, FilterChoice
-from frictrack.polygons import Polygon, polygon, polygons
-from frictrack.priors import Prior
-from frictrack.remote import RemoteFile, is_address, locate
-from frictrack.repairs import Repair, read_repairs
+from frictrack.base.errors import FrictrackError
+from frictrack.base.polygons import Polygon, polygon, polygons
+from frictrack.base.remote import RemoteFile, is_address, locate
+from frictrack.base.units import parse_quantity
 from frictrack.search import METHODS, read_settings
-from frictrack.units import parse_quantity
+from frictrack.settings.costs import DEFAULT_COSTS
+from frictrack.settings.filters import STRUCTURAL, FilterChoice
+from frictrack.settings.priors import Prior
+from frictrack.settings.repairs import Repair, read_repairs
 
 Value = tuple[float, float]  # in SI units, with its standard deviation
 Pair = tuple[float, float]

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.study.column_names import runs_of_columns
 from frictrack.study.schema import COLUMNS
 from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile, TrackColumns, read_limited, read_xml

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from frictrack.units import is_ordinary_unit
+from frictrack.base.units import is_ordinary_unit
 
 MAX_HEAD_LINES = 200  # lines in which the header is searched: titles and settings of an instrument may stand before it
 MAX_BYTES_DECODED = 1 << 20  # from which the encoding is found

@@ -10,8 +10,8 @@ from typing import Any
 
 import tomlkit
 
-from frictrack.errors import FrictrackError
-from frictrack.files import replace_text
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
-from frictrack.polygons import Polygon, check_within, inside, polygon, polygons
+from frictrack.base.errors import FrictrackError
+from frictrack.base.polygons import Polygon, check_within, inside, polygon, polygons
 from frictrack.records import Mask
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.template import FixedPattern
@@ -33,7 +33,7 @@ class Areas:
     Raises
     ------
     FrictrackError
-        For areas that are not polygons, see `frictrack.polygons.polygon`.
+        For areas that are not polygons, see `frictrack.base.polygons.polygon`.
 
     Examples
     --------

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch, Rectangle, best_match
@@ -39,7 +39,7 @@ from frictrack.tracking.subpixel_fit import (
 from frictrack.tracking.template import FixedPattern, Template
 
 if TYPE_CHECKING:
-    from frictrack.workers import WorkerPool
+    from frictrack.base.workers import WorkerPool
 
 Progress = Callable[[int, int, str], None]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
@@ -25,7 +25,7 @@ from frictrack.tracking.template import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
 
 if TYPE_CHECKING:
-    from frictrack.workers import WorkerPool
+    from frictrack.base.workers import WorkerPool
 
 Progress = Callable[[int, int, str], None]
 
@@ -113,7 +113,7 @@ def track_in_parallel(
     target, template, known, progress
         As in `track`.
     pool : WorkerPool or None
-        Processes of this machine (`frictrack.workers.local_workers`) or of a Dask cluster (`cluster_workers`); None for
+        Processes of this machine (`frictrack.base.workers.local_workers`) or of a Dask cluster (`cluster_workers`); None for
         this process alone.
 
     Returns
@@ -128,7 +128,7 @@ def track_in_parallel(
 
     Examples
     --------
-    >>> from frictrack.workers import local_workers
+    >>> from frictrack.base.workers import local_workers
     >>> with local_workers(2) as pool:  # doctest: +SKIP
     ...     track = track_in_parallel(open_recording("long.mraw"), pool=pool)
 

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import robust_std
+from frictrack.base.distributions import robust_std
 from frictrack.records import Array
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from frictrack.errors import FrictrackError
-from frictrack.files import atomic_write
-from frictrack.polygons import Polygon, polygon
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write
+from frictrack.base.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Track
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.workbench.errors import MissingError, OutdatedError
 
 if TYPE_CHECKING:
@@ -80,13 +80,13 @@ def _report_html(study: Study, results: Results, form: str) -> Content:
 
 
 def _report_pdf(study: Study, results: Results, form: str) -> Content:
-    from frictrack.report import print_pdf  # noqa: PLC0415
+    from frictrack.present.report import print_pdf  # noqa: PLC0415
 
     return print_pdf(_report_path(study)).open("rb")
 
 
 def _tables(study: Study, results: Results, form: str) -> Content:
-    from frictrack.export import write  # noqa: PLC0415
+    from frictrack.present.export import write  # noqa: PLC0415
 
     return zip_files((path.name, path) for path in write(results, "csv"))
 
@@ -102,7 +102,7 @@ def _script(study: Study, results: Results | None, form: str) -> Content:
 
 
 def _figures(study: Study, results: Results, form: str) -> Content:
-    from frictrack import plots  # noqa: PLC0415 - loads Matplotlib
+    from frictrack.present import plots  # noqa: PLC0415 - loads Matplotlib
 
     return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
 
@@ -128,7 +128,7 @@ def figure_bytes(made: Figure, form: str) -> bytes:
         "svg", "png" or "pdf".
 
     """
-    from frictrack import plots  # noqa: PLC0415
+    from frictrack.present import plots  # noqa: PLC0415
 
     if form == "svg":
         return plots.svg_file(made).encode()
@@ -189,7 +189,7 @@ def page_figure(name: str, snapshot: Any) -> bytes:
 
 
 def _draw(name: str, results: Results) -> Figure | None:
-    from frictrack import plots  # noqa: PLC0415
+    from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
     model, unexplained = results.current, (results.diagnosis or {}).get("unexplained")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 
 
 class OutdatedError(FrictrackError):

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording, open_recording, random_access
 
 MAX_WIDTH_PX = 1280  # wider frames are scaled down

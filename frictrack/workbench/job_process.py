@@ -17,8 +17,8 @@ from typing import Any
 
 from filelock import FileLock
 
-from frictrack.errors import FrictrackError
-from frictrack.files import replace_text
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import replace_text
 
 CANCEL_POLL_S = 0.02  # between two checks for the file that cancels the job
 MIN_WRITE_INTERVAL_S = 0.1  # between two lines of progress with the same text
@@ -149,8 +149,13 @@ ACTIONS: dict[str, Any] = {
 }
 IMPORTED_FIRST = (  # what most jobs need; the process that waits has it ready
     *("frictrack.flow.session", "frictrack.flow.stored_results", "frictrack.flow.film_stages", "frictrack.flow.stages"),
-    *("frictrack.fit", "frictrack.diagnose", "frictrack.compare", "frictrack.tracking", "frictrack.recording"),
-    *("frictrack.motion", "frictrack.friction", "frictrack.flow.plausibility_checks", "frictrack.flow.opening"),
+    *("frictrack.fit", "frictrack.diagnose", "frictrack.diagnose.compare", "frictrack.tracking", "frictrack.recording"),
+    *(
+        "frictrack.measure.motion",
+        "frictrack.measure.friction",
+        "frictrack.flow.plausibility_checks",
+        "frictrack.flow.opening",
+    ),
 )
 
 

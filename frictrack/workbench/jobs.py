@@ -24,8 +24,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
 from frictrack.flow import CommandHistory
 from frictrack.workbench.errors import BusyError
 from frictrack.workbench.job_launcher import launch_process

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from frictrack.errors import FrictrackError
-from frictrack.files import INTERNAL_FOLDER
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import INTERNAL_FOLDER
 from frictrack.workbench.films import Films
 from frictrack.workbench.job_launcher import WarmLauncher
 

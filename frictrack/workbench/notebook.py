@@ -19,8 +19,8 @@ import anywidget
 import numpy as np
 import traitlets
 
-from frictrack.errors import FrictrackError
-from frictrack.plots import AnyModel, AnyRun, as_model, as_runs
+from frictrack.base.errors import FrictrackError
+from frictrack.present.plots import AnyModel, AnyRun, as_model, as_runs
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.workbench import plot_data

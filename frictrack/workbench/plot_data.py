@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import plots
-from frictrack.plots import modelled_force, residual_unit, residuals
-from frictrack.plots.style import BAND_SIGMAS
+from frictrack.present import plots
+from frictrack.present.plots import modelled_force, residual_unit, residuals
+from frictrack.present.plots.style import BAND_SIGMAS
 from frictrack.records import Array, Track
 from frictrack.results import ModelResults, Results, RunResults
 

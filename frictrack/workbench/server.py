@@ -18,7 +18,7 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.workbench.actions import resume_background
 from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, clean_names, protect
 from frictrack.workbench.live_study import LiveStudy

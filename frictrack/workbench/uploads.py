@@ -12,8 +12,8 @@ from typing import BinaryIO
 
 from tornado.web import stream_request_body
 
-from frictrack.errors import FrictrackError
-from frictrack.files import atomic_write
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write
 from frictrack.workbench.errors import OutdatedError
 from frictrack.workbench.handlers import Api
 

@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from frictrack.measure.sensors import AlignmentProblem, SensorRecord, align, compare_with_camera, second_differences
 from frictrack.records import Array, Displacement
-from frictrack.sensors import AlignmentProblem, SensorRecord, align, compare_with_camera, second_differences
 
 Acceleration = Callable[[Array], Array]
 FPS = 4000.0  # of the film, 1/s

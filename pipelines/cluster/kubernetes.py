@@ -17,7 +17,7 @@ from pathlib import Path
 
 from dask_kubernetes.operator import KubeCluster, make_cluster_spec
 
-from frictrack.batch import batch
+from frictrack.flow.batch import batch
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from dask_jobqueue import SLURMCluster
 
-from frictrack.batch import batch
+from frictrack.flow.batch import batch
 
 
 def main() -> None:

@@ -20,8 +20,8 @@ import scipy.io
 import tifffile
 from nptdms import ChannelObject, TdmsWriter
 
-from frictrack import store
-from frictrack.crate.metadata import METADATA, MOVED
+from frictrack.flow import store
+from frictrack.flow.crate.metadata import METADATA, MOVED
 from frictrack.records import Displacement, Track
 from frictrack.results import RecordingInfo
 

@@ -17,27 +17,27 @@ import numpy as np
 import seeds
 from seeds import CAMERAS, ROOT
 
-from frictrack import effects, store
-from frictrack.calibration import parse_scale
-from frictrack.calibration.lens import read_lens
-from frictrack.crate.metadata import METADATA
-from frictrack.crate.payload import unpack
-from frictrack.crate.reading import find_inputs, read_crate, set_up_study
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.base.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
+from frictrack.base.units import is_coherent, parse_quantity
+from frictrack.base.version import __version__
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
-from frictrack.errors import FrictrackError
-from frictrack.flow import open_study, run_pipeline
+from frictrack.flow import open_study, run_pipeline, store
 from frictrack.flow.command_history import CommandHistory
+from frictrack.flow.crate.metadata import METADATA
+from frictrack.flow.crate.payload import unpack
+from frictrack.flow.crate.reading import find_inputs, read_crate, set_up_study
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
+from frictrack.flow.store.file_header import header_of
+from frictrack.measure.calibration import parse_scale
+from frictrack.measure.calibration.lens import read_lens
+from frictrack.measure.sensors import SensorRecord
 from frictrack.recording import open_recording, random_access
-from frictrack.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
-from frictrack.sensors import SensorRecord
 from frictrack.simulate.scene import read_scene
-from frictrack.store.file_header import header_of
 from frictrack.study import load, open_table, parse, propose_columns, read_sensor_table, read_table, with_key
 from frictrack.study.table_cells import TrackColumns
-from frictrack.units import is_coherent, parse_quantity
-from frictrack.version import __version__
 
 MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
 MAX_ERROR_LENGTH = 12_000  # characters of an error

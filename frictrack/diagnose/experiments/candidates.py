@@ -9,17 +9,16 @@ from itertools import product
 
 import numpy as np
 
-from frictrack import models
-from frictrack.costs import DEFAULT_COSTS, SAME_RATIO, Costs
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plain
 from frictrack.diagnose.experiments.virtual_runs import DEFAULT_SCATTER, RunConditions, RunDesign, max_frames_of_film
-from frictrack.effects import Path
-from frictrack.errors import FrictrackError
+from frictrack.effects import Path, models
+from frictrack.effects.models import Model
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
-from frictrack.models import Model
-from frictrack.number_format import format_plain
 from frictrack.records import GRAVITY
+from frictrack.settings.costs import DEFAULT_COSTS, SAME_RATIO, Costs
 
 SLOWER_FACTOR, FASTER_FACTOR = 0.5, 1.5  # times the slowest and the fastest run so far
 TILT_RAD = np.deg2rad(5.0)

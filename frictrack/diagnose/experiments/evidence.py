@@ -20,17 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects, models
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup, candidate_runs
 from frictrack.diagnose.experiments.virtual_runs import GOLDEN_ANGLE_RAD, PLANNED_RUN_NAME, VirtualRun, make_run
 from frictrack.diagnose.power import rms_of_parts
-from frictrack.effects import PLANNED_SHARE, Effect, Span
-from frictrack.errors import FrictrackError
+from frictrack.effects import PLANNED_SHARE, Effect, Span, models
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import displacement_response
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.fit.stepwise import bic_penalty
-from frictrack.models import Model
 from frictrack.records import Array
 
 MEASUREMENT_NOISE_RATIO = 1.0  # size of a measurement fault (rms) over the noise per frame

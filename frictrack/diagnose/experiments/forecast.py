@@ -27,6 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.experiments.virtual_runs import (
     LinearisedRun,
@@ -41,7 +42,6 @@ from frictrack.diagnose.formulas import AXIS_SYMBOLS
 from frictrack.diagnose.model_selection import MIN_CHI2_FALL, fitted_to_predictions, information_criterion
 from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import PLANNED_SHARE, Effect, Nonlinear, Parameter, Path
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
@@ -55,8 +55,8 @@ from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
-from frictrack.motion_axes import AXES
 from frictrack.records import Array
+from frictrack.results.motion_axes import AXES
 
 SIZE_ROLES = ("amplitude", "depth")
 MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size

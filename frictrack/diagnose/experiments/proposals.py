@@ -27,7 +27,9 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.costs import DEFAULT_COSTS, Costs, RunSettings
+from frictrack.base.distributions import chi2_isf
+from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.effect_description import FittedEffect
 from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments, candidate_runs, fitted_setup
 from frictrack.diagnose.experiments.evidence import NormalMatrices, simulate_runs, tabulate_effect
@@ -42,14 +44,12 @@ from frictrack.diagnose.experiments.selection import detection_threshold, settle
 from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign, last_settings
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
 from frictrack.diagnose.unexplained import FIRST_FORMULA
-from frictrack.distributions import chi2_isf
 from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck, Effect
-from frictrack.errors import FrictrackError
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.stepwise import add_effect, refine_to_end
-from frictrack.threads import one_thread
+from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 
 MAX_BIC_NEAR = 60.0  # from the best, within which a candidate is worth a run that excludes it
 MAX_EXPLANATIONS = 3  # that are compared with each other

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.distributions import chi2_isf
+from frictrack.base.workers import one_thread
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup
 from frictrack.diagnose.experiments.evidence import (
@@ -20,10 +22,8 @@ from frictrack.diagnose.experiments.evidence import (
 )
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality
-from frictrack.distributions import chi2_isf
 from frictrack.effects import PLANNED_SHARE, Effect
 from frictrack.records import Array
-from frictrack.threads import one_thread
 
 MAX_RUNS = 8  # of a plan
 MIN_PROGRESS_PAIRS = 0.5  # progress in pairs for which a run is worth filming though it separates none

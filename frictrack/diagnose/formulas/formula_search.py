@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual, is_far_from_data
 from frictrack.diagnose.formulas.probability import (
     PRIOR_NONE,
@@ -36,7 +37,6 @@ from frictrack.diagnose.formulas.terms import (
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.observations import keep_compared_frames
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect

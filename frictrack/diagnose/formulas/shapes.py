@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS
-from frictrack.errors import FrictrackError
 from frictrack.records import Array
 
 WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.compressed import CompressedResidual
 from frictrack.diagnose.formulas.shapes import MAX_PERIODS, Shape
 from frictrack.diagnose.smooth_forces import MIN_LOAD_RATIO, Axis, candidate_axes
 from frictrack.effects import Effect, Path
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution
-from frictrack.motion_axes import AXES
 from frictrack.records import Array, Mask
+from frictrack.results.motion_axes import AXES
 
 AXIS_SYMBOLS = {"x": ("x", "x"), "t": ("t", "t"), "v": ("abs(v)", "|v|")}  # in a study file, and to read
 EFFECT_NAME = "unexplained"  # in the study file

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

@@ -7,13 +7,13 @@ from operator import attrgetter
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import Span
 from frictrack.effects.waves import ScanWave, wave
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below

@@ -13,12 +13,12 @@ import math
 
 import numpy as np
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import ScanValues, Span, breakaway_lengths
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law

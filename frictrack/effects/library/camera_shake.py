@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import DirectCheck, EffectInStudy, oscillation, picture_shift_signal
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, oscillates, within_picture
 from frictrack.effects.scans import Span, frequencies
 from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 

@@ -6,12 +6,12 @@ from math import exp, log
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import MAX_CLOCK_FACTOR
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

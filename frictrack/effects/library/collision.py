@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array, Mask
 
 MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

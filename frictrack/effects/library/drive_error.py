@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 MAX_DELAY_S = 0.02  # s by which an amplifier, a valve or a wrong clock may be late

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import WHOLE_FRAME
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 MAX_MOMENTS = 2000  # moments tried in one run

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import Complexes, follow_target, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import ScanValues, Span, frequency_range
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 DAMPINGS = (0.04, 0.2)  # damping ratios worth trying

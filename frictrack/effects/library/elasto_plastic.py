@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
 from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import ScanValues, breakaway_lengths
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 if TYPE_CHECKING:

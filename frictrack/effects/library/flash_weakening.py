@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import bend_velocities
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import Effect, Parameter, TestDraw
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import follow_target
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import shorter_than_record
 from frictrack.effects.scans import Span, log_grid
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.library.presliding import quote
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import ScanValues, breakaway_lengths
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 N_ELEMENTS = 8  # springs, each with the same share of the level

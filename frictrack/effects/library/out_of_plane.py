@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import DirectCheck, EffectInStudy
 from frictrack.effects.library.lens import rule_signal
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import within_picture
 from frictrack.effects.scans import Span
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

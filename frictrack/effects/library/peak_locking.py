@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import MAX_LOCKING_PX
 from frictrack.effects.scans import Span
 from frictrack.effects.waves import wave
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

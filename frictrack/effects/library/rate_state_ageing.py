@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.scans import breakaway_lengths
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant

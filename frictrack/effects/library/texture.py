@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from frictrack.base.number_format import format_length
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import is_periodic_in
 from frictrack.effects.scans import spatial_periods
 from frictrack.effects.waves import ScanWave, over_position, wave
-from frictrack.number_format import format_length
 from frictrack.records import Array
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import oscillates
 from frictrack.effects.scans import frequencies
 from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.number_format import format_length, format_number
 from frictrack.records import Array
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.in_study import EffectInStudy, oscillation
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.plausibility import all_of, modulates, oscillates
 from frictrack.effects.scans import frequencies
 from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.number_format import format_number
 from frictrack.records import Array
 
 

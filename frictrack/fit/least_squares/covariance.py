@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.fft import dct
 
-from frictrack.distributions import student_ppf
+from frictrack.base.distributions import student_ppf
 from frictrack.fit.least_squares.problem import PieceResponse
 from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, penalty_jacobian
-from frictrack.motion import CORRELATION_COST, slow_spectrum
+from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array
 
 NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution

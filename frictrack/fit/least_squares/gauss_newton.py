@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit.least_squares.problem import LeastSquaresProblem
 from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, canonical_form, normalise_levels

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Path
+from frictrack.effects.models import Model, Values
 from frictrack.fit.parameters import LEVEL, ParameterLayout
 from frictrack.fit.pieces import JoinedPieces
-from frictrack.models import Model, Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution
 

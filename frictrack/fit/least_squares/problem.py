@@ -10,13 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
-from frictrack.evaluation_budget import EvaluationBudget
+from frictrack.base.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares.joined_law import JoinedLaw, difference_step, group_unknowns
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, split_motions
-from frictrack.models import Model
 from frictrack.records import Array, Mask
+from frictrack.search import EvaluationBudget
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache

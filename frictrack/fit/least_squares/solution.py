@@ -22,7 +22,6 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.evaluation_budget import COST_OF_MEMORY
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.parameters import (
     MIN_RUNS_FOR_SCATTER,
@@ -35,6 +34,7 @@ from frictrack.fit.parameters import (
 )
 from frictrack.fit.pieces import consecutive_slices
 from frictrack.records import Array, Mask
+from frictrack.search import COST_OF_MEMORY
 from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
 MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Span, Tie
-from frictrack.errors import FrictrackError
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
 from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.records import Array

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from frictrack.effects import Effect, Path
+from frictrack.effects.models import Values
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement
 from frictrack.fit.separable import (
@@ -24,7 +25,6 @@ from frictrack.fit.separable import (
     rows_at_compared,
     tiled_path,
 )
-from frictrack.models import Values
 from frictrack.records import Array
 from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, linearise_acceleration
 

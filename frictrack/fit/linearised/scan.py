@@ -25,11 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.workers import map_in_threads
 from frictrack.fit.linearised.columns import MIN_COLUMN_SQUARE, CandidateGrid, ColumnProducts, column_products
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
 from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves
 from frictrack.records import Array
-from frictrack.threads import map_in_threads
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
 MAX_NEGLECTED_SHARE = 1e-4  # of a gain, as in sums of plain waves, by a column that runs share

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.distributions import student_ppf
+from frictrack.base.distributions import student_ppf
 from frictrack.fit.least_squares import (
     NORMAL_QUANTILE_975,
     LeastSquaresProblem,

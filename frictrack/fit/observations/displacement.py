@@ -16,7 +16,7 @@ from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_sca
 from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates, misfit_of
-from frictrack.motion import filtered_acceleration
+from frictrack.measure.motion import filtered_acceleration
 from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, away_from_ends
 
 

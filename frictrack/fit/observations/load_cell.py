@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, Span
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
@@ -30,8 +31,7 @@ from frictrack.fit.separable import (
     variable_projection,
 )
 from frictrack.fit.smooth_functions import correlated_frames
-from frictrack.friction import free_section, is_moving, white_noise
-from frictrack.models import Model
+from frictrack.measure.friction import free_section, is_moving, white_noise
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Parameter, Tie
-from frictrack.models import Model
+from frictrack.effects.models import Model
 
 MASS = "mass"  # pseudo-effect; its parameter is the unit of mass over the mass, minus one
 Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; numbers, or arrays of a population

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Parameter, Span, Tie
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
-from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction

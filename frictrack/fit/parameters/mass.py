@@ -15,11 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Nonlinear, Parameter, Path
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.parameters.constraints import MASS
 from frictrack.fit.parameters.layout import ParameterLayout
-from frictrack.models import Model
 from frictrack.records import Array, Run
 
 MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched

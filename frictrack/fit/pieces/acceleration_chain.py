@@ -12,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from frictrack.fit.pieces.cutting import MIN_FRAMES
 from frictrack.fit.pieces.piece import Piece
-from frictrack.motion import (
+from frictrack.measure.motion import (
     STENCIL_FRAMES,
     FactoredSmoother,
     FilterMethod,

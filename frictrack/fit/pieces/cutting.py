@@ -10,11 +10,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.calibration import significant_motion
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
-from frictrack.errors import FrictrackError
 from frictrack.fit.pieces.piece import Piece, Rows, motion_before, panel_edges
-from frictrack.friction import (
+from frictrack.measure.calibration import significant_motion
+from frictrack.measure.friction import (
     MIN_MOTION_SIGMAS,
     MIN_MOVING_SIGMAS,
     free_section,
@@ -23,7 +23,7 @@ from frictrack.friction import (
     moving_sections,
     release_time,
 )
-from frictrack.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 

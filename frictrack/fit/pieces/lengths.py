@@ -22,10 +22,10 @@ from itertools import product
 import numpy as np
 
 from frictrack.effects import Effect, Span
+from frictrack.effects.models import Model
 from frictrack.fit.pieces.cutting import MIN_FRAMES
 from frictrack.fit.pieces.piece import Piece, cut_rows, displacement_rows, spans_of, without_starts
-from frictrack.models import Model
-from frictrack.motion import noise_level
+from frictrack.measure.motion import noise_level
 from frictrack.records import Array, Run
 
 MIN_PIECE_FRAMES = 2 * MIN_FRAMES  # frames; in shorter pieces the start uses up a quarter of the information

@@ -16,12 +16,12 @@ from itertools import chain, combinations, product
 import numpy as np
 
 from frictrack.effects import Effect
+from frictrack.effects.models import Model
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.separable.blocks import DataBlock
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
-from frictrack.models import Model
 from frictrack.records import Array
 
 SCAN_PLACES_FROM_END = (3, 6, 8)  # grid points from the end of the shared parameter's scan at which waves are searched

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.effects import Effect, Path, Tie
+from frictrack.effects.models import Model
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.pieces import consecutive_slices
 from frictrack.fit.separable.blocks import DataBlock, repeat_values, tiled_path
-from frictrack.models import Model
 from frictrack.records import Array, Mask
 
 Indices = NDArray[np.int_]

@@ -23,11 +23,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.evaluation_budget import COST_OF_MEMORY, EvaluationBudget
 from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, solve_positive
 from frictrack.fit.separable.model import Indices, SeparableModel
 from frictrack.records import Array, Mask
+from frictrack.search import COST_OF_MEMORY, EvaluationBudget
 
 RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect
-from frictrack.errors import FrictrackError
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     Solution,
@@ -26,7 +27,6 @@ from frictrack.fit.stepwise.order import (
 )
 from frictrack.fit.stepwise.scan_starts import scan_effect
 from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
-from frictrack.models import Model
 from frictrack.records import Array
 
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from frictrack.effects import Effect, Tie
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import reported_value
-from frictrack.models import Model
 
 EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment in addition to its size
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from frictrack.base.distributions import RNG
+from frictrack.base.workers import one_thread
 from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.estimates import (
     Estimate,
@@ -20,8 +22,6 @@ from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, Progress, 
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.remarks import level_remarks
 from frictrack.fit.uncertainty.reported_values import reported_by_address, reported_names, reported_values_and_jacobian
-from frictrack.randomness import RNG
-from frictrack.threads import one_thread
 
 __all__ = [
     "Bootstrap",

@@ -12,8 +12,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plus_minus, join_words, lower_first
 from frictrack.effects import Effect
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, covariance_of
 from frictrack.fit.parameters import LEVEL, MASS
 from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
@@ -30,7 +31,6 @@ from frictrack.fit.uncertainty.reported_values import (
     reported_values_and_jacobian,
     standard_deviations,
 )
-from frictrack.number_format import format_plus_minus, join_words, lower_first
 from frictrack.records import Array
 
 MIN_CORRELATION = 0.95  # stronger correlations are reported

@@ -21,7 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import RNG, accepts_seed
+from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import one_thread
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -34,9 +36,7 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.reported_values import reported_names, reported_values_and_jacobian, standard_deviations
-from frictrack.randomness import RNG, accepts_seed
 from frictrack.records import Array
-from frictrack.threads import one_thread
 
 MIN_DRAWS = 20  # fewer give no standard deviation
 WHITE_LIMIT = 4.0  # times 1/sqrt(frames): a smaller autocorrelation counts as white

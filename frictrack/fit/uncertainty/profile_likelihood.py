@@ -23,8 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.distributions import normal_ppf
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import normal_ppf
+from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import one_thread
 from frictrack.fit.least_squares import (
     MIN_CHI2_FALL,
     LeastSquaresProblem,
@@ -36,7 +37,6 @@ from frictrack.fit.least_squares import (
 from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
 from frictrack.records import Array, Mask
-from frictrack.threads import one_thread
 
 QUANTILE_TOLERANCE = 5e-3  # share of the quantile: accuracy of an end
 MAX_REFINEMENTS, MAX_PROBES = 14, 6  # fits per side: to locate an end; to test whether there is one

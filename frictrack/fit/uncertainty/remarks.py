@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from frictrack.base.number_format import join_words, lower_first
 from frictrack.effects import Effect
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, inverse_normal_matrix
 from frictrack.fit.uncertainty.reported_values import reported_slots
-from frictrack.models import Model
-from frictrack.number_format import join_words, lower_first
 from frictrack.records import Array
 
 MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable

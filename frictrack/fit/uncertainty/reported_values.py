@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.parameters import LEVEL, MASS, ParameterLayout, mass_ratio
 from frictrack.records import Array

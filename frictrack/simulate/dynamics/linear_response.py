@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.dynamics.collocation import _A, _AA, _B, _BA, NODES, Panels
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.dynamics.linear_response import LinearResponse
 

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels, Start
 from frictrack.simulate.dynamics.linear_response import LinearResponse

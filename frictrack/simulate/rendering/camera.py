@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from frictrack.errors import raise_faults
+from frictrack.base.errors import raise_faults
 from frictrack.records import Array
 
 WHITE_LEVEL = 0.8  # share of the full well that a white surface fills

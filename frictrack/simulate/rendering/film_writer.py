@@ -14,8 +14,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
-from frictrack.files import atomic_write
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write
 
 Frame = NDArray[Any]
 WriteFrame = Callable[[Frame], object]

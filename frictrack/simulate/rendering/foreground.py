@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from frictrack.errors import raise_faults
+from frictrack.base.errors import raise_faults
 from frictrack.records import Array
 
 

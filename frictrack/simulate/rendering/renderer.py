@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.rendering.camera import Camera, Oscillation
 from frictrack.simulate.rendering.foreground import Highlight, Rod

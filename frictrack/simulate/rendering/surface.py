@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from frictrack.errors import raise_faults
+from frictrack.base.errors import raise_faults
 from frictrack.records import Array
 
 Complex = NDArray[np.complex128]

@@ -32,10 +32,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from frictrack import models
-from frictrack.errors import FrictrackError
-from frictrack.files import is_file_name
-from frictrack.models import Model
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import is_file_name
+from frictrack.effects import models
+from frictrack.effects.models import Model
 from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod
 from frictrack.study import read_toml
 

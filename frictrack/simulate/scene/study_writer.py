@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.errors import FrictrackError
-from frictrack.friction import after_run
-from frictrack.randomness import RNG, accepts_seed, as_seed
+from frictrack.base.distributions import RNG, accepts_seed, as_seed
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.friction import after_run
 from frictrack.records import Array, EarlierRuns
 from frictrack.simulate.conditions import Conditions, push_force
 from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film

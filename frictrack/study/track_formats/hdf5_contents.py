@@ -24,8 +24,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from frictrack.base.workers import limit_memory
 from frictrack.study.table_cells import MAX_UNPACKED_BYTES
-from frictrack.workers import limit_memory
 
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000

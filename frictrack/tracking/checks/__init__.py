@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter, shift
 
-from frictrack.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
+from frictrack.base.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track, stretches
 from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips, frame_numbers

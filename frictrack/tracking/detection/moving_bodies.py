@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.correlation import Rectangle, correlate, parabola_vertex

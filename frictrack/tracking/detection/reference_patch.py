@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import MEDIAN_TO_SIGMA
+from frictrack.base.distributions import MEDIAN_TO_SIGMA
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.correlation import Rectangle

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import MEDIAN_TO_SIGMA
-from frictrack.errors import FrictrackError
+from frictrack.base.distributions import MEDIAN_TO_SIGMA
+from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.distributions import f_isf
+from frictrack.base.distributions import f_isf
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.sampled_scene import SampledScene

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.errors import FrictrackError
-from frictrack.polygons import polygon
+from frictrack.base.errors import FrictrackError
+from frictrack.base.polygons import polygon
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array
 from frictrack.tracking.areas import bounding_rectangle, is_polygon

@@ -10,14 +10,11 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack import plots
-from frictrack.candidates import CandidateRow, candidate_rows
+from frictrack.base.number_format import describe_change, format_change, format_interval, format_number, format_share
 from frictrack.flow import AttemptsReader, effect_of_formula
-from frictrack.motion_axes import AXES
-from frictrack.number_format import describe_change, format_change, format_interval, format_number, format_share
-from frictrack.plots.style import BAND_SIGMAS
-from frictrack.records import Array
-from frictrack.report import (
+from frictrack.present import plots
+from frictrack.present.plots.style import BAND_SIGMAS
+from frictrack.present.report import (
     CandidateCard,
     candidate_cards,
     inseparable,
@@ -25,9 +22,12 @@ from frictrack.report import (
     separating_experiments,
     study_verdict,
 )
+from frictrack.records import Array
 from frictrack.results import ModelResults, Results, to_builtins
+from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.motion_axes import AXES
+from frictrack.results.verdicts import describe_formula, describe_verdict, force_without_effect
 from frictrack.study import Study
-from frictrack.verdicts import describe_formula, describe_verdict, force_without_effect
 from frictrack.workbench.plot_data import (
     FORCE_TITLES,
     RESIDUAL_TITLES,

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
-from frictrack.calibration import parse_scale
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number, format_plus_minus
+from frictrack.base.units import lacks_unit
 from frictrack.flow import start_study, table_needs_mass
-from frictrack.number_format import format_number, format_plus_minus
-from frictrack.plausibility import EnteredValues, implausible_entries
+from frictrack.measure.calibration import parse_scale
+from frictrack.measure.plausibility import EnteredValues, implausible_entries
+from frictrack.results.verdicts import CHECK_FIRST
 from frictrack.study import RunTable, Study, needs_film, read_frame_rate, to_si
-from frictrack.units import lacks_unit
-from frictrack.verdicts import CHECK_FIRST
 from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
 
 KEYS = ("mass", "fps", "scale")

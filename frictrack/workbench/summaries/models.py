@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypedDict
 
+from frictrack.base.number_format import format_quantity
 from frictrack.effects import catalogue
-from frictrack.error_rows import held_out_error
 from frictrack.flow import user_effects
-from frictrack.number_format import format_quantity
-from frictrack.plots import has_law, numbered_name, residual_unit
-from frictrack.report import mark_equation
+from frictrack.present.plots import has_law, numbered_name, residual_unit
+from frictrack.present.report import mark_equation
 from frictrack.results import ModelResults, to_builtins
+from frictrack.results.error_rows import held_out_error
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
 

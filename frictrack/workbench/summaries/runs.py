@@ -7,14 +7,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypedDict
 
-from frictrack.filters import FILTER_WORDS, FILTERS, STRUCTURAL
-from frictrack.filters import SETTINGS as FILTER_SETTINGS
+from frictrack.base.number_format import format_number
 from frictrack.flow import contact_sheet_path
-from frictrack.number_format import format_number
+from frictrack.measure.repairing import suspect_spans
+from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
-from frictrack.repairing import suspect_spans
-from frictrack.report import failed_checks, is_good
 from frictrack.results import RunResults, to_builtins
+from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
+from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.study import RunTable, Study
 from frictrack.workbench.summaries.fields import KEYS, NAMES, Field, missing_fields, run_fields, study_fields
 from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
 from frictrack.flow import Change, undo_stacks
-from frictrack.plots import numbered_name
-from frictrack.plots.style import joined_name
+from frictrack.present.plots import numbered_name
+from frictrack.present.plots.style import joined_name
 from frictrack.results import to_builtins
-from frictrack.verdicts import CHECK_FIRST, describe_tests
+from frictrack.results.verdicts import CHECK_FIRST, describe_tests
 from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis
 from frictrack.workbench.summaries.fields import Field, study_fields
 from frictrack.workbench.summaries.models import (

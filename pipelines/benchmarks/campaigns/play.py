@@ -12,13 +12,13 @@ import numpy as np
 import frictrack as ft
 from campaigns.studies import FPS, MAX_DURATION_S, SPEEDS, Campaign, Settings
 from frictrack import effects
-from frictrack.blind.ideal_detector import degrees_of_freedom, detection_threshold
-from frictrack.costs import Costs
+from frictrack.diagnose.experiments import next_run
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.fit import Fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
 from frictrack.flow.diagnosis_records import CompletenessTest, named_effects, plan_test
-from frictrack.plan import next_run
+from frictrack.settings.costs import Costs
+from frictrack.validation.blind.ideal_detector import degrees_of_freedom, detection_threshold
 
 MAX_RUNS, N_FIRST = 6, 2
 RULES = ("sure", "closed")  # first sure verdict; first one that leaves nothing open

@@ -29,8 +29,8 @@ from distributed import Client, LocalCluster  # noqa: E402
 from machine import described  # noqa: E402
 
 from cluster.films import write_films  # noqa: E402 - found only now
-from frictrack.batch import batch  # noqa: E402
-from frictrack.threads import processors  # noqa: E402
+from frictrack.base.workers import processors  # noqa: E402
+from frictrack.flow.batch import batch  # noqa: E402
 
 RESULTS = Path(__file__).with_name("results.json")
 
@@ -107,7 +107,7 @@ def _drop_from_memory(path: Path) -> None:
 
 def _load() -> None:
     """Import in a worker what a batch needs."""
-    import frictrack.batch  # noqa: PLC0415
+    import frictrack.flow.batch  # noqa: PLC0415
     import frictrack.recording  # noqa: F401, PLC0415
 
 

@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 
 import frictrack as ft
-from frictrack.filters import FilterChoice
 from frictrack.records import Displacement
+from frictrack.settings.filters import FilterChoice
 
 from .measures import parts
 from .run import measured

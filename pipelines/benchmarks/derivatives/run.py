@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from machine import described
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 
 from . import bayes, classics, others, ours
 from .bounds import cramer_rao, wiener

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from frictrack.blind.ideal_detector import N_PHASES, IdealDetector, unit_values
-from frictrack.blind.truth import effect_named
 from frictrack.records import Array
+from frictrack.validation.blind.ideal_detector import N_PHASES, IdealDetector, unit_values
+from frictrack.validation.blind.truth import effect_named
 
 CUTOFF_HZ = 100.0  # Hz
 TRIM_FRAMES = 20  # frames at either end, which the filter smears

@@ -11,8 +11,8 @@ from diagnosis import sparse
 from diagnosis.force import force_size
 from diagnosis.ours import repeated, size_seen, stated
 from diagnosis.studies import BASE, EFFECTS, detector, holding
-from frictrack.blind.ideal_detector import ideal_detection_limit
-from frictrack.blind.truth import effect_named
+from frictrack.validation.blind.ideal_detector import ideal_detection_limit
+from frictrack.validation.blind.truth import effect_named
 
 Say = Callable[[str], None]
 SIZES_OVER_IDEAL = tuple(2.0**k for k in range(-1, 9))  # of the ideal limit, for the peer

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 import frictrack as ft
-from frictrack.blind.ideal_detector import IdealDetector, unit_values
-from frictrack.blind.study_files import run_table
-from frictrack.blind.truth import RunTruth, Truth, effect_named
 from frictrack.effects import LIBRARY
 from frictrack.records import Displacement, Run
+from frictrack.validation.blind.ideal_detector import IdealDetector, unit_values
+from frictrack.validation.blind.study_files import run_table
+from frictrack.validation.blind.truth import RunTruth, Truth, effect_named
 
 BASE = ("coulomb", "stribeck", "viscous")
 SPEEDS = ((2.2, 1.0), (4.0, 1.0), (5.5, 1.0), (4.0, 2.0), (-3.0, 1.0))  # m/s, mass over the reference

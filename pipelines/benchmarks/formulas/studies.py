@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from formulas.causes import CAUSES, Cause
-from frictrack.blind.ideal_detector import noncentrality_limit
 from frictrack.records import Array, Displacement, Run
+from frictrack.validation.blind.ideal_detector import noncentrality_limit
 
 FPS, NOISE, SCATTER, PITCH = 4000.0, 1e-5, 0.02, 5e-4
 PLAN = (

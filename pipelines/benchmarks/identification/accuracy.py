@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from derivatives.signals import Array
 
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 
 from .bound import bound
 from .estimates import METHODS, Estimate

@@ -19,9 +19,8 @@ from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 from scipy.signal import butter, cheby1, filtfilt
 
-from frictrack import models
-from frictrack.effects import Path
-from frictrack.models import Model, Values
+from frictrack.effects import Path, models
+from frictrack.effects.models import Model, Values
 
 GAIN = 35.15065  # N per volt of the motor command
 RATE = 1000.0  # Hz

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import frictrack as ft
-from frictrack import effects, models
-from frictrack.effects import Effect
-from frictrack.models import Model
+from frictrack import effects
+from frictrack.effects import Effect, models
+from frictrack.effects.models import Model
 from frictrack.records import Displacement, Run
 
 from .emps import Record

@@ -14,10 +14,10 @@ import numpy as np
 from derivatives.signals import Array
 from scipy.optimize import minimize, minimize_scalar
 
-from frictrack import effects, models
-from frictrack.effects import Effect, Span
+from frictrack import effects
+from frictrack.effects import Effect, Span, models
+from frictrack.effects.models import Model
 from frictrack.fit.linearised import scan_points
-from frictrack.models import Model
 
 from .emps import Record
 

@@ -36,11 +36,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from machine import described  # noqa: E402
 
-from frictrack.files import replace_text  # noqa: E402
+from frictrack.base.files import replace_text  # noqa: E402
+from frictrack.base.version import __version__  # noqa: E402
+from frictrack.base.workers import (
+    processors,  # noqa: E402
+    run_parallel,  # noqa: E402
+)
 from frictrack.results import to_builtins  # noqa: E402
-from frictrack.threads import processors  # noqa: E402
-from frictrack.version import __version__  # noqa: E402
-from frictrack.workers import run_parallel  # noqa: E402
 from reality.faults import FILMED, KINDS  # noqa: E402 - found only now
 from reality.judge import CPU_LIMIT_S, Outcome, judge, judged, read_outcome  # noqa: E402
 from reality.studies import draw_case, planned  # noqa: E402

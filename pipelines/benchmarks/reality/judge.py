@@ -12,13 +12,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from frictrack.blind.equivalents import equivalent_effects
-from frictrack.blind.outcome import parameter_deviations
-from frictrack.blind.study_files import write_study
-from frictrack.blind.truth import effect_named
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.pipeline import RunPipeline
+from frictrack.validation.blind.equivalents import equivalent_effects
+from frictrack.validation.blind.outcome import parameter_deviations
+from frictrack.validation.blind.study_files import write_study
+from frictrack.validation.blind.truth import effect_named
 from reality.faults import Fault, noted, read_fault
 from reality.studies import Case, write_case
 

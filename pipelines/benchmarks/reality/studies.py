@@ -10,13 +10,20 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.blind.study_files import BLOCK_SIZE_PX, FULL_WELL_E, READ_NOISE_E, WALL, run_table, study_lines
-from frictrack.blind.study_files import FILM_WIDTH_PX as FILM_WIDTH
-from frictrack.blind.truth import RunTruth, Truth
-from frictrack.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions
 from frictrack.simulate.rendering import Camera, Rod, Target, render, write_film
+from frictrack.validation.blind.study_files import (
+    BLOCK_SIZE_PX,
+    FULL_WELL_E,
+    READ_NOISE_E,
+    WALL,
+    run_table,
+    study_lines,
+)
+from frictrack.validation.blind.study_files import FILM_WIDTH_PX as FILM_WIDTH
+from frictrack.validation.blind.truth import RunTruth, Truth
+from frictrack.validation.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from reality.faults import FILMED, KINDS, NONE, Fault, draw_fault
 from reality.spoil import Recorded, copied, lines_with_fault, with_fault
 

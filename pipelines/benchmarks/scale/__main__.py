@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parts import measure_parts, parts_parser  # noqa: E402
 
-from frictrack.threads import processors  # noqa: E402
+from frictrack.base.workers import processors  # noqa: E402
 from scale import archive, cores, length, runs, split, stages  # noqa: E402 - found only now
 
 PARTS = {

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from frictrack.threads import processors
+from frictrack.base.workers import processors
 from scale.scenes import RUNS, filmed
 
 STUDIES = 6  # for every process that there is

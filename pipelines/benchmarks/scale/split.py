@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import psutil
 
+from frictrack.base.workers import WorkerPool, local_workers
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Track
 from frictrack.tracking import TargetModel, learn_target, track, track_in_parallel
-from frictrack.workers import WorkerPool, local_workers
 from scale.length import rendered_film
 
 FRAMES, PROCESSES = 16000, 2

@@ -27,12 +27,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np  # noqa: E402
 from machine import described  # noqa: E402
 
-from frictrack.blind.equivalents import equivalent_effects  # noqa: E402
-from frictrack.blind.study_files import write_study  # noqa: E402
-from frictrack.blind.truth import Truth  # noqa: E402
-from frictrack.blind.truth_sampling import candidates, draw_truth  # noqa: E402
-from frictrack.errors import FrictrackError  # noqa: E402
+from frictrack.base.errors import FrictrackError  # noqa: E402
 from frictrack.flow import Session, open_study  # noqa: E402
+from frictrack.validation.blind.equivalents import equivalent_effects  # noqa: E402
+from frictrack.validation.blind.study_files import write_study  # noqa: E402
+from frictrack.validation.blind.truth import Truth  # noqa: E402
+from frictrack.validation.blind.truth_sampling import candidates, draw_truth  # noqa: E402
 
 KINDS = ("none", "one", "two")
 MAX_DIAGNOSES = 6

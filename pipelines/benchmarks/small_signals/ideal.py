@@ -2,19 +2,19 @@
 
 The ideal detector knows the base law, the form of every effect, and for each effect the place, frequency and time at
 which it fits the data without noise best. From there it fits every effect to the noisy data, and takes the one with the
-best likelihood, each parameter at its price (BIC). Its threshold is that of `frictrack.blind.ideal_detector`.
+best likelihood, each parameter at its price (BIC). Its threshold is that of `frictrack.validation.blind.ideal_detector`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from frictrack.blind.equivalents import MAX_CHI2_EXCESS, replacements, solution_at_truth
-from frictrack.blind.ideal_detector import IdealDetector
-from frictrack.blind.truth import Truth, effect_named
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
-from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import Solution, fit_with_scatter
+from frictrack.validation.blind.equivalents import MAX_CHI2_EXCESS, replacements, solution_at_truth
+from frictrack.validation.blind.ideal_detector import IdealDetector
+from frictrack.validation.blind.truth import Truth, effect_named
 
 MAX_CHI2_RIVAL = 30.0  # separation beyond which noise puts a rival before the truth in less than one of 300 studies
 

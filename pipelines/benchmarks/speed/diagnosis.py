@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import frictrack as ft
-from frictrack.blind.truth import Truth
 from frictrack.flow import Session, open_study
+from frictrack.validation.blind.truth import Truth
 from speed.plain_search import plain_search
 from speed.studies import draw_study, effects_to_hide, foreign_causes, recorded_runs, study_of_tables
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from diagnosis.studies import BARE, recorded
 
-from frictrack.blind.study_files import write_study
-from frictrack.blind.truth import Truth
-from frictrack.blind.truth_sampling import LAWS, candidates, draw_truth
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Run
+from frictrack.validation.blind.study_files import write_study
+from frictrack.validation.blind.truth import Truth
+from frictrack.validation.blind.truth_sampling import LAWS, candidates, draw_truth
 
 RUNS, FRAMES = 5, 700
 MAX_SEEDS = 20  # tried until a study of this size is found

@@ -16,7 +16,7 @@ import numpy as np
 from machine import described
 
 import frictrack as ft
-from frictrack.errors import FrictrackError
+from frictrack.base.errors import FrictrackError
 
 from .conditions import FPS, MAX_FRAMES, Condition, condition
 from .measures import Judged, judge, pool

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import models
-from frictrack.effects import Path, Span
+from frictrack.effects import Path, Span, models
 from frictrack.fit.global_search import search_settings
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.separable import (

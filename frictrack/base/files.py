@@ -1,0 +1,281 @@
+"""Replace files as a whole, and lock folders of results so that one process writes at a time."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from io import RawIOBase
+from pathlib import Path
+from typing import Any
+
+import psutil
+from filelock import FileLock, Timeout
+
+from frictrack.base.errors import FrictrackError
+
+MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
+_NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
+_RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(?:\..*)?", re.IGNORECASE)  # Windows's own
+_HOST = re.sub(r"\W", "", platform.node()) or "here"
+_TEMPORARY = re.compile(r"\..+_([^\W_]\w*)-(\d+)_[^.]+\.part(?:\.\w+)?")  # of `atomic_write`
+DAY_S = 86400.0
+INTERNAL_FOLDER = ".frictrack"  # in a folder of results: what only frictrack reads
+_FORMER_LOCKS = (".lock", ".work")  # of earlier versions, among the results
+LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fraction of a second
+
+
+def is_file_name(name: str) -> bool:
+    """Return whether a name can be a file name on every operating system, and cannot lead out of the folder.
+
+    Parameters
+    ----------
+    name
+        The name, without suffix.
+
+    Examples
+    --------
+    >>> is_file_name("run 3"), is_file_name("../run"), is_file_name("nul")
+    (True, False, False)
+
+    """
+    fits = len(name.encode(errors="replace")) <= 2 * MAX_NAME_LENGTH and len(name) <= MAX_NAME_LENGTH
+    return fits and _NAME.fullmatch(name) is not None and not _RESERVED.fullmatch(name)
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder of results for a short change; the block may be nested. Readers never wait.
+
+    Temporary files of writers that were killed are removed first.
+
+    Parameters
+    ----------
+    folder
+        The folder; it is created if it does not exist.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written, or another process does not release it within `LOCK_TIMEOUT_S`.
+
+    """
+    inside = make_internal_folder(folder)
+    try:
+        lock = FileLock(inside / "lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
+        lock.acquire()
+    except Timeout as e:
+        raise FrictrackError(f"another frictrack holds {folder}; wait for it or stop it") from e
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {folder}: {e.strerror or e}") from e
+    try:
+        if lock.lock_counter == 1:
+            _remove_leftovers(folder, inside / "lock")
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
+def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
+    """Lock a folder of results for a long computation; the block may be nested. Readers and short changes do not wait.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    waits
+        Called once if another process has the lock.
+
+    """
+    lock = FileLock(folder / INTERNAL_FOLDER / "work", is_singleton=True)
+    with suppress(OSError, FrictrackError):  # a folder that cannot be written is reported when something is written
+        make_internal_folder(folder)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            waits()
+            lock.acquire(timeout=-1)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def is_busy(folder: Path) -> bool:
+    """Return whether another process is writing into a folder of results, or computing for it."""
+    return any(_is_held(folder / INTERNAL_FOLDER / name) for name in ("lock", "work"))
+
+
+def make_internal_folder(folder: Path) -> Path:
+    """Create the hidden folder in a folder of results, for locks, logs and jobs; return its path.
+
+    Locks that earlier versions left among the results are removed.
+
+    Parameters
+    ----------
+    folder
+        The folder of results; it is created if it does not exist.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be created, or there is a link of its name.
+
+    """
+    inside = make_subfolder(folder, INTERNAL_FOLDER)
+    for name in _FORMER_LOCKS:
+        with suppress(OSError):
+            if (folder / name).is_file() and not (folder / name).is_symlink():
+                (folder / name).unlink()
+    return inside
+
+
+def _is_held(path: Path) -> bool:
+    if not path.exists():
+        return False
+    lock = FileLock(path, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        return True
+    except OSError:
+        return False  # a lock file without write permission
+    lock.release()
+    return False
+
+
+def make_subfolder(folder: Path, name: str) -> Path:
+    """Create a folder inside a folder of results; return its path.
+
+    Parameters
+    ----------
+    folder, name
+        The folder of results, and the name of the new folder, which may exist.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be created, or there is a link of that name.
+
+    """
+    path = folder / name
+    if path.is_symlink():
+        raise FrictrackError(f"expected a folder {path} but it is a link to another place; remove the link")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise FrictrackError(f"cannot write results into {path}: {e.strerror or e}") from e
+    return path
+
+
+@contextmanager
+def atomic_write(path: Path, mode: int = 0o644) -> Iterator[Path]:
+    """Yield a temporary file that replaces `path` if the block succeeds; a power cut leaves the old or the new file.
+
+    Parameters
+    ----------
+    path
+        The file to be replaced or created.
+    mode
+        Its permissions.
+
+    Yields
+    ------
+    Path
+        The temporary file.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be written; the old file is left unchanged.
+
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        start = f".{path.stem}_{_HOST}-{os.getpid()}_"
+        handle, name = tempfile.mkstemp(prefix=start, suffix=f".part{path.suffix}", dir=path.parent)
+    except OSError as e:
+        raise FrictrackError(f"cannot write into {path.parent}: {e.strerror}") from e
+    os.close(handle)
+    part = Path(name)
+    try:
+        _remove_leftovers(path.parent, part)
+        yield part
+        _commit(part, path, mode)
+    except OSError as e:
+        raise FrictrackError(f"cannot write {path}: {e.strerror or e}; the old file is unchanged") from e
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+
+
+def _remove_leftovers(folder: Path, mine: Path) -> None:
+    """Remove temporary files of writers that were killed: those of this host, and of others a day older than `mine`."""
+    for part in folder.glob(".*.part*"):
+        found = _TEMPORARY.fullmatch(part.name)
+        if found is None or part == mine:
+            continue
+        with suppress(OSError):  # times of one file system: the clock of this machine may jump
+            old = mine.stat().st_mtime - part.stat().st_mtime > DAY_S
+            if old if found[1] != _HOST else not psutil.pid_exists(int(found[2])):
+                part.unlink()
+
+
+def _commit(part: Path, path: Path, mode: int) -> None:
+    part.chmod(mode)
+    with part.open("rb") as f:
+        os.fsync(f.fileno())
+    part.replace(path)
+    with suppress(OSError):  # some systems cannot open a folder
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+
+
+def write_at(file: RawIOBase, start: int, content: Any) -> None:
+    """Write all bytes at a position of an unbuffered file, which alone would leave the rest out on a full disk.
+
+    Parameters
+    ----------
+    file
+        The file.
+    start
+        Position of the first byte.
+    content
+        The bytes, or an array.
+
+    Raises
+    ------
+    OSError
+        If not all can be written.
+
+    """
+    file.seek(start)
+    rest = memoryview(content).cast("B")
+    while rest:
+        rest = rest[file.write(rest) or 0 :]
+
+
+def replace_text(path: Path, text: str) -> Path:
+    """Write a text in UTF-8 as a whole, with its line ends as they are; return the path.
+
+    Parameters
+    ----------
+    path
+        The file.
+    text
+        Its new content.
+
+    Raises
+    ------
+    FrictrackError
+        If it cannot be written; the old file is left unchanged.
+
+    """
+    with atomic_write(path) as part:
+        part.write_bytes(text.encode())
+    return path

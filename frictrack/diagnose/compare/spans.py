@@ -1,0 +1,266 @@
+"""Find where a fitted model fails: spans in time, place, velocity and run, with share of the misfit and p-value."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from frictrack.base.distributions import normal_sf
+from frictrack.diagnose.compare.local_forces import (
+    ALPHA,
+    ALPHA_PIECE,
+    Bump,
+    LocalForces,
+    bump_columns,
+    bump_grid,
+    continue_search,
+    find_local_forces,
+    joint_significance,
+    solve_sizes,
+    start_search,
+    width_limits,
+    without_model,
+)
+from frictrack.effects import Effect
+from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
+from frictrack.fit.linearised import LinearisedPiece
+from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
+from frictrack.fit.pieces import Rows
+from frictrack.records import Array, Mask, Run, stretches
+
+SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
+TAIL_RATIO = float(np.exp(-(SPAN_HALF_WIDTHS**2) / 2))  # height at the end of a span over the peak
+MIN_CHI2_RESOLVED = 6.6  # rise with the shortest width above which a duration is resolved
+MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
+MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
+MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
+N_WIDTHS = 60  # tried for the span of a bump
+
+
+@dataclass(frozen=True)
+class FailingSpan:
+    """A span of one piece: rows of its frames, share of the misfit and p-value."""
+
+    piece: int
+    rows: Rows
+    share: float
+    p: float
+
+
+def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None = None) -> list[dict[str, Any]]:
+    """Find the spans of the runs that carry the misfit, largest share first.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+    runs
+        Its runs.
+    missing
+        Name of a force effect of the model. If given, the spans are those where the model without this effect fails.
+
+    Returns
+    -------
+    list of dict
+        `run`; `t`, `x`, `v`: range of recording time s, position m and velocity m/s; `share_of_error`: part of the
+        misfit (chi-squared above its expectation), at most one in all; `p`: p-value of the whole search. Empty if noise
+        alone would do as much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
+
+    """
+    solution = keep_compared_frames(solution)
+    if missing is None:
+        local = find_local_forces(solution)
+        everywhere = not local.complete and not solution.problem.simulates
+        found = _spans_of_measured_friction(local) if everywhere else _spans_of_bumps(local, runs)
+    else:
+        found = _spans_of_effect(solution, runs, missing)
+    found = [s for s in found if len(s.rows) > 1]
+    # forces that make up for one another explain more, one by one, than together
+    whole = max(1.0, sum(max(s.share, 0.0) for s in found))
+    spans = [_to_dict(solution.responses[s.piece], runs, replace(s, share=s.share / whole)) for s in found]
+    return sorted(spans, key=lambda s: -s["share_of_error"])
+
+
+def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
+    """Extent of the bumps of a search in every piece."""
+    columns = bump_columns(found, found.bumps, derivatives=False)[:, :, 0]
+    sizes, best = solve_sizes(found.law, columns)
+    total, spans = excess_chi2(found.law), list[FailingSpan]()
+    for k, bump in enumerate(found.bumps):
+        others = np.delete(columns, k, axis=1)
+        likely = replace(bump, width=_likely_width(found, bump, others))
+        unresolved = not bump.at_place and _is_unresolved(found, bump, others, best)
+        for i, rows in enumerate(found.law.rows):
+            if bump.acts_in(i):
+                share = float(sizes[k] * (columns[rows, k] @ found.law.r[rows])) / total
+                if share < 0 and not bump.at_place:
+                    continue  # it only makes up for others
+                smear = _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
+                spans.append(FailingSpan(i, np.flatnonzero(_inside(found, likely, i, smear)), share, found.p(bump)))
+    return _merge_overlapping(spans)
+
+
+def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
+    """Spans where the residual of a measured friction force itself is significant, if the model fails everywhere."""
+    spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
+    for i, response in enumerate(found.law.responses):
+        size = np.abs(response.r)
+        for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
+            p = min(1.0, 2 * len(size) * float(normal_sf(size[s].max())))
+            if p < ALPHA:
+                spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(size[s] @ size[s]) / total, p))
+    return spans
+
+
+def _merge_overlapping(spans: Sequence[FailingSpan]) -> list[FailingSpan]:
+    """Merge overlapping spans of one piece."""
+    out: list[FailingSpan] = []
+    for s in sorted((s for s in spans if len(s.rows)), key=lambda s: (s.piece, s.rows[0])):
+        last = out[-1] if out else None
+        if last is not None and last.piece == s.piece and s.rows[0] <= last.rows[-1]:
+            out[-1] = FailingSpan(s.piece, np.union1d(last.rows, s.rows), last.share + s.share, min(last.p, s.p))
+        else:
+            out.append(s)
+    return out
+
+
+def excess_chi2(law: ModelProjection) -> float:
+    """Chi-squared of the residual above its expectation, at least its standard deviation."""
+    dof = max(len(law.r) - law.u.shape[1], 1)
+    return max(float(law.r @ law.r) - dof, float(np.sqrt(2 * dof)))
+
+
+def _inside(found: LocalForces, bump: Bump, i: int, half_width: float) -> Mask:
+    """Frames of a piece that lie within a bump."""
+    piece = found.law.responses[i].piece
+    if not bump.at_place:
+        reach = SPAN_HALF_WIDTHS * (width_limits(found.law, bump)[0] if half_width else bump.width)
+        return np.asarray(np.abs(piece.t - bump.centre) <= reach + half_width)
+    x, _ = position_and_velocity(found.law.responses[i])
+    return np.asarray(np.abs(x - bump.centre) <= SPAN_HALF_WIDTHS * bump.width)
+
+
+def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
+    """Half width of the run's low-pass, s; 0 if unknown or if friction itself was measured."""
+    cutoff = runs[response.piece.run].motion.cutoff
+    known = np.isfinite(cutoff) and cutoff > 0 and not isinstance(response.piece, MeasuredFrictionPiece)
+    return 0.5 / float(cutoff) if known else 0.0
+
+
+def _is_unresolved(found: LocalForces, bump: Bump, others: Array, best: float) -> bool:
+    """Whether a bump in time is as short as the shortest that the frames resolve, next to `others` (N + m, k)."""
+    shortest = replace(bump, width=width_limits(found.law, bump)[0])
+    column = bump_columns(found, [shortest], derivatives=False)[:, 0]
+    return solve_sizes(found.law, np.hstack([others, column]))[1] - best < MIN_CHI2_RESOLVED
+
+
+def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
+    """Mean of the log width, weighted by the likelihood of the widths, next to `others` (N + m, k).
+
+    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
+    """
+    law = found.law.with_columns(others)
+    widths = np.geomspace(*width_limits(found.law, bump), N_WIDTHS)
+    tried = [replace(bump, width=width) for width in widths.tolist()]
+    gains = bump_grid(law, found.model.pieces, tried).significances(law) ** 2
+    return float(np.exp(np.average(np.log(widths), weights=np.exp((gains - gains.max()) / 2))))
+
+
+def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
+    """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
+
+    A local effect is searched again in the model that contains it, over all widths; its fitted place may be wrong.
+    """
+    effect = next(e for e in solution.problem.model.effects if e.name == missing)
+    search, forces = _search_without(solution, effect)
+    if effect.acts_within is not None and (found := continue_search(search)).bumps:
+        return _spans_of_bumps(found, runs)
+    law, places = search.law, list[tuple[int, Rows]]()
+    for i, size in enumerate(_expected_peaks(solution, effect, forces)):
+        at = solution.responses[i].piece
+        acts = np.abs(forces[i][at.at // at.per_frame]) > TAIL_RATIO * size
+        places += [(i, np.arange(s.start, s.stop)) for s in stretches(_close_gaps(acts))]
+    if not places:
+        return []
+    columns = np.stack([_partial_trace(search, i, rows, forces[i]) for i, rows in places], axis=1)
+    total = max(excess_chi2(law), float(np.sum(without_model(law, columns.sum(axis=1)) ** 2)))
+    # what the runs share acts in all of them or in none
+    group = np.array([solution.responses[i].piece.run if _has_size_per_run(effect) else 0 for i, _ in places])
+    names, of = np.unique(group, return_inverse=True)
+    z = joint_significance(law, np.stack([columns[:, group == g].sum(axis=1) for g in names], axis=1))[of]
+    spans = [
+        FailingSpan(i, rows, float(column @ law.r) / total, _p_value(search, i, float(size)))
+        for (i, rows), column, size in zip(places, columns.T, z, strict=True)
+    ]
+    return [s for s in spans if s.p < ALPHA_PIECE]
+
+
+def _p_value(search: LocalForces, piece: int, z: float) -> float:
+    """p-value of a span in the whole search, or in its piece if that search is not significant."""
+    p = search.significance(z)
+    return p if p < ALPHA else min(p, search.grids[piece].significance(z))
+
+
+def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
+    """Largest expected force of an effect in every piece, N, whatever part of it the piece passes."""
+    own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
+    if _has_size_per_run(effect):
+        return own
+    paths = [(r.piece.path, solution.problem.layout.values(solution.p, r.piece.run)[1]) for r in solution.responses]
+    factors = [{"load": path.load * level, "mass": path.mass_ratio} for path, level in paths]
+    scales = np.array([float(f.get(effect.scales_with, 1.0)) for f in factors])
+    return list(np.max(np.array(own) / scales) * scales)
+
+
+def _has_size_per_run(effect: Effect) -> bool:
+    """Whether every run has its own size of the effect."""
+    return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
+
+
+def _search_without(solution: Solution, effect: Effect) -> tuple[LocalForces, list[Array]]:
+    """A search in the residual of a model without one of its effects, and the force of the effect along each piece."""
+    kept = [i for i, s in enumerate(solution.problem.layout.slots) if s.effect != effect.name]
+    search = start_search(solution, kept)
+    forces = [_effect_force(piece, effect.name) for piece in search.model.pieces]
+    trace = np.zeros((len(search.law.r), 1))
+    for rows, piece, force in zip(search.law.rows, search.model.pieces, forces, strict=True):
+        trace[rows] = piece.data_of(force[None], is_measurement=False).T
+    law = replace(search.law, r=search.law.r + without_model(search.law, trace)[:, 0])
+    return replace(search, law=law, residual=law), forces
+
+
+def _effect_force(piece: LinearisedPiece, name: str) -> Array:
+    """Force of one effect of the model along a piece, N, (m,)."""
+    path = replace(piece.path, load=piece.path.load * piece.level / piece.path_level)
+    return piece.problem.model.effect_contribution(name, path, piece.values)
+
+
+def _partial_trace(search: LocalForces, i: int, rows: Rows, force: Array) -> Array:
+    """Trace of a force (m,) over some frames of one piece, over all frames (N + m,)."""
+    piece, out = search.model.pieces[i], np.zeros_like(search.law.r)
+    t, at = piece.path.t, piece.response.piece.t[rows]
+    inside = np.where((t >= at[0]) & (t <= at[-1]), force, 0.0)
+    out[search.law.rows[i]] = piece.data_of(inside[None], is_measurement=False)[0]
+    return out
+
+
+def _close_gaps(acts: Mask) -> Mask:
+    """Close gaps of a few frames in a mask."""
+    rows = np.flatnonzero(acts)
+    out = np.array(acts)
+    for a, b in itertools.pairwise(rows):
+        if b - a <= MAX_GAP_FRAMES:
+            out[a:b] = True
+    return out
+
+
+def _to_dict(response: PieceResponse, runs: Sequence[Run], span: FailingSpan) -> dict[str, Any]:
+    """JSON of one span."""
+    run, (x, v) = runs[response.piece.run], position_and_velocity(response)
+    series = {"t": run.displacement.t[response.piece.frames], "x": x, "v": v}
+    ranges = {name: [float(q[span.rows].min()), float(q[span.rows].max())] for name, q in series.items()}
+    return {"run": run.name, **ranges, "share_of_error": round(float(np.clip(span.share, 0.0, 1.0)), 4), "p": span.p}

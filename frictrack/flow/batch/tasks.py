@@ -1,0 +1,273 @@
+"""Define the tasks of a worker: measure the films of a study one by one, then fit, diagnose and report it.
+
+A failure is returned as a sentence. Only `DiskFullError` is raised, so that a worker with space tries the task again.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from stat import S_ISDIR
+from typing import Any
+
+from frictrack.base.errors import DiskFullError, FrictrackError, is_disk_full
+from frictrack.base.remote import RemoteFile, locate
+from frictrack.flow import Session, open_study, run_pipeline
+from frictrack.study import RunTable, Study
+
+FileStates = dict[str, list[int]]  # path -> size, time of change in ns
+Reasons = Mapping[str, str]  # run -> why it failed
+
+
+def file_states(study: Study) -> FileStates:
+    """Return the states of all files of a study: study file, recordings, results.
+
+    Returns
+    -------
+    dict of str to list of int
+        By path: size, bytes, and modification time, ns; empty for a file that does not exist.
+
+    """
+    pipelines = [run_pipeline(study, run) for run in study.runs]
+    inputs = [path for pipeline in pipelines for path in pipeline.input_files()]
+    results = [pipeline.path for pipeline in pipelines] + [study.output / name for name in ("study.h5", "report.html")]
+    known = [] if study.prior_file is None else [study.prior_file]
+    return {str(path): _state(path) for path in (study.path, *known, *inputs, *results)}
+
+
+def are_unchanged(files: FileStates) -> bool:
+    """Return whether all files have the recorded states; False for no files, or an address that is not allowed."""
+    with suppress(FrictrackError):
+        return bool(files) and all(_state(locate(path)) == state for path, state in files.items())
+    return False
+
+
+def _state(path: Path | RemoteFile) -> list[int]:
+    """Return size and modification time; of a folder the number and total size of its files, and the latest time."""
+    if isinstance(path, RemoteFile):
+        return path.state()
+    try:
+        found = path.stat()
+        if not S_ISDIR(found.st_mode):
+            return [found.st_size, found.st_mtime_ns]
+        inside = [one.stat() for one in path.iterdir() if one.is_file()]
+    except OSError:
+        return []
+    return [len(inside), sum(one.st_size for one in inside), max((one.st_mtime_ns for one in inside), default=0)]
+
+
+@dataclass
+class StudyOutcome:
+    """The outcome of a study.
+
+    Attributes
+    ----------
+    study
+        Absolute path of the study file.
+    summary
+        The row of the study in the table of the page.
+    rows
+        One row per run.
+    units
+        Units of the parameters.
+    files
+        States of the study's files; empty if something failed, so that the next batch tries again.
+    conditions
+        Conditions that the study file states, by name.
+    law
+        The law as a prior file; "" where there is none, or where it rests on the prior of another study.
+    seed, seconds
+        Seed of the diagnosis, and computing time, s.
+
+    """
+
+    study: str  # the file, from the root
+    summary: dict[str, Any]
+    rows: list[dict[str, Any]]
+    units: dict[str, str] = field(default_factory=dict)  # of the parameters
+    files: FileStates = field(default_factory=dict)
+    conditions: dict[str, float | str] = field(default_factory=dict)
+    law: str = ""
+    seed: int = 0
+    seconds: float = 0.0
+
+    @property
+    def failures(self) -> list[dict[str, str]]:
+        """Run and reason of every failure; the run is empty if the study itself failed."""
+        return [{"run": row.get("run", ""), "reason": row["reason"]} for row in self.rows if row.get("reason")]
+
+
+@dataclass
+class StudyStarted:
+    """A study whose first film was measured, so that the others can be measured in parallel."""
+
+    others: list[str]
+    failed: dict[str, str]
+
+
+def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
+    """Measure the first film, which defines the tracked point of all others; finish a study that has only one.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    seed
+        Seed of the diagnosis.
+
+    Returns
+    -------
+    StudyStarted or StudyOutcome
+        The films that remain, or the outcome of a study without further films.
+
+    """
+    try:
+        study = open_study(path)
+    except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
+        return failed_study(path, {}, _reason(e))
+    films = [run.name for run in study.runs if run.video]
+    failed: dict[str, str] = {}
+    while len(films) > 1:
+        first = films.pop(0)
+        reason = _measure_run(without_runs(study, failed), first)
+        if reason is None:
+            return StudyStarted(films, failed)
+        failed[first] = reason
+    return finish_study(path, seed, failed)
+
+
+def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
+    """Measure one film.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    run
+        Name of the run.
+    failed
+        Reasons of the runs that failed before.
+
+    Returns
+    -------
+    str or None
+        The reason if it fails.
+
+    """
+    try:
+        study = without_runs(open_study(path), failed)
+    except Exception as e:  # noqa: BLE001
+        return _reason(e)
+    return _measure_run(study, run)
+
+
+def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
+    """Fit, diagnose and report a study without the runs that failed.
+
+    Parameters
+    ----------
+    path
+        The study file.
+    seed
+        Seed of the diagnosis.
+    failed
+        Reasons of the runs that failed.
+
+    """
+    start, failed = time.perf_counter(), dict(failed)
+    try:
+        study = open_study(path)
+        for run in study.runs:
+            if run.name not in failed and (reason := _measure_run(without_runs(study, failed), run.name)) is not None:
+                failed[run.name] = reason
+        if len(failed) == len(study.runs):
+            return failed_study(path, failed, "none of its runs could be measured")
+        kept = without_runs(study, failed)
+        notes = tuple(f'run "{name}" is left out: {reason}' for name, reason in failed.items())
+        session = Session(kept, notes=notes)
+        done = _outcome(path, session.run(seed), failed)
+        done.conditions, done.law = dict(study.conditions), session.law_text() if study.conditions else ""
+        for row in done.rows:
+            row |= {f"condition {name}": str(value) for name, value in study.conditions.items()}
+        done.files = {} if failed else file_states(study)  # what failed is tried again
+    except Exception as e:  # noqa: BLE001
+        return failed_study(path, failed, _reason(e))
+    done.seed, done.seconds = seed, time.perf_counter() - start
+    return done
+
+
+def failed_study(path: Path, failed: Reasons, reason: str) -> StudyOutcome:
+    """Return the outcome of a study that failed, and of its runs that did."""
+    rows = [{"reason": reason}, *({"run": run, "reason": why} for run, why in failed.items())]
+    return StudyOutcome(str(path), {"runs": 0, "reason": reason}, rows)
+
+
+def describe_failure(e: BaseException) -> str:
+    """Return a failure in one line."""
+    text = str(e) if isinstance(e, FrictrackError) else f"{type(e).__name__}: {e}"
+    return " ".join(text.split())
+
+
+def _reason(e: Exception) -> str:
+    """Return a failure in one line; raise `DiskFullError` if the disk of this machine is full."""
+    if isinstance(e, DiskFullError):
+        raise e
+    if is_disk_full(e):
+        raise DiskFullError(f"{describe_failure(e)}; {platform.node()} has no space left") from e
+    return describe_failure(e)
+
+
+def without_runs(study: Study, failed: Reasons) -> Study:
+    """Return the study without the runs that failed."""
+    return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
+
+
+def _measure_run(study: Study, name: str) -> str | None:
+    """Bring every stage of a run up to date; return the reason if one fails, else None."""
+    pipeline = run_pipeline(study, _run(study, name))
+    try:
+        for stage in pipeline.stages:
+            if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
+                pipeline.get(stage)
+    except Exception as e:  # noqa: BLE001
+        return _reason(e).removeprefix(f'run "{name}", ')
+    return None
+
+
+def _run(study: Study, name: str) -> RunTable:
+    return next(run for run in study.runs if run.name == name)
+
+
+def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOutcome:
+    """Return the outcome of a study that was run."""
+    fit, diagnosis = result["fit"], result["diagnose"]
+    shared = {
+        "verdict": diagnosis["verdict"],
+        "missing": " ".join(diagnosis["missing"]),
+        "model": " ".join(fit["model"]),
+        "domain": fit["domain"],
+        **{name: p["value"] for name, p in fit["parameters"].items()},
+        **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
+        **{f"{name} std_misfit": p["std_misfit"] for name, p in fit["parameters"].items() if "std_misfit" in p},
+    }
+    rows = [shared | _run_row(run) for run in fit["per_run"]]
+    rows += [{"run": run, "reason": why} for run, why in failed.items()]
+    summary = {
+        "verdict": diagnosis["verdict"],
+        "missing": diagnosis["missing"],
+        "runs": len(fit["per_run"]),
+        "reduced_chi2": fit["errors"]["reduced_chi2"],
+        "reason": None,
+        "left_out": list(failed),
+        "results": result["output"],
+    }
+    return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
+
+
+def _run_row(run: dict[str, Any]) -> dict[str, Any]:
+    own = {k: run.get(k) for k in ("run", "role", "level", "noise_um", "segments")}
+    return own | run.get("errors", {})

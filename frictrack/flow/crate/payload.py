@@ -1,0 +1,316 @@
+"""List the files of a crate: the study file, what it was computed from, and the results.
+
+A file lies in the crate where it lies beside the study file, so that the unpacked crate is a study like any other. An
+input from outside the folder of the study gets a place in ``inputs/``. A recording of more than `MAX_INCLUDED_BYTES`
+is described by its name, size and hash only, unless it is asked for; tables are always included.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.remote import RemoteFile, local_path, locate
+from frictrack.flow import RunPipeline, Session, hash_path
+from frictrack.recording import open_recording
+from frictrack.study import Study, read_toml
+
+MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
+MAX_EXPANSION = 200  # times the size of the zip file, above `MAX_UNPACKED_BYTES`; deflate reaches 1030
+MAX_UNPACKED_BYTES = 1_000_000_000  # that any crate may unpack to
+COPY_BYTES = 1 << 20  # that are copied at once
+_NAME = re.compile(r'(?!\.\.?$)[^\x00-\x1f\\/:*?"<>|]{0,254}[^\x00-\x1f\\/:*?"<>|. ]')  # on Windows, too
+
+
+def safe_place(text: str) -> str:
+    """Return the path of a file in a crate, with slashes; it stays inside the crate on every operating system.
+
+    Parameters
+    ----------
+    text
+        The path as the crate has it.
+
+    Raises
+    ------
+    FrictrackError
+        If it leads out of the crate, or no system can have such a file.
+
+    Examples
+    --------
+    >>> safe_place("films/v3.avi")
+    'films/v3.avi'
+
+    """
+    parts = PurePosixPath(text).parts
+    if not parts or not all(_NAME.fullmatch(part) for part in parts):
+        raise FrictrackError(
+            f'expected the path of a file inside a crate, without \\ : * ? " < > |, but got {text[:200]!r}; '
+            "rename it, or do not trust this crate"
+        )
+    return "/".join(parts)
+
+
+def unpack(crate: Path, folder: Path) -> None:
+    """Unpack a zip file into a new folder.
+
+    Parameters
+    ----------
+    crate
+        The zip file.
+    folder
+        The folder, which does not exist yet.
+
+    Raises
+    ------
+    FrictrackError
+        If it is no zip file, is damaged, would write outside the folder, or would unpack to far more than its size.
+
+    """
+    try:
+        with zipfile.ZipFile(crate) as file:
+            infos = [info for info in file.infolist() if not info.is_dir()]
+            _check(crate, infos, folder)
+            for info in infos:
+                _copy(file, info, folder / safe_place(info.filename))
+    except FrictrackError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, LookupError, RuntimeError, ValueError) as e:
+        raise FrictrackError(f"{crate} is damaged or is not a zip file ({e}); fetch it again") from e
+    except OSError as e:
+        raise FrictrackError(f"cannot unpack {crate} into {folder}: {e.strerror or e}") from e
+
+
+def _check(crate: Path, infos: list[zipfile.ZipInfo], folder: Path) -> None:
+    """Check what the file declares before anything is written."""
+    places = [safe_place(info.filename).casefold() for info in infos]
+    if len(set(places)) < len(places):
+        raise FrictrackError(f"expected every file of {crate} once but it has two of one name; it was not unpacked")
+    if any(stat.S_ISLNK(info.external_attr >> 16) for info in infos):
+        raise FrictrackError(f"expected files in {crate} but it has a link; it was not unpacked")
+    total, size = sum(info.file_size for info in infos), crate.stat().st_size
+    if len(infos) > MAX_FILES or total > max(MAX_UNPACKED_BYTES, MAX_EXPANSION * size):
+        raise FrictrackError(
+            f"expected a crate of at most {MAX_FILES} files that unpack to {MAX_EXPANSION} times its size but "
+            f"{crate} has {len(infos)} that unpack to {total / size:.0f} times; it was not unpacked"
+        )
+    free = shutil.disk_usage(folder.parent).free
+    if total > free:
+        raise FrictrackError(
+            f"expected {total / 1e9:.2f} GB of free disk for {crate} but there are {free / 1e9:.2f} GB"
+        )
+
+
+def _copy(file: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> None:
+    """Copy one file; zipfile ends it at the size that was declared, and compares its checksum."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with file.open(info) as source, path.open("xb") as copy:
+        shutil.copyfileobj(source, copy, COPY_BYTES)
+
+
+MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
+OUTSIDE = "inputs"  # folder in the crate of what lies outside the folder of the study
+RESULTS = "results"  # the same of the results
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file of a crate.
+
+    Attributes
+    ----------
+    source
+        The file on this machine.
+    place
+        Its path in the crate, with slashes.
+    role
+        "study", "input" or "result".
+    size, sha256
+        Its bytes, and their SHA-256.
+    is_film
+        Whether it belongs to a film, which is not compressed again.
+    is_included
+        Whether the crate contains it; else it is described by its hash.
+
+    """
+
+    source: Path
+    place: str
+    role: str
+    size: int
+    sha256: str
+    is_film: bool = False
+    is_included: bool = True
+
+    @classmethod
+    def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
+        """Return the part of a file, with its size and hash.
+
+        Raises
+        ------
+        FrictrackError
+            If it cannot be read.
+
+        """
+        try:
+            size = source.stat().st_size
+            return cls(source, safe_place(place), role, size, hash_path(source), is_film, is_included)
+        except OSError as e:
+            raise FrictrackError(f"cannot read {source}: {e.strerror or e}") from e
+
+
+@dataclass(frozen=True)
+class Payload:
+    """All files of a crate.
+
+    Attributes
+    ----------
+    parts
+        The files.
+    moved
+        Place in the crate by the path in the study file, of what lies elsewhere in the crate.
+    results
+        Place of the folder of the results.
+
+    """
+
+    parts: tuple[Part, ...]
+    moved: dict[str, str]
+    results: str
+
+    @property
+    def by_hash(self) -> list[Part]:
+        """The files that the crate does not contain."""
+        return [part for part in self.parts if not part.is_included]
+
+
+def list_payload(session: Session, *, include_recordings: bool) -> Payload:
+    """List all files of a crate, and hash them.
+
+    Parameters
+    ----------
+    session
+        The study, with all results.
+    include_recordings
+        Include recordings of any size.
+
+    Raises
+    ------
+    FrictrackError
+        If a file cannot be read.
+
+    """
+    places = _Places(session.study)
+    found: dict[Path, Part] = {}
+    for source, place, role, film, included in _sources(session, places, include_recordings):
+        if source not in found:
+            session.progress(0, 0, f"hashing {source.name}")
+            found[source] = Part.read(source, place, role, is_film=film, is_included=included)
+    return Payload(tuple(found.values()), places.moved(), places.results)
+
+
+def _sources(
+    session: Session, places: _Places, include_recordings: bool
+) -> Iterator[tuple[Path, str, str, bool, bool]]:
+    """Yield source, place, role, whether it is of a film, and whether it is included."""
+    study = session.study
+    yield _absolute(study.path), study.path.name, "study", False, True
+    if study.prior_file is not None:
+        yield _absolute(study.prior_file), places.of(study.prior_file), "input", False, True
+    for pipeline in session.runs:
+        for path in pipeline.input_files():
+            is_film = path == pipeline.run.video
+            files = _files(pipeline, path, is_film=is_film)
+            small = sum(file.stat().st_size for file in files) <= MAX_INCLUDED_BYTES
+            places.of(path)
+            for file in files:
+                place = places.of_part(path, file)
+                yield file, place, "input", is_film, not is_film or small or include_recordings
+    for path in _result_files(session):
+        yield path, f"{places.results}/{path.relative_to(_absolute(study.output)).as_posix()}", "result", False, True
+
+
+def _files(pipeline: RunPipeline, path: Path | RemoteFile, *, is_film: bool) -> list[Path]:
+    """Return the files of an input, which may be a folder."""
+    if is_film:
+        film = pipeline.recording if isinstance(path, Path) else open_recording(local_path(path), fps=pipeline.run.fps)
+        return [_absolute(file) for file in film.files if isinstance(file, Path)]  # all of them: a film is whole here
+    local = _absolute(local_path(path))
+    return sorted(file for file in local.iterdir() if file.is_file()) if local.is_dir() else [local]
+
+
+def _result_files(session: Session) -> list[Path]:
+    """Return the results that exist: HDF5 files, report, history, tests and predictions."""
+    output = session.study.output
+    files = [session.path, *(pipeline.path for pipeline in session.runs), output / "report.html"]
+    files += [session.commands.path, session.budget.path, session.predictions.path]
+    return [_absolute(path) for path in files if path.exists()]
+
+
+class _Places:
+    """Find the places of files in the crate, and remember those that are not where the study file says."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._folder = _absolute(study.folder)
+        self._outside: dict[Path, str] = {}  # folder outside that of the study -> folder in the crate
+        self._moved: dict[Path | str, str] = {}
+        output = _absolute(study.output)
+        inside = output.is_relative_to(self._folder) and output != self._folder
+        self.results = output.relative_to(self._folder).as_posix() if inside else RESULTS
+        self._moved[output] = self.results
+
+    def of(self, path: Path | RemoteFile) -> str:
+        """Return the place of a file or folder that the study file names."""
+        local = _absolute(local_path(path))
+        if not isinstance(path, RemoteFile) and local.is_relative_to(self._folder):
+            place = local.relative_to(self._folder).as_posix()
+        else:
+            folder = self._outside.setdefault(local.parent, f"{OUTSIDE}/{len(self._outside) + 1}")
+            place = f"{folder}/{local.name}"
+        self._moved[path.url if isinstance(path, RemoteFile) else local] = place
+        return place
+
+    def of_part(self, path: Path | RemoteFile, file: Path) -> str:
+        """Return the place of a file of an input: in its folder, or beside it."""
+        local, place = _absolute(local_path(path)), self.of(path)
+        if file.is_relative_to(local):
+            return place if file == local else f"{place}/{file.relative_to(local).as_posix()}"
+        return f"{place.rpartition('/')[0]}/{file.name}".lstrip("/")
+
+    def moved(self) -> dict[str, str]:
+        """Return the places by the texts of the study file that name what was moved."""
+        raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
+        texts = dict.fromkeys(text for text in _texts(raw) if text)
+        found = {text: self._place(text) for text in texts}
+        return {text: place for text, place in found.items() if place not in (None, text)}
+
+    def _place(self, text: str) -> str | None:
+        try:
+            path = locate(text, self._folder)
+        except FrictrackError:  # no text that names a file
+            return None
+        return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all texts in tables and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part)
+
+
+def _absolute(path: Path) -> Path:
+    """Return the absolute path without ``..``; links are kept."""
+    return Path(os.path.abspath(path))  # Path.absolute keeps "..", Path.resolve follows links

@@ -1,0 +1,379 @@
+"""Compute the results of a crate again and compare every number."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.remote import only_listed
+from frictrack.flow import (
+    EXCLUDED,
+    Progress,
+    Session,
+    Values,
+    no_progress,
+    open_study,
+    recorded_models,
+    repeat_models,
+    stored_values,
+)
+from frictrack.flow.crate.metadata import FRICTRACK, platform_versions
+from frictrack.flow.crate.payload import unpack
+from frictrack.flow.crate.reading import Crate, find_inputs, has_same_bytes, read_crate, set_up_study
+
+RELATIVE_TOLERANCE = 1e-9  # of numbers that were computed on another platform
+
+
+@dataclass(frozen=True)
+class Approximate:
+    """Numbers of which fewer digits are the same on another platform, by their names, and why."""
+
+    pattern: re.Pattern[str]
+    tolerance: float
+    reason: str
+
+
+APPROXIMATE = (
+    Approximate(
+        re.compile(r"diagnosis\.(summary\..*limits?\b.*|summary\..*limit_over_friction|figures\..*\.(limit|rise))"),
+        1e-2,
+        "detection limits come from matrices that are nearly singular; two digits of them are used",
+    ),
+    Approximate(
+        re.compile(r"(.*\.)?(sigma|std)(_\w+)?"),
+        1e-5,
+        "a standard deviation is the root of a difference of nearly equal numbers; two digits are used (GUM 7.2.6)",
+    ),
+    Approximate(
+        re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"
+    ),
+)  # the first whose pattern is the whole name
+CONCLUSIONS = re.compile(
+    r"summary\.(model|equation|parameters|errors)\b.*|diagnosis\.summary\.(model|verdict|missing)\b.*|equation"
+)  # names of the values that a paper states
+MAX_DIFFERENCES = 20  # of one group, that are listed
+MAX_TEXT = 200  # characters of a text in a difference
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A value that is not the same in both copies.
+
+    Attributes
+    ----------
+    file, group, value
+        Where it stands; `value` is empty if the whole group is in one copy only.
+    stored, computed
+        What the crate has, and what was computed again; a number is the one that differs most.
+    relative
+        Difference over the largest magnitude of that value's array or list; None for a text.
+
+    """
+
+    file: str
+    group: str
+    value: str
+    stored: Any
+    computed: Any
+    relative: float | None = None
+
+
+@dataclass(frozen=True)
+class GroupComparison:
+    """The comparison of one group.
+
+    Attributes
+    ----------
+    file, group
+        Name of the file and of the group.
+    numbers
+        How many numbers were compared.
+    largest
+        Largest relative difference of a number.
+    differences
+        The values that differ, at most `MAX_DIFFERENCES`.
+    n_differences
+        How many values differ.
+    same_conclusions
+        Whether model, verdict, parameters and errors are the same.
+
+    """
+
+    file: str
+    group: str
+    numbers: int
+    largest: float
+    differences: tuple[Difference, ...]
+    n_differences: int
+    same_conclusions: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of the group."""
+        return {
+            "file": self.file,
+            "group": self.group,
+            "numbers": self.numbers,
+            "largest_difference": self.largest if math.isfinite(self.largest) else None,
+            "equal": not self.n_differences,
+            "n_differences": self.n_differences,
+            "differences": [asdict(one) for one in self.differences],
+        }
+
+
+def compare_files(
+    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], *, exact: bool
+) -> list[GroupComparison]:
+    """Compare all groups of all files.
+
+    Parameters
+    ----------
+    stored, computed
+        By name of the file, what `frictrack.flow.stored_values` returns.
+    exact
+        Whether numbers have to be equal bit for bit; else to a relative `RELATIVE_TOLERANCE`, and `APPROXIMATE` ones
+        to theirs.
+
+    Returns
+    -------
+    list of GroupComparison
+        One per group that is in either copy, in the order of the stored ones.
+
+    Examples
+    --------
+    >>> stored = {"a.h5": {"track": {"x": [1.0, 2.0]}}}
+    >>> computed = {"a.h5": {"track": {"x": [1.0, 2.0 + 1e-10]}}}
+    >>> [one.n_differences for exact in (True, False) for one in compare_files(stored, computed, exact=exact)]
+    [1, 0]
+
+    """
+    places = [(file, group) for files in (stored, computed) for file, groups in files.items() for group in groups]
+    return [
+        _compare_group((file, group), stored.get(file, {}).get(group), computed.get(file, {}).get(group), exact=exact)
+        for file, group in dict.fromkeys(places)
+    ]
+
+
+def tolerance_of(name: str) -> float:
+    """Return the relative difference that is allowed of a value on another platform.
+
+    Parameters
+    ----------
+    name
+        Name of the value, as `frictrack.flow.stored_values` has it.
+
+    Examples
+    --------
+    >>> tolerance_of("summary.parameters.coulomb.F_c.value"), tolerance_of("summary.parameters.coulomb.F_c.std")
+    (1e-09, 1e-05)
+
+    """
+    found = (one.tolerance for one in APPROXIMATE if one.pattern.fullmatch(name))
+    return next(found, RELATIVE_TOLERANCE)
+
+
+def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> GroupComparison:
+    if old is None or new is None:
+        stored, computed = ("missing" if values is None else "there" for values in (old, new))
+        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1, same_conclusions=False)
+    numbers, largest, found = 0, 0.0, []
+    for name in dict.fromkeys([*old, *new]):
+        tolerance = 0.0 if exact else tolerance_of(name)
+        count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)
+        numbers, largest = numbers + count, max(largest, relative)
+        if different is not None:
+            found.append(Difference(*place, name, *different, relative if count else None))
+    same = not any(CONCLUSIONS.fullmatch(one.value) for one in found)
+    return GroupComparison(*place, numbers, largest, tuple(found[:MAX_DIFFERENCES]), len(found), same_conclusions=same)
+
+
+def _compare_values(
+    old: Sequence[Any], new: Sequence[Any], tolerance: float
+) -> tuple[int, float, tuple[Any, Any] | None]:
+    """Return how many numbers were compared, their largest relative difference, and the values that differ."""
+    a, b = _numbers(old), _numbers(new)
+    if a is None or b is None or a.shape != b.shape:
+        same = _as_text(old) == _as_text(new)
+        return 0, 0.0, None if same else (_shown(_as_text(old)), _shown(_as_text(new)))
+    if not len(a):
+        return 0, 0.0, None
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.where((a == b) | (np.isnan(a) & np.isnan(b)), 0.0, np.abs(a - b))
+    apart = np.where(np.isnan(apart), np.inf, apart)  # a number in one copy only, or another infinity
+    largest = np.max(np.abs(a), initial=0.0, where=np.isfinite(a))
+    worst = int(np.argmax(apart))
+    relative = float(apart[worst] / largest) if largest else float(np.inf if apart[worst] else 0.0)
+    return len(a), relative, (_plain(a[worst]), _plain(b[worst])) if relative > tolerance else None
+
+
+def _numbers(values: Sequence[Any]) -> np.ndarray | None:
+    """Return the numbers of values in one row; None where there are others. An unknown number is NaN."""
+    rows = []
+    for value in values:
+        array = np.asarray(np.nan if value is None else value)
+        if array.dtype.kind not in "biuf":
+            return None
+        rows.append(array.astype(np.float64).ravel())
+    return np.concatenate(rows) if rows else np.empty(0)
+
+
+def _as_text(values: Sequence[Any]) -> list[str]:
+    return [str(part) for value in values for part in (value.ravel() if isinstance(value, np.ndarray) else [value])]
+
+
+def _shown(texts: Sequence[str]) -> str:
+    text = ", ".join(texts)
+    return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}..."
+
+
+def _plain(number: float) -> float | None:
+    return float(number) if np.isfinite(number) else None
+
+
+STUDY_FILE = "study.h5"
+UNPACKED, AGAIN = "crate", "study"  # folders in that of the output
+
+
+def reproduce_crate(
+    path: Path,
+    out: Path,
+    recordings: Path | None = None,
+    progress: Progress = no_progress,
+    *,
+    allow_addresses: bool = False,
+) -> dict[str, Any]:
+    """Compute the results of a crate again in a new folder, with its settings and seeds, and compare every number.
+
+    Parameters
+    ----------
+    path
+        The crate: a zip file or a folder.
+    out
+        The new folder: ``crate`` is the unpacked crate, ``study`` the study that was computed again.
+    recordings
+        Folder with the recordings that the crate does not contain.
+    progress
+        Called as ``progress(done, total, what)``.
+    allow_addresses
+        Fetch recordings that are neither in the crate nor in `recordings` from where the author had them. `progress`
+        shows every address before it is opened.
+
+    Returns
+    -------
+    dict
+        JSON of `frictrack reproduce CRATE`: "equal", "numbers", "groups", "versions", ...
+
+    Raises
+    ------
+    FrictrackError
+        If the crate cannot be read, an input is missing or has other bytes, the study file names a file that the crate
+        does not list, or the study cannot be computed.
+
+    """
+    _check_paths(path, out)
+    began = time.monotonic()
+    try:
+        crate = _unpacked(path, out, progress)
+        progress(0, 0, "checking the inputs")
+        known = find_inputs(crate, recordings, progress if allow_addresses else None)
+        with only_listed(known):
+            study = open_study(set_up_study(crate, _made(out / AGAIN), known))
+    except FrictrackError:
+        shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
+        raise
+    versions = compare_versions(crate.versions, platform_versions())
+    for one in versions:
+        progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
+    stored = _stored_files(crate)
+    with only_listed(known):
+        repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
+    progress(0, 0, "comparing")
+    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
+    groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
+    return _summary(crate, versions, groups) | {
+        "crate": str(path),
+        "seconds": round(time.monotonic() - began, 1),
+        "output": str(study.output),
+    }
+
+
+def _unpacked(path: Path, out: Path, progress: Progress) -> Crate:
+    folder = path
+    if not path.is_dir():
+        progress(0, 0, f"unpacking {path.name}")
+        folder = out / UNPACKED
+        unpack(path, _made(folder))
+    return read_crate(folder)
+
+
+def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return the versions that differ between the crate and this machine.
+
+    Parameters
+    ----------
+    stored, present
+        Versions by name; see `platform_versions`.
+
+    Examples
+    --------
+    >>> compare_versions({"numpy": "2.1.0", "scipy": "1.15"}, {"numpy": "2.2.0", "scipy": "1.15"})
+    [{'name': 'numpy', 'stored': '2.1.0', 'computed': '2.2.0'}]
+
+    """
+    names = dict.fromkeys([*stored, *present])
+    pairs = {name: (stored.get(name, "unknown"), present.get(name, "unknown")) for name in names}
+    return [{"name": name, "stored": old, "computed": new} for name, (old, new) in pairs.items() if old != new]
+
+
+def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupComparison]) -> dict[str, Any]:
+    rows = [group.to_dict() for group in groups]
+    return {
+        "equal": all(row["equal"] for row in rows),
+        "same_conclusions": all(group.same_conclusions for group in groups),
+        "version": crate.versions[FRICTRACK],
+        "same_platform": not versions,
+        "versions": versions,
+        "tolerance": RELATIVE_TOLERANCE if versions else 0.0,
+        "numbers": sum(row["numbers"] for row in rows),
+        "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
+        "groups": rows,
+        "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
+        "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
+        "approximate": [
+            {"names": one.pattern.pattern, "tolerance": one.tolerance, "reason": one.reason} for one in APPROXIMATE
+        ],
+    }
+
+
+def _stored_files(crate: Crate) -> dict[str, Path]:
+    """Return the HDF5 files of the crate by name."""
+    found = {PurePosixPath(one.place).name: crate.path(one) for one in crate.results if one.place.endswith(".h5")}
+    if STUDY_FILE not in found:
+        raise FrictrackError(f"expected {STUDY_FILE} among the results of the crate but it lists none; export it again")
+    return found
+
+
+def _check_paths(path: Path, out: Path) -> None:
+    """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
+    if not path.exists():
+        raise FrictrackError(f"expected a crate but there is no {path}; check the path", usage=True)
+    if out.exists():
+        raise FrictrackError(
+            f"expected the name of a new folder but {out} exists; choose another one with -o", usage=True
+        )
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True)
+    except OSError as e:
+        raise FrictrackError(f"cannot create {folder}: {e.strerror or e}") from e
+    return folder

@@ -1,0 +1,192 @@
+"""Encode records and dictionaries as HDF5 groups that h5py, HDFView or MATLAB read without frictrack.
+
+A record becomes a group. Its columns are datasets with the attributes `unit` and, for viewers, `units`; its numbers and
+strings are attributes; its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a
+subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers; see `nexus`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from types import MappingProxyType
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frictrack.base.version import __version__
+from frictrack.flow.store.checksums import (
+    CHECKSUM,
+    add_group_checksum,
+    array_checksum,
+    check_visited_once,
+    members,
+    read_array,
+)
+from frictrack.flow.store.nexus import UNITS, mark_data, without_marks
+from frictrack.results import to_builtins
+
+_MAX_ATTRIBUTE_CHARACTERS = 16_000  # characters; HDF5 keeps an attribute below 64 kB
+_MAX_COMPACT_ATTRIBUTES = 64  # attributes of a group that stay in its header, which is smaller and read in one piece
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a group was made from. It is current as long as the same `key` would be made today."""
+
+    key: str = ""  # hash of the stage's name, the version, the settings and the inputs
+    input_hash: str = ""  # hash of the inputs together
+    inputs: str = "[]"  # JSON: [name, key or hash]; ":/track" (this file), "v3.h5:/track" (another file), or a path
+    settings: str = "{}"  # JSON: keys of the study file, their values
+    version: str = __version__  # of frictrack
+
+
+@dataclass(frozen=True, eq=False)
+class GroupContent:
+    """The content of one group: a record, or a dictionary of arrays, numbers, strings and records."""
+
+    content: Any
+    provenance: Provenance = Provenance()
+
+
+PROVENANCE_KEYS = {f.name for f in fields(Provenance)}
+
+
+def new_group(parent: h5py.Group, name: str) -> h5py.Group:
+    """Create a group inside another one, and the groups between them."""
+    *between, last = name.split("/")
+    for part in between:
+        parent = parent[part] if part in parent else new_group(parent, part)
+    creation = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+    creation.set_obj_track_times(False)  # else the same content makes other bytes a second later
+    creation.set_attr_phase_change(_MAX_COMPACT_ATTRIBUTES, _MAX_COMPACT_ATTRIBUTES // 2)
+    return h5py.Group(h5py.h5g.create(parent.id, last.encode(), gcpl=creation))
+
+
+def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """Write a record or a dictionary into an empty group, and its checksum.
+
+    Parameters
+    ----------
+    group
+        The group.
+    content
+        The record, or the values by name.
+    attributes
+        More attributes of the group.
+
+    Returns
+    -------
+    str
+        The checksum.
+
+    """
+    group.attrs.update(attributes)
+    inside = {}
+    if is_dataclass(content):
+        triples = [(f.name, getattr(content, f.name), f.metadata.get("unit")) for f in fields(content)]
+    else:
+        triples = [(name, value, None) for name, value in content.items()]
+    for name, value, unit in triples:
+        checksum = _write_value(group, name, value, unit)
+        if checksum is not None:
+            inside[name] = checksum
+    mark_data(group, type(content))
+    return add_group_checksum(group, inside)
+
+
+def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> str | None:
+    """Write one value: a subgroup or an array, whose checksum is returned, or an attribute."""
+    if isinstance(value, dict) or is_dataclass(value):
+        return write_group(new_group(group, name), value)
+    if isinstance(value, np.ndarray):
+        return write_array(group, name, value, unit=unit or "", **({UNITS: unit} if unit else {}))
+    if isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
+        return write_array(group, name, np.array(value))
+    if value is None:
+        value = h5py.Empty("f8")
+    group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
+    if unit and isinstance(value, float):
+        group.attrs[f"{name}_unit"] = unit
+    return None
+
+
+def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **attributes: Any) -> str:
+    """Write an array of numbers or strings as a compressed dataset, and its attributes; return its checksum.
+
+    Strings get one fixed length, because HDF5 compresses and checks only those.
+    """
+    if value.dtype.kind in "UO":
+        coded = np.char.encode(value.astype(np.str_), "utf-8")
+        value = coded.astype(h5py.string_dtype("utf-8", max(coded.dtype.itemsize, 1)))
+    is_plain = value.ndim == 0 or value.size == 0
+    compressed = {} if is_plain else {"compression": "gzip", "shuffle": True, "fletcher32": True}
+    dataset = group.create_dataset(name, data=value, **compressed)
+    dataset.attrs.update(attributes)
+    checksum = dataset.attrs[CHECKSUM] = array_checksum(value, attributes)
+    return checksum
+
+
+def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
+    """Read everything in a group as a dictionary, without the provenance.
+
+    Parameters
+    ----------
+    group
+        The group.
+    met
+        Addresses of the groups that were read already, against groups inside themselves.
+    without
+        Names of members that are left out.
+
+    Raises
+    ------
+    ValueError
+        For content that frictrack never writes.
+
+    """
+    met = set() if met is None else met
+    check_visited_once(group, met)
+    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    content = {k: _listed(to_python(v)) for k, v in without_marks(own).items()}
+    for name, item in members(group):
+        if name not in without:
+            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
+    return content
+
+
+def read_record(group: h5py.Group, kind: Any) -> Any:
+    """Read a group as the record type `kind`."""
+    values = {}
+    inside = dict(members(group))
+    for f in fields(kind):
+        if f.name in inside:
+            item = inside[f.name]
+            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
+        elif f.name in group.attrs:
+            raw = to_python(group.attrs[f.name])
+            is_tuple = raw is not None and str(f.type).startswith("tuple")
+            values[f.name] = _tuple(json.loads(raw)) if is_tuple else raw
+    return kind(**values)
+
+
+def to_python(value: Any) -> Any:
+    """Convert an attribute to a Python object."""
+    if isinstance(value, h5py.Empty):
+        return None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _listed(value: Any) -> Any:
+    """Decode a text that is a JSON list; return anything else as it is."""
+    if isinstance(value, str) and value.startswith("["):
+        with suppress(json.JSONDecodeError):
+            return json.loads(value)
+    return value
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(_tuple(v) for v in value) if isinstance(value, list) else value

@@ -1,0 +1,363 @@
+"""Read and write the groups of an HDF5 results file.
+
+A file is never changed in place. The new file replaces the old one in one step, so that a reader always sees one
+complete version, and whoever has the old file open keeps it. HDF5's own locks are therefore not used: they would only
+block viewers, or fail on network drives.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write, lock_folder
+from frictrack.base.version import __version__
+from frictrack.flow.store import encoding
+from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
+from frictrack.flow.store.encoding import GroupContent, Provenance
+from frictrack.flow.store.file_header import (
+    SCHEMA,
+    file_state,
+    header_of,
+    is_intact,
+    is_signed_by_user,
+    lacks_header,
+    read_header,
+    sign,
+)
+from frictrack.flow.store.migrations import FORMAT, migrate
+from frictrack.flow.store.nexus import mark_default, without_marks
+from frictrack.flow.store.sandbox import opens_in_sandbox
+
+NOTHING: Mapping[Any, Any] = {}
+REMEDY = "delete it and run again, the recordings are untouched"
+MAX_FILES_KNOWN = 256  # whose attributes are kept
+_ATTRIBUTES: dict[Path, tuple[Any, dict[str, dict[str, Any]]]] = {}  # version of a file, attributes by group
+_HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
+
+
+def write(
+    path: Path,
+    groups: Mapping[str, GroupContent],
+    *,
+    remove: tuple[str, ...] = (),
+    links: Mapping[str, str] = NOTHING,
+    attribute_updates: Mapping[str, Mapping[str, Any]] = NOTHING,
+) -> None:
+    """Write groups into a file, keep all others, and replace the file in one step.
+
+    Parameters
+    ----------
+    path
+        The file; it is created if it does not exist.
+    groups
+        Content by name of the group (``"track"``, ``"models/1_tustin"``). A group that exists is replaced.
+    remove
+        Names of groups to delete.
+    links
+        Target by name of a group: another file of the same folder, or with a leading slash another group.
+    attribute_updates
+        Attributes to set on existing groups, by name of the group.
+
+    Raises
+    ------
+    FrictrackError
+        If the existing file is not a frictrack file, or the folder cannot be written.
+
+    """
+    with _replacing(path) as file:
+        for name in (*remove, *groups, *links, *(f"{name}/" for name in attribute_updates)):
+            _guard(file, path, name)
+            drop_checksums(file, name)
+        for name in (*remove, *groups, *links):
+            if file.get(name, getlink=True) is not None:
+                del file[name]
+        for name, entry in groups.items():
+            encoding.write_group(encoding.new_group(file, name), entry.content, vars(entry.provenance))
+        for name, target in links.items():
+            inside, above = target.startswith("/"), name.rpartition("/")[0]
+            if above and above not in file:  # HDF5 would make it with its time
+                encoding.new_group(file, above)
+            file[name] = h5py.SoftLink(target) if inside else h5py.ExternalLink(target, "/")
+        for name, attributes in attribute_updates.items():
+            file[name].attrs.update(attributes)
+
+
+def read(path: Path, group: str, kind: Any = dict, *, without: Collection[str] = ()) -> Any:
+    """Read one group of a file.
+
+    Parameters
+    ----------
+    path, group
+        The file, and the name of the group.
+    kind
+        Record type to build, or `dict`.
+    without
+        Names of subgroups and arrays that a dictionary leaves out.
+
+    Returns
+    -------
+    object
+        The record, or a dictionary of arrays, numbers, strings and dictionaries.
+
+    Raises
+    ------
+    FrictrackError
+        If the file is not a frictrack file, is damaged, or has no such group.
+
+    """
+    with _reading(path) as file:
+        found = _found(file, path, group)
+        if found is None:
+            raise FrictrackError(f'{path} holds no "{group}"; run the study again')
+        return encoding.read_dict(found, without=without) if kind is dict else encoding.read_record(found, kind)
+
+
+def provenance(path: Path, group: str) -> Provenance | None:
+    """Return what a group was made from; None if there is no such file or group."""
+    return _provenance_of(attributes(path, group))
+
+
+def provenances(path: Path) -> dict[str, Provenance]:
+    """Return the provenance of every group of a file, without the files that it links to.
+
+    Returns
+    -------
+    dict of str to Provenance
+        By name of the group, subgroups included (``"models/1_tustin"``).
+
+    Raises
+    ------
+    FrictrackError
+        If the file cannot be read.
+
+    """
+    with _reading(path) as file:
+        return dict(_provenances_in(file, ""))
+
+
+def attributes(path: Path, group: str) -> dict[str, Any]:
+    """Return the numbers and strings of a group, without its arrays; empty if there is no such file or group."""
+    if not path.exists():
+        return {}
+    with _reading(path) as file:
+        return without_marks({k: v for k, v in _attributes(file, path, group).items() if k != CHECKSUM})
+
+
+def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
+    """Return the attributes of a group; those of the last versions of many files are kept, a page asks again and again.
+
+    The version is that of the opened file, which may have been replaced since.
+    """
+    version = _opened_version(file)
+    known = _ATTRIBUTES.get(path) if version else None
+    if known is None or known[0] != version:
+        known = (version, {})
+        if version:
+            _ATTRIBUTES.pop(path, None)
+            _ATTRIBUTES[path] = known
+        if len(_ATTRIBUTES) > MAX_FILES_KNOWN:
+            _ATTRIBUTES.pop(next(iter(_ATTRIBUTES)), None)
+    if group not in known[1]:
+        found = _found(file, path, group)
+        known[1][group] = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+    return known[1][group]
+
+
+def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
+    """Return what identifies the version of an opened file, as `file_state` does; None for one in memory."""
+    if file.driver == "core":
+        return None
+    found = os.fstat(file.id.get_vfd_handle())
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def checksum(path: Path, group: str) -> str:
+    """Return the stored checksum of a group with everything in it; empty if there is none."""
+    if not path.exists():
+        return ""
+    with _reading(path) as file:
+        return str(_attributes(file, path, group).get(CHECKSUM, ""))
+
+
+def names(path: Path, group: str = "/") -> list[str]:
+    """List the names inside a group in alphabetical order; empty if there is no such file or group."""
+    if not path.exists():
+        return []
+    with _reading(path) as file:
+        return list(_found(file, path, group) or ())
+
+
+@contextmanager
+def snapshot(*paths: Path) -> Iterator[None]:
+    """Read several files at one version: reads inside the block see the same content, even if the files are replaced.
+
+    Parameters
+    ----------
+    *paths
+        The files; those that do not exist are ignored.
+
+    """
+    if not paths:
+        yield
+    elif not paths[0].exists() or paths[0] in _HELD.get():
+        with snapshot(*paths[1:]):
+            yield
+    else:
+        with _reading(paths[0]) as file:
+            before = _HELD.set({**_HELD.get(), paths[0]: file})
+            try:
+                with snapshot(*paths[1:]):
+                    yield
+            finally:
+                _HELD.reset(before)
+
+
+def _provenance_of(held: Mapping[str, Any]) -> Provenance | None:
+    return Provenance(**{f.name: str(held.get(f.name, "")) for f in fields(Provenance)}) if held else None
+
+
+def _provenances_in(group: h5py.Group, inside: str) -> Iterator[tuple[str, Provenance]]:
+    for name, item in members(group):
+        if isinstance(item, h5py.Group):
+            if "key" in item.attrs and (found := _provenance_of({k: item.attrs[k] for k in item.attrs})):
+                yield inside + name, found
+            yield from _provenances_in(item, f"{inside}{name}/")
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[h5py.File]:
+    """Open a file for reading, in today's schema. Every fault becomes one `FrictrackError`."""
+    with _one_sentence(path):
+        if path in _HELD.get():
+            yield _HELD.get()[path]
+            return
+        check_header(path)
+        if not (is_signed_by_user(path) or opens_in_sandbox(path)):
+            raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
+        with h5py.File(path, "r", locking=False) as file:
+            if "schema" not in file.attrs:
+                raise FrictrackError(
+                    f"expected {path} to be a frictrack result but another program wrote it; move it away"
+                )
+            yield file if file.attrs["schema"] == SCHEMA else _migrated(path, *file_state(path))
+
+
+@lru_cache(maxsize=16)  # a page reads an old file a hundred times
+def _migrated(path: Path, *_: int) -> h5py.File:
+    """Return one state of a file of an earlier schema in today's schema, in memory."""
+    with h5py.File(path, "r", locking=False) as file:
+        return migrate(file)
+
+
+def check_header(path: Path, *, reread: bool = False) -> None:
+    """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema.
+
+    Parameters
+    ----------
+    path
+        The file.
+    reread
+        Read the whole file even if the same state of it was checked before.
+
+    Raises
+    ------
+    FrictrackError
+        If the bytes or the schema are wrong.
+    OSError
+        If the file cannot be read.
+
+    """
+    header = read_header(path)
+    if header is None and lacks_header(path):
+        return  # of schema 1, or another program's
+    if header is None or not is_intact(path, reread=reread):
+        raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
+    schema, version = header
+    if schema > SCHEMA:
+        raise FrictrackError(
+            f"expected {path} of schema {SCHEMA} at most but it has {schema} and was written by frictrack {version}, "
+            f"this is {__version__}; update it"
+        )
+
+
+@contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """Turn whatever a reader may meet into one `FrictrackError`."""
+    try:
+        yield
+    except FileNotFoundError as e:
+        raise FrictrackError(f"expected results in {path} but there is no such file; run the study") from e
+    except PermissionError as e:
+        raise FrictrackError(f"cannot read {path}: permission denied") from e
+    except FrictrackError:
+        raise
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, MemoryError) as e:
+        raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}") from e
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[h5py.File]:
+    """Open a new file with the groups of the old one; it replaces the old one if the block succeeds.
+
+    It is built in memory, because HDF5 itself would crash on a full disk.
+    """
+    with lock_folder(path.parent), atomic_write(path) as part:
+        whole = io.BytesIO()  # whose bytes are written as they are; HDF5's own memory would have to be copied first
+        with h5py.File(whole, "w", **FORMAT) as file:
+            if path.exists():
+                with _reading(path) as old:
+                    copy_groups(old, file)
+            file.attrs.update(schema=SCHEMA, version=__version__)
+            file.attrs.pop(CHECKSUM, None)
+            yield file
+            mark_default(file)
+            add_checksums(file)
+            begin = file.userblock_size
+        content = whole.getbuffer()
+        content[:begin] = header_of(content[begin:], __version__, sign)
+        part.write_bytes(content)
+
+
+def copy_groups(old: h5py.File, new: h5py.File) -> None:
+    """Copy all groups of a file into another one; links stay links."""
+    new.attrs.update(old.attrs)
+    for name in old:
+        link = old.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink | h5py.SoftLink):
+            new[name] = link
+        else:
+            old.copy(name, new)
+
+
+def _guard(file: h5py.File, path: Path, name: str) -> None:
+    """Raise if a parent of the group `name` is a link: what is written must stay in this file."""
+    inside = ""
+    for part in name.split("/")[:-1]:
+        inside = f"{inside}/{part}"
+        link = file.get(inside, getlink=True)
+        if link is not None and not isinstance(link, h5py.HardLink):
+            raise FrictrackError(f"expected the group {inside} in {path} but it is a link; {REMEDY}")
+
+
+def _found(file: h5py.File, path: Path, name: str) -> h5py.Group | None:
+    """Return the group of that name, also through a link inside the file; None if there is none.
+
+    Raises `FrictrackError` if a link leads out of the file.
+    """
+    if name not in file:
+        return None
+    found = file[name]
+    if found.file.filename != file.filename or not isinstance(found, h5py.Group):
+        raise FrictrackError(f'expected the group "{name}" in {path} but it is another thing; {REMEDY}')
+    return found

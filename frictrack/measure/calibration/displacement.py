@@ -1,0 +1,352 @@
+"""Convert a track in pixels to displacement along and across the course, in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.calibration import scale as scale_input
+from frictrack.measure.calibration.course_direction import (
+    Axis,
+    PathLine,
+    axes_in_plane,
+    direction_notes,
+    directions,
+    fit_path,
+    follow_straight_point,
+    orient_forward,
+)
+from frictrack.measure.calibration.homography import from_points
+from frictrack.measure.calibration.scale import MIN_RULER_SHARE, PlaneMap, Scale, Straight, as_seen, uniform
+from frictrack.measure.calibration.shake import subtract_shake
+from frictrack.records import Array, Displacement, Mask, Track
+
+if TYPE_CHECKING:
+    from frictrack.measure.calibration.lens import Lens
+    from frictrack.recording import Recording
+
+MIN_DISAGREEMENT_SIGMAS = 2.0  # standard deviations between two scales from which it is reported ...
+MIN_DISAGREEMENT = 2e-3  # ... and the least relative difference that is reported
+
+
+def plane_map(
+    scale: Scale | None,
+    *,
+    lens: str | Path | None = None,
+    track: Track | None = None,
+    film: Recording | None = None,
+    axis: Axis = None,
+) -> PlaneMap:
+    """Create the map from the picture to the plane of the course.
+
+    Parameters
+    ----------
+    scale : number, str, mapping or list
+        A number (``"0.500 +/- 0.002 mm/px"``), a ruler (``{"points": [[x, y], [x, y]], "length": "100 mm"}``), the
+        target's size along the course (``{"target": "40 mm"}``), a board (``{"board": "board.png", "squares": [9, 6],
+        "square": "10 mm"}``; with ``dictionary`` and ``marker`` a ChArUco board; several pictures or a recording also
+        give
+        lens and perspective; picture number ``plane``, by default the first, lies in the plane of the course), or four
+        and
+        more points of known place (``{"points": [[x, y], ...], "plane": [[X, Y], ...]}`` in m or in ``unit``). Of
+        several
+        in a list the first is used, and the others are compared with it.
+    lens : str or Path, optional
+        Calibration file with camera matrix and distortion.
+    track : Track, optional
+        Track of the target, for its size and direction.
+    film : Recording, optional
+        Film, for the outline of the target and the size of the picture.
+    axis : sequence of float or "track", optional
+        As in `calibrate`.
+
+    Returns
+    -------
+    PlaneMap
+        Map with its covariance.
+
+    Raises
+    ------
+    FrictrackError
+        For a malformed scale, unreadable files, a board that is not found, or points that determine no plane.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> plane = ft.plane_map("0.500 +/- 0.002 mm/px")
+    >>> plane(np.array([[100.0, 40.0]])).tolist()
+    [[0.05, 0.02]]
+
+    """
+    kind = scale_input.scale_kind(scale)
+    if kind == "several":
+        return _compare_maps(
+            [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track
+        )
+    shape = film.shape if film is not None else None
+    known_lens = _lens(lens, shape)
+    straight = known_lens.undistorted if known_lens else as_seen
+    table = cast(Any, scale)
+    makers = {
+        "number": lambda: scale_input.map_from_number(scale, straight),
+        "ruler": lambda: scale_input.map_from_ruler(table, straight),
+        "points": lambda: from_points(table, straight),
+        "target": lambda: _map_by_target(table, (track, film), _direction(track, axis), straight),
+        "board": lambda: _map_by_board(table, known_lens, shape),
+    }
+    plane = makers[kind]()
+    if lens is None:
+        return plane
+    used = plane.used or "scale as given"
+    return replace(plane, used=f"{used}, seen through the lens of {Path(lens).name}")
+
+
+def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
+    if path is None:
+        return None
+    from frictrack.measure.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
+
+    return read_lens(Path(path), shape)
+
+
+def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
+    from frictrack.measure.calibration.board import find_views, parse_board  # noqa: PLC0415
+    from frictrack.measure.calibration.lens import plane_from_views  # noqa: PLC0415
+
+    board = parse_board(scale)
+    track_and_film, missed = find_views(scale, board, shape)
+    plane = plane_from_views(track_and_film, board, lens)
+    if not missed:
+        return plane
+    names = f"{missed[0]} and {len(missed) - 1} more" if len(missed) > 1 else missed[0]
+    return replace(plane, notes=(*plane.notes, f"the board was not found in {names}, which the scale goes without"))
+
+
+def _direction(track: Track | None, axis: Axis) -> Array:
+    """Direction of the course in the picture: the axis, or that of the path for "track"."""
+    if isinstance(axis, str) and track is not None:
+        found = track.found
+        line = fit_path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
+        if line is not None:
+            return line.direction
+    return directions(axis)[0]
+
+
+def _map_by_target(
+    scale: dict[str, Any], track_and_film: tuple[Track | None, Recording | None], direction: Array, straight: Straight
+) -> PlaneMap:
+    """Create the map whose values are the target's size in m and its width in px."""
+    from frictrack.measure.calibration.target_size import target_width  # noqa: PLC0415
+
+    track, film = track_and_film
+    size, std = scale_input.parse_length(scale["target"], "the target's size along the course")
+    if track is None:
+        raise FrictrackError("expected a track for a scale by the target's size but got none")
+    width = target_width(track, direction, film)
+
+    pitch = partial(_pitch_of_target, straight, direction, width.ends.mean(axis=0))
+    plane = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
+    return replace(plane, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
+
+
+def _pitch_of_target(straight: Straight, direction: Array, middle: Array, values: Array) -> float:
+    reach = direction * values[1] / 2
+    ends = straight(np.stack([middle - reach, middle + reach]))
+    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+
+
+def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:
+    """Return the first of several maps, with a note on each that differs from it in the middle of the path."""
+    first = maps[0]
+    at = np.array(first.centre)
+    if track is not None and np.any(track.found):
+        at = np.array([np.nanmedian(track.x_px), np.nanmedian(track.y_px)])
+    ends = at + np.array([[-5.0, 0.0], [5.0, 0.0]])
+    length, std = first.length(ends)
+    notes = []
+    for other in maps[1:]:
+        theirs, also = other.length(ends)
+        ratio, sigma = theirs / length - 1, float(np.hypot(std, also))
+        if abs(ratio) > max(MIN_DISAGREEMENT_SIGMAS * sigma, MIN_DISAGREEMENT):
+            notes.append(
+                f"two scales disagree: {1e5 * theirs:.5g} µm/px ({other.used or 'as given'}) is {100 * ratio:+.2g} % "
+                f"off the {1e5 * length:.5g} µm/px that is used, and their standard deviation is {100 * sigma:.2g} %"
+            )
+    return replace(first, notes=(*first.notes, *notes))
+
+
+MIN_PATH_PX = 10.0  # a shorter path gets the uncertainty of the scale over this length
+MIN_PITCH_CHANGE = 5e-3  # relative change of the pitch along the path that is reported
+
+
+def calibrate(
+    track: Track,
+    scale: Scale | PlaneMap | None,
+    *,
+    axis: Axis = None,
+    origin_px: Sequence[float] | None = None,
+    x_offset: float = 0.0,
+    reference: Track | None = None,
+) -> Displacement:
+    """Convert a track in pixels to displacement along and across the course.
+
+    Parameters
+    ----------
+    track : Track
+        Track of the target.
+    scale : number, str, mapping, list or PlaneMap
+        Scale as `plane_map` takes it, or its result.
+    axis : sequence of float or "track", optional
+        Direction of +x in the picture, [dx, dy] px with y down, at the middle of the scale's points; image right by
+        default. "track" follows the path: +x to the right, or down where the path is steeper than 60 degrees.
+    origin_px : sequence of float, optional
+        Pixel [x, y] with x = 0 and y = 0. By default the corner of the picture, or the zero of the board or of the
+        known
+        places, so that all runs of one camera share it.
+    x_offset : float
+        Added to x, m.
+    reference : Track, optional
+        Track of a fixed object. Its motion beyond its own noise is camera shake and is subtracted.
+
+    Returns
+    -------
+    Displacement
+        x along the axis, y across it (up in the picture), angle counter-clockwise. NaN and ``valid`` false where the
+        target, or the reference of a shaking film, was lost. ``pixel_pitch`` is the pitch in the middle of the path;
+        ``relative_scale_error`` is the relative standard deviation of the path's length, common to all frames and to
+        all
+        runs of one camera.
+
+    Raises
+    ------
+    FrictrackError
+        For a target lost in all frames, or a map that cannot place all frames.
+
+    Notes
+    -----
+    For a target that rotates by a quarter turn or more, the point that moves along a straight course is used
+    (`follow_straight_point`).
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> track = ft.track(ft.open_recording(ft.samples.films_folder() / "fast.avi"))
+    >>> displacement = ft.calibrate(track, scale="0.5 mm/px")
+    >>> float(displacement.x[140].round(4))
+    0.2254
+
+    """
+    plane = scale if isinstance(scale, PlaneMap) else plane_map(scale, track=track, axis=axis)
+    repaired, track = track.repaired, track.measured
+    track, shake_notes = subtract_shake(track, reference)
+    track, rotation_notes = follow_straight_point(track)
+    at = np.stack([track.x_px, track.y_px], axis=1)
+    variance = np.stack([track.sigma_px, track.sigma_y_px], axis=1) ** 2
+    valid = np.all(np.isfinite(at), axis=1)
+    place = np.full(at.shape, np.nan)
+    place[valid] = plane(at[valid])
+    _check_placed(place, valid)
+    direction, across = directions(axis)
+    x, y = axes_in_plane(plane, direction, across)
+    jacobian = np.full((len(at), 2, 2), np.nan)
+    jacobian[valid] = plane.jacobian(at[valid])
+    line = fit_path(place[valid], _sigma(variance, jacobian, y)[valid])
+    if isinstance(axis, str):
+        x, y = _path_axes(plane, line, y)
+    place = place - _zero(plane, origin_px)
+    ends = _ends(at[valid], place[valid] @ x)
+    pitch = _pitch(plane, ends.mean(axis=0), x)
+    notes = (*_scale_notes(plane, ends, x), *direction_notes(line, x, axis))
+    return Displacement(
+        t=track.t,
+        x=place @ x + x_offset,
+        y=place @ y,
+        angle=-track.angle + np.where(valid, 0.0, np.nan),
+        sigma_angle=None if track.sigma_angle is None else np.where(valid, track.sigma_angle, np.nan),
+        sigma_x=_sigma(variance, jacobian, x),
+        sigma_y=_sigma(variance, jacobian, y),
+        valid=valid,
+        pixel_pitch=pitch,
+        systematic=track.systematic * pitch,
+        relative_scale_error=plane.length(ends)[1],
+        notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
+        repaired=repaired,
+    )
+
+
+def _check_placed(place: Array, valid: Mask) -> None:
+    """Check that the target was found and that the map places all frames."""
+    if not np.any(valid):
+        raise FrictrackError(
+            "expected a target that is found but it is lost in every frame; check target and reference"
+        )
+    lost = int(np.count_nonzero(~np.all(np.isfinite(place[valid]), axis=1)))
+    if lost:
+        raise FrictrackError(
+            f"the calibration cannot place {lost} of {np.count_nonzero(valid)} frames on the plane: they lie beyond "
+            "its horizon or where its lens distortion cannot be undone; check the points of the scale and the lens"
+        )
+
+
+def _sigma(variance: Array, jacobian: Array, direction: Array) -> Array:
+    """Standard deviation (n,) m along a direction of the plane, from variances (n, 2) px^2."""
+    weight = np.einsum("nij,i->nj", jacobian, direction) ** 2
+    return np.asarray(np.sqrt(np.sum(weight * variance, axis=1)))
+
+
+def _path_axes(plane: PlaneMap, line: PathLine | None, y: Array) -> tuple[Array, Array]:
+    """Unit vectors along and across the path, the second on the side of `y`."""
+    if line is None:
+        raise FrictrackError('expected a target that travels for axis = "track" but it rests; give axis = [dx, dy]')
+    x = orient_forward(line.direction, plane.jacobian(np.array([plane.centre]))[0])
+    across = np.array([-x[1], x[0]])
+    return x, across if across @ y >= 0 else -across
+
+
+def _zero(plane: PlaneMap, origin_px: Sequence[float] | None) -> Array:
+    """Origin in the plane (2,) m."""
+    if origin_px is None and plane.zero is not None:
+        return np.asarray(plane.zero)
+    return plane(np.reshape(np.asarray([0.0, 0.0] if origin_px is None else origin_px, dtype=np.float64), (1, 2)))[0]
+
+
+def _ends(at: Array, x: Array) -> Array:
+    """Picture points (2, 2) px at both ends of the path; at least `MIN_PATH_PX` apart."""
+    ends = at[[int(np.argmin(x)), int(np.argmax(x))]]
+    if np.hypot(*(ends[1] - ends[0])) < MIN_PATH_PX:
+        ends = ends.mean(axis=0) + np.array([[-MIN_PATH_PX / 2, 0.0], [MIN_PATH_PX / 2, 0.0]])
+    return np.asarray(ends)
+
+
+def _pitch(plane: PlaneMap, middle: Array, x: Array) -> float:
+    """Pitch along the course at a point of the picture, m/px."""
+    turn = plane.jacobian(middle[None])[0]
+    return plane.pitch(middle, np.linalg.solve(turn, x))
+
+
+def _scale_notes(plane: PlaneMap, ends: Array, x: Array) -> tuple[str, ...]:
+    """Describe the origin of the scale and its accuracy on this path."""
+    if not plane.used:
+        return plane.notes
+    first, last, middle = (_pitch(plane, p, x) for p in (*ends, ends.mean(axis=0)))
+    path_px = float(np.hypot(*(ends[1] - ends[0])))
+    share = 100 * plane.length(ends)[1]
+    accuracy = f"its length known to {share:.2g} %" if share else "its uncertainty not given"
+    notes = [f"{plane.used}: {1e6 * middle:.5g} µm/px in the middle of the path, {accuracy}"]
+    change = max(first, middle, last) / min(first, middle, last) - 1
+    if change > MIN_PITCH_CHANGE:
+        notes.append(
+            f"the pitch changes by {100 * change:.2g} % along the path (perspective and lens), which is undone"
+        )
+    if 0 < plane.reach < MIN_RULER_SHARE * path_px:
+        notes.append(
+            f"the scale was read over {plane.reach:.0f} px but the path is {path_px:.0f} px long: a longer ruler, or "
+            "points farther apart, would give a more accurate scale"
+        )
+    return (*notes, *plane.notes)

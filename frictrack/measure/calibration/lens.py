@@ -1,0 +1,467 @@
+"""Read camera matrix and lens distortion from a calibration file of OpenCV or similar programs.
+
+Calibrate camera, lens and the plane of the course from views of a board.
+
+Several views determine camera matrix, lens distortion (Brown-Conrady: Brown 1971, Photogramm. Eng. 37:855) and the
+poses of the board together (Zhang 2000, IEEE PAMI 22:1330, through OpenCV). The covariance follows from the residuals
+of all corners. One view determines a homography, and one radial coefficient if the view is suitable.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import yaml
+
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.calibration.board import Board, BoardView
+from frictrack.measure.calibration.homography import MAX_RADIAL_COEFFICIENT, Homography, Normalisation, fit_view
+from frictrack.measure.calibration.scale import PlaneMap, project
+from frictrack.records import Array
+
+MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "camera_Matrix", "intrinsic_matrix", "mtx", "K", "M1")
+DISTORTION = (
+    "distortion_coefficients", "dist_coeffs", "distCoeffs", "dist_coeff", "Distortion_Coefficients", "dist", "D", "D1",
+)  # fmt: skip
+WIDTH, HEIGHT = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
+COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)  # of a distortion, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 .. s4 [taux tauy]]]]
+MAX_FILE_BYTES = 1_000_000
+MAX_NESTING = 50  # brackets in brackets; a matrix has two
+STOP_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+MAX_ROUND_TRIP_PX = 0.01  # a point undistorted and distorted again must come back this near
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """Calibrated lens with the Brown-Conrady distortion model.
+
+    Attributes
+    ----------
+    matrix : array (3, 3)
+        Camera matrix, px.
+    distortion : array (k,)
+        Coefficients in OpenCV's order: k1, k2, p1, p2, k3, ...
+    size : tuple of int or None
+        Width and height of the pictures to which it applies, px.
+
+    References
+    ----------
+    D. C. Brown, "Close-range camera calibration", Photogramm. Eng. 37 (1971), 855-866.
+
+    """
+
+    matrix: Array
+    distortion: Array
+    size: tuple[int, int] | None = None
+
+    def rays(self, points: Array) -> Array:
+        """Compute normalised directions of picture points.
+
+        Parameters
+        ----------
+        points : array (n, 2)
+            Points in the picture, px.
+
+        Returns
+        -------
+        array (n, 2)
+            NaN where the distortion cannot be inverted.
+
+        """
+        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 1, 2)
+        if not len(flat):
+            return np.zeros((0, 2))
+        rays: Array = np.asarray(
+            cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=STOP_CRITERIA), dtype=np.float64
+        ).reshape(-1, 2)
+        off = np.linalg.norm(self.project_rays(rays) - flat[:, 0], axis=1)
+        return np.where((off < MAX_ROUND_TRIP_PX)[:, None], rays, np.nan)
+
+    def project_rays(self, rays: Array) -> Array:
+        """Project normalised directions (n, 2) to picture points (n, 2) px."""
+        solid = np.column_stack([rays, np.ones(len(rays))])
+        points, _ = cv2.projectPoints(solid, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return np.asarray(points, dtype=np.float64).reshape(-1, 2)
+
+    def undistorted(self, points: Array) -> Array:
+        """Remove the distortion from picture points (n, 2) px."""
+        focal, centre = np.diag(self.matrix)[:2], self.matrix[:2, 2]
+        return self.rays(points) * focal + centre
+
+
+def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
+    """Read a lens from OpenCV's YAML, XML or JSON, or from a JSON of lists.
+
+    Parameters
+    ----------
+    path : Path
+        Calibration file.
+    shape : tuple of int, optional
+        Height and width of the film, px; the lens must be calibrated for this size.
+
+    Returns
+    -------
+    Lens
+        Camera matrix and distortion.
+
+    Raises
+    ------
+    FrictrackError
+        For a missing or unreadable file, another lens model, or another picture size.
+
+    """
+    fields = _fields(path)
+    matrix = _field(fields, MATRIX, path, "a camera matrix")
+    distortion = _field(fields, DISTORTION, path, "distortion coefficients").ravel()
+    if matrix.size != 9 or not _is_camera(matrix.reshape(3, 3)):
+        raise FrictrackError(f"{path.name}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px")
+    _check_model(path, fields, distortion)
+    size = _size(fields, path)
+    if size and shape and size != shape[::-1]:
+        raise FrictrackError(
+            f"{path.name}: expected the lens of a {shape[1]}x{shape[0]} px film but got one calibrated on "
+            f"{size[0]}x{size[1]} px pictures; calibrate with the camera set as for filming"
+        )
+    return Lens(matrix.reshape(3, 3), distortion, size)
+
+
+def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
+    model = str(fields.get("distortion_model", fields.get("model", "")))
+    if model in ("equidistant", "fisheye", "kannala_brandt"):
+        raise FrictrackError(f'{path.name}: expected the usual lens model (k1, k2, p1, p2, k3) but got "{model}"')
+    if distortion.size not in COEFFICIENT_COUNTS or not np.all(np.isfinite(distortion)):
+        counts = ", ".join(str(n) for n in COEFFICIENT_COUNTS)
+        raise FrictrackError(f"{path.name}: expected {counts} distortion coefficients but got {distortion.size}")
+
+
+def _is_camera(matrix: Array) -> bool:
+    return bool(
+        np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.all(matrix[2] == [0, 0, 1])
+    )
+
+
+def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
+    value = next((fields[name] for name in names if name in fields), None)
+    if value is None:
+        came = ", ".join(list(fields)[:8]) or "nothing"
+        raise FrictrackError(f"{path.name}: expected {what} ({names[0]}) but the file holds {came}")
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise FrictrackError(f"{path.name}: expected {what} as numbers but got {str(value)[:60]}") from e
+
+
+def _size(fields: dict[str, Any], path: Path) -> tuple[int, int] | None:
+    width, height = (next((fields[n] for n in names if n in fields), None) for names in (WIDTH, HEIGHT))
+    if width is None or height is None:
+        pair = fields.get("image_size", fields.get("img_size"))
+        width, height = pair if isinstance(pair, list) and len(pair) == 2 else (None, None)
+    if not width or not height:
+        return None
+    try:
+        return int(width), int(height)
+    except (TypeError, ValueError, OverflowError) as e:
+        raise FrictrackError(f"{path.name}: expected the size of the pictures in px but got {width} x {height}") from e
+
+
+def _fields(path: Path) -> dict[str, Any]:
+    """Top-level names of the file with their numbers, texts and matrices (as lists)."""
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise FrictrackError(f"{path.name}: expected a lens file but it has {path.stat().st_size / 1e6:.0f} MB")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as e:
+        raise FrictrackError(f"{path.name}: expected a lens file of text (OpenCV's yml, xml or json)") from e
+    except OSError as e:
+        raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
+    try:
+        if _nesting(text) > MAX_NESTING:
+            raise ValueError("brackets without end")
+        fields = _json(text) if text.lstrip().startswith("{") else _yaml_or_xml(text)
+    except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
+        raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
+    return fields
+
+
+def _nesting(text: str) -> int:
+    """Largest depth of nested brackets: the time of a parser grows with its square."""
+    steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
+    return max(accumulate(steps), default=0)
+
+
+def _json(text: str) -> dict[str, Any]:
+    return _plain_matrices(json.loads(text))
+
+
+def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
+    """Replace matrices by their numbers."""
+    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
+    """YAML loader without aliases, by which a short text can expand without limit."""
+
+    def fetch_alias(self) -> None:
+        """Reject aliases with a YAMLError."""
+        raise yaml.YAMLError("references are not read")
+
+    def construct_matrix(self, node: yaml.Node) -> Any:
+        """Numbers of OpenCV's matrix type."""
+        return self.construct_mapping(node, deep=True).get("data")
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_matrix)
+
+
+def _yaml_or_xml(text: str) -> dict[str, Any]:
+    """Parse OpenCV's format, or YAML without its first line as ROS writes it. OpenCV's own parser may hang."""
+    if text.lstrip().startswith("<?xml"):
+        return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
+    lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
+    found = yaml.load("\n".join(lines), _Loader)
+    if not isinstance(found, dict):
+        raise ValueError("no names at the top")
+    return _plain_matrices(found)
+
+
+def _element(element: ElementTree.Element) -> Any:
+    """Value of an XML element: a matrix, a list, a number or a text."""
+    data = element.find("data")
+    if data is not None:
+        return (data.text or "").split()
+    text = (element.text or "").strip()
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip('"')
+
+
+MIN_VIEWS = 3
+MAX_DISTORTION_SIGMA = 0.01  # standard deviation of the distortion in the corners that one view may have
+MAX_FOCAL_ERROR = 0.2  # relative standard deviation of the focal length above which the views do not determine it
+N_INTRINSICS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+MAX_REPROJECTION_PX = 1.0  # a larger reprojection error is reported
+MIN_CORNER_SIGMA_PX = 0.02  # a corner is known no better than this (print, light, detection)
+TOO_FEW_VIEWS = (
+    "the pictures do not determine the camera (at least three are needed, tilted differently): only one is used"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """Camera fitted to views: lens, poses (v, 6), and reprojection error."""
+
+    lens: Lens
+    poses: Array
+    rms: float  # px, of the distance
+
+
+def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
+    """Compute the map to the plane of the first view.
+
+    Parameters
+    ----------
+    views : list of BoardView
+        Views of the board, that in the plane of the course first.
+    board : Board
+        The board.
+    lens : Lens, optional
+        Lens that was calibrated before.
+
+    Returns
+    -------
+    PlaneMap
+        Picture points (px) to points of the plane (m), with covariance.
+
+    Raises
+    ------
+    FrictrackError
+        For too few corners, or a lens file that does not fit.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. Pattern Anal. Mach. Intell. 22 (2000),
+    1330-1334.
+
+    """
+    plane = _from_known_lens(views[0], lens, board) if lens else _from_all_views(views, board)
+    if plane is None:
+        plane = _from_one_view(views[0], board)
+        plane = replace(plane, notes=(*plane.notes, TOO_FEW_VIEWS)) if len(views) > 1 else plane
+    points = views[0].points
+    middle, reach = points.mean(axis=0), float(np.hypot(*np.ptp(points, axis=0)))
+    plane = replace(plane, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
+    return plane.scaled(1.0, board.relative)
+
+
+def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
+    """Fit a homography to one view, with a radial coefficient if the view determines it well."""
+    unit_sigma = np.ones(len(first.points))
+    width, height = first.size
+    frame = Normalisation(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
+    without_radial = fit_view(first.points, first.places, unit_sigma)
+    with_radial = fit_view(first.points, first.places, unit_sigma, lens=frame)
+    k, std = (
+        float(with_radial.map.values[-1]),
+        float(np.sqrt(with_radial.map.covariance[-1, -1] * _variance(with_radial))),
+    )
+    determined = std < MAX_DISTORTION_SIGMA and abs(k) < MAX_RADIAL_COEFFICIENT
+    chosen = with_radial if determined else without_radial
+    distortion = (
+        f"radial distortion {1e2 * k:+.2f} ± {1e2 * std:.2g} % in the corners, from this one picture"
+        if determined
+        else "without lens distortion, which one picture does not determine; several tilted pictures would"
+    )
+    used = (
+        f"scale by a {board.kind}, {len(unit_sigma)} corners in {first.name}, {chosen.rms:.2g} px from the plane; "
+        f"{distortion}"
+    )
+    covariance = chosen.map.covariance * _variance(chosen)
+    return replace(chosen.map, covariance=covariance, used=used, notes=_reprojection_note(chosen.rms))
+
+
+def _variance(fitted: Homography) -> float:
+    """Variance of a corner along one axis, px^2."""
+    if fitted.degrees < 1:
+        raise FrictrackError("expected more corners of the board in its picture; show more of it")
+    return max(fitted.chi2 / fitted.degrees, MIN_CORNER_SIGMA_PX**2)
+
+
+def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
+    """Fit camera, lens and pose to several views; None where these do not determine the camera."""
+    best = _calibrated(views) if len(views) >= MIN_VIEWS else None
+    if best is None:
+        return None
+    covariance = _covariance(views, best)
+    values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
+    if covariance is None or np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
+        return None
+    depth = float(best.poses[0, 5])
+    used = (
+        f"scale by a {board.kind} in {len(views)} pictures, {sum(len(v.points) for v in views)} corners, reprojected "
+        f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
+        f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target changes lengths by {0.1 / depth:.2g} %"
+    )
+    return PlaneMap(values, covariance, _points_on_plane, used=used, notes=_reprojection_note(best.rms))
+
+
+def _calibrated(views: list[BoardView]) -> _Camera | None:
+    """Fit camera, lens and poses with OpenCV; None where no solution has all boards before the camera."""
+    solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in views]
+    without_radial = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    start = cv2.initCameraMatrix2D(solid, without_radial, views[0].size)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    try:
+        rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+            solid, without_radial, views[0].size, start, np.zeros(5), criteria=criteria
+        )
+    except cv2.error:
+        return None
+    poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(rotations, translations, strict=True)])
+    if not (np.isfinite(rms) and np.all(np.isfinite(matrix)) and np.all(poses[:, 5] > 0)):
+        return None
+    return _Camera(Lens(_floats(matrix), _floats(distortion).ravel()[:5]), poses, float(rms))
+
+
+def _intrinsics(lens: Lens) -> Array:
+    m = lens.matrix
+    return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion])
+
+
+def _covariance(views: list[BoardView], camera: _Camera) -> Array | None:
+    """Covariance (15, 15) of camera, lens and first pose; all other poses are eliminated (Schur complement)."""
+    normal = np.zeros((N_INTRINSICS, N_INTRINSICS))
+    square, count = 0.0, -N_INTRINSICS
+    own = cross = None
+    for k, v in enumerate(views):
+        pose, lens, misfit = _corner_jacobians(v, camera, k)
+        square, count = square + float(misfit @ misfit), count + len(misfit) - 6
+        normal += lens.T @ lens
+        if k == 0:
+            own, cross = pose.T @ pose, lens.T @ pose
+        else:
+            normal -= lens.T @ pose @ np.linalg.pinv(pose.T @ pose, hermitian=True) @ pose.T @ lens
+    assert own is not None
+    assert cross is not None
+    whole = np.block([[normal, cross], [cross.T, own]])
+    size = np.sqrt(np.diag(whole))
+    if count < 1 or not np.all(size > 0):
+        return None
+    inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
+    return np.asarray(inverse * max(square / count, MIN_CORNER_SIGMA_PX**2))
+
+
+def _corner_jacobians(v: BoardView, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
+    """Derivatives of the corners (2 n,) by the pose (2 n, 6) and by camera and lens (2 n, 9); residuals."""
+    solid = np.column_stack([v.places, np.zeros(len(v.places))])
+    pose = camera.poses[k]
+    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
+    slopes, at = _floats(slopes), _floats(at).reshape(-1, 2)
+    return slopes[:, :6], slopes[:, 6 : 6 + N_INTRINSICS], (at - v.points).ravel()
+
+
+def _floats(raw: Any) -> Array:
+    return np.asarray(raw, dtype=np.float64)
+
+
+def _points_on_plane(values: Array, points: Array) -> Array:
+    """Project picture points to the plane z = 0 of a board, m."""
+    lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:N_INTRINSICS])
+    return _on_plane(lens.rays(points), values[N_INTRINSICS:])
+
+
+def _on_plane_through(lens: Lens, pose: Array, points: Array) -> Array:
+    return _on_plane(lens.rays(points), pose)
+
+
+def _on_plane(rays: Array, pose: Array) -> Array:
+    """Intersect directions (n, 2) with the plane z = 0 of a board in a pose (6,), m; NaN behind the camera."""
+    turn = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))[0]
+    views = np.column_stack([turn[:, 0], turn[:, 1], pose[3:]])
+    inverse = np.linalg.inv(views)
+    return project(inverse * np.sign(inverse[2] @ (pose[3:] / pose[5])), rays)
+
+
+def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
+    """Fit the pose of the board with a known lens."""
+    if lens.size and lens.size != first.size:
+        raise FrictrackError(
+            f"expected the board in pictures of {lens.size[0]}x{lens.size[1]} px, as the lens was calibrated on, but "
+            f"{first.name} has {first.size[0]}x{first.size[1]} px; use the same setting of the camera"
+        )
+    solid = np.column_stack([first.places, np.zeros(len(first.places))])
+    rays = lens.rays(first.points)
+    if not np.all(np.isfinite(rays)):
+        raise FrictrackError(f"the lens file cannot undo the distortion at the board in {first.name}; check the file")
+    found, turn, shift = cv2.solvePnP(solid, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    if not found:
+        raise FrictrackError(f"the board in {first.name} does not fit the lens file; check the file")
+    turn, shift = cv2.solvePnPRefineLM(solid, first.points, lens.matrix, lens.distortion, turn, shift)
+    pose = np.concatenate([np.ravel(turn), np.ravel(shift)])
+    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
+    misfit = (at.reshape(-1, 2) - first.points).ravel()
+    normal = slopes[:, :6].T @ slopes[:, :6]
+    covariance = np.linalg.inv(normal) * max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
+    rms = float(np.sqrt(2 * np.mean(misfit**2)))
+    used = (
+        f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
+        "with the lens taken as exact"
+    )
+    return PlaneMap(pose, covariance, partial(_on_plane_through, lens), used=used, notes=_reprojection_note(rms))
+
+
+def _reprojection_note(rms: float) -> tuple[str, ...]:
+    if rms <= MAX_REPROJECTION_PX:
+        return ()
+    return (
+        f"the board's corners fit to {rms:.1f} px only: check that it is flat and sharp, and that squares is right",
+    )

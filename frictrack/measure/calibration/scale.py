@@ -1,0 +1,511 @@
+"""Parse a scale: a number, a ruler, known points, the target's size, or a board.
+
+The map from the picture to the plane of the course, which every calibration yields.
+
+A map is a function of some values (a pitch, a homography, a camera and its pose) and of picture points. The covariance
+of the values gives the uncertainty of every length that is measured through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.units import parse_quantity
+from frictrack.records import Array
+
+Place = Callable[[Array, Array], Array]
+
+DIFFERENCE_STEP = 0.01  # of central differences: px, and the share of a standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneMap:
+    """Map from picture points (px, y down) to points of the course's plane (m).
+
+    Attributes
+    ----------
+    values : array (k,)
+        Parameters of the calibration.
+    covariance : array (k, k)
+        Their covariance.
+    place : callable
+        ``place(values, points)`` maps points (n, 2) px to (n, 2) m; NaN beyond the horizon.
+    used : str
+        Description of the data from which it was made.
+    centre : tuple of float
+        Picture point at which directions are transformed to the plane, px.
+    zero : tuple of float or None
+        Origin in the plane, m; None for the corner of the picture.
+    reach : float
+        Length that was measured in the picture, px; 0 where it does not matter.
+    notes : tuple of str
+        Notes for the user.
+
+    """
+
+    values: Array
+    covariance: Array
+    place: Place
+    used: str = ""
+    centre: tuple[float, float] = (0.0, 0.0)
+    zero: tuple[float, float] | None = None
+    reach: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    def __call__(self, points: Array) -> Array:
+        """Map picture points (n, 2) px to points of the plane (n, 2) m."""
+        return self.place(self.values, np.asarray(points, dtype=np.float64))
+
+    def jacobian(self, points: Array) -> Array:
+        """Compute the derivative of the plane by the picture.
+
+        Parameters
+        ----------
+        points : array (n, 2)
+            Picture points, px.
+
+        Returns
+        -------
+        array (n, 2, 2)
+            m/px.
+
+        """
+        points = np.asarray(points, dtype=np.float64)
+        sides = [(self(points + d) - self(points - d)) / (2 * DIFFERENCE_STEP) for d in DIFFERENCE_STEP * np.eye(2)]
+        return np.stack(sides, axis=2)
+
+    def pitch(self, at: Array, direction: Array) -> float:
+        """Compute the pitch at a picture point along a direction.
+
+        Parameters
+        ----------
+        at : array (2,)
+            Picture point, px.
+        direction : array (2,)
+            Direction in the picture.
+
+        Returns
+        -------
+        float
+            m/px.
+
+        """
+        step_px = np.asarray(direction, dtype=np.float64)
+        return float(np.linalg.norm(self.jacobian(np.reshape(at, (1, 2)))[0] @ step_px) / np.linalg.norm(step_px))
+
+    def length(self, ends: Array) -> tuple[float, float]:
+        """Compute the distance of two picture points in the plane.
+
+        Parameters
+        ----------
+        ends : array (2, 2)
+            Picture points, px.
+
+        Returns
+        -------
+        length : float
+            m.
+        relative : float
+            Relative standard deviation from the covariance of the values (linear propagation).
+
+        """
+        length = _distance(self.place(self.values, ends))
+        slope = np.zeros(len(self.values))
+        for k in range(len(slope)):
+            std = float(np.sqrt(self.covariance[k, k]))
+            step = np.zeros(len(self.values))
+            step[k] = DIFFERENCE_STEP * std
+            if std > 0:
+                far, near = (_distance(self.place(self.values + s, ends)) for s in (step, -step))
+                slope[k] = (far - near) / (2 * DIFFERENCE_STEP * std)
+        return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
+
+    def scaled(self, factor: float, relative: float) -> PlaneMap:
+        """Multiply the map by an uncertain factor.
+
+        Parameters
+        ----------
+        factor : float
+            Factor.
+        relative : float
+            Its relative standard deviation.
+
+        Returns
+        -------
+        PlaneMap
+            With the factor as one more value.
+
+        """
+        k = len(self.values)
+        covariance = np.zeros((k + 1, k + 1))
+        covariance[:k, :k], covariance[k, k] = self.covariance, (relative * factor) ** 2
+        zero = None if self.zero is None else (self.zero[0] * factor, self.zero[1] * factor)
+        return replace(
+            self,
+            values=np.append(self.values, factor),
+            covariance=covariance,
+            place=partial(_times_last_value, self.place),
+            zero=zero,
+        )
+
+
+def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
+    return np.asarray(values[-1] * place(values[:-1], points))
+
+
+def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
+    """Create a map with the same pitch everywhere on the undistorted picture.
+
+    Parameters
+    ----------
+    values, covariance : array-like
+        Parameters of the pitch and their covariance.
+    pitch : callable
+        ``pitch(values)`` in m/px.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Linear map.
+
+    Examples
+    --------
+    >>> uniform([5e-4], [[1e-12]], lambda values: float(values[0]), as_seen)(np.array([[100.0, 20.0]])).tolist()
+    [[0.05, 0.01]]
+
+    """
+    return PlaneMap(
+        np.asarray(values, dtype=np.float64),
+        np.asarray(covariance, dtype=np.float64),
+        partial(_uniform, pitch, straight),
+    )
+
+
+def _uniform(pitch: Callable[[Array], float], straight: Straight, values: Array, points: Array) -> Array:
+    return pitch(values) * straight(points)
+
+
+Straight = Callable[[Array], Array]  # picture points (n, 2) px -> where a lens without distortion shows them
+
+
+def as_seen(points: Array) -> Array:
+    """Picture points without a lens to correct."""
+    return points
+
+
+def project(matrix: Array, points: Array) -> Array:
+    """Points (n, 2) through a homography (3, 3); NaN beyond the horizon (where the sign of w is not the matrix's)."""
+    x, y, w = (points @ matrix[:, :2].T + matrix[:, 2]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((w > 0)[:, None], np.stack([x / w, y / w], axis=1), np.nan)
+
+
+def _distance(ends: Array) -> float:
+    return float(np.linalg.norm(ends[1] - ends[0]))
+
+
+Scale = str | float | Mapping[str, Any] | Sequence[Any]
+KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
+    "ruler": (frozenset({"points", "length"}), frozenset({"click"})),
+    "points": (frozenset({"points", "plane"}), frozenset({"click", "unit"})),
+    "target": (frozenset({"target"}), frozenset()),
+    "board": (frozenset({"board", "squares", "square"}), frozenset({"dictionary", "marker", "plane"})),
+}  # keys that must and may be there
+EXAMPLES = (
+    '"0.5 mm/px", {points = [[x, y], [x, y]], length = "100 mm"}, {target = "40 mm"}, '
+    '{board = "board.png", squares = [9, 6], square = "10 mm"} or {points = [four of them], plane = [[X, Y], ...]}'
+)
+DEFAULT_CLICK = "0.5 px"  # standard deviation of a click, along x and along y
+MIN_RULER_SHARE = 0.2  # of the path: a shorter ruler gets a note
+
+
+def parse_scale(scale: Scale | None) -> tuple[float, float]:
+    """Parse a scale as far as possible without pictures.
+
+    Parameters
+    ----------
+    scale : str, float, mapping or sequence
+        ``"0.5 mm/px"``, ``"0.500 +/- 0.002 mm/px"``, a number in m/px, or a ruler
+        ``{"points": [[x, y], [x, y]], "length": "100 +/- 0.1 mm", "click": "0.5 px"}``.
+
+    Returns
+    -------
+    pitch : float
+        m/px; NaN for scales that need a picture (target, board, points with plane), whose syntax is checked only.
+    relative : float
+        Relative standard deviation; for a ruler it includes the two clicks.
+
+    Raises
+    ------
+    FrictrackError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_scale("0.5 mm/px")
+    (0.0005, 0.0)
+
+    """
+    kind, written = scale_kind(scale), cast(Any, scale)
+    if kind == "number":
+        value, std = _parse_number(scale)
+        return value, std / value
+    if kind == "ruler":
+        made = map_from_ruler(written)
+        return made.pitch(np.zeros(2), np.array([1.0, 0.0])), made.length(np.array([[0.0, 0.0], [1.0, 0.0]]))[1]
+    if kind == "several":
+        return [parse_scale(part) for part in written][0]  # noqa: RUF015 - all are checked
+    CHECKS[kind](written)
+    return float("nan"), float("nan")
+
+
+def scale_kind(scale: Any) -> str:
+    """Determine the kind of a scale.
+
+    Parameters
+    ----------
+    scale
+        Scale as the user gave it.
+
+    Returns
+    -------
+    str
+        "number", "ruler", "points", "target", "board" or "several".
+
+    Raises
+    ------
+    FrictrackError
+        For a missing scale or wrong keys.
+
+    Examples
+    --------
+    >>> scale_kind({"target": "40 mm"})
+    'target'
+
+    """
+    if scale is None:
+        raise FrictrackError(
+            'expected a scale but got none; give scale = "0.5 mm/px", or two points of known distance as '
+            '{points = [[x, y], [x, y]], length = "100 mm"}'
+        )
+    if isinstance(scale, list | tuple) and scale:
+        return "several"
+    if not isinstance(scale, Mapping):
+        return "number"
+    keys = frozenset(scale)
+    for kind, (needed, allowed) in KINDS.items():
+        if needed <= keys <= needed | allowed:
+            return kind
+    raise FrictrackError(_describe_wrong_keys(keys))
+
+
+def _describe_wrong_keys(keys: frozenset[str]) -> str:
+    """Describe what is wrong with the keys: the nearest kind, and its missing or unknown keys."""
+    words = {"board": {"board", "squares", "square"}, "target": {"target"}, "points": {"plane"}}
+    nearest_kind = next((kind for kind, marks in words.items() if keys & marks), "ruler")
+    needed, allowed = KINDS[nearest_kind]
+    lacking, foreign = sorted(needed - keys), sorted(keys - needed - allowed)
+    if not keys & (needed | allowed):
+        return f"expected a scale as {EXAMPLES} but got the keys {', '.join(sorted(keys)) or 'none'}"
+    if foreign:
+        known = ", ".join(sorted(needed | allowed))
+        return f"expected a scale by {nearest_kind} with the keys {known} but got {', '.join(foreign)} too"
+    missing = " and ".join(map(repr, lacking))
+    return f"expected a scale by {nearest_kind} with {' and '.join(sorted(needed))} but {missing} is missing"
+
+
+def _parse_number(scale: Any) -> tuple[float, float]:
+    """Metres per pixel and its standard deviation."""
+    value, std = parse_quantity(scale, "m/px", "the scale")
+    if not value > 0:
+        raise FrictrackError(f"expected a scale above 0 m/px but got {value:g} m/px")
+    return value, std
+
+
+def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
+    """Create the map of a scale that is a number.
+
+    Parameters
+    ----------
+    scale : str or float
+        Such as ``"0.5 mm/px"``.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Map with the same pitch everywhere.
+
+    """
+    value, std = _parse_number(scale)
+    return uniform([value], [[std**2]], itemgetter(0), straight)
+
+
+def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
+    """Create the map of two points at a known distance; its values are the length and the four coordinates.
+
+    Parameters
+    ----------
+    scale : mapping
+        Points, length and optional click.
+    straight : callable
+        Removes lens distortion from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        Map with the same pitch everywhere.
+
+    """
+    points = _picture_points(scale["points"], 2)
+    length, std = parse_length(scale["length"], "the length between the two points")
+    click = click_std(scale)
+    distance = float(np.hypot(*(points[1] - points[0])))
+    if not distance > 0:
+        raise FrictrackError(f"expected two different points for the scale but got {scale['points']!r}")
+
+    pitch = partial(_pitch_of_ruler, straight)
+    made = uniform([length, *points.ravel()], np.diag([std**2] + 4 * [click**2]), pitch, straight)
+    used = f"scale by a ruler of {1e3 * length:g} mm over {distance:.0f} px, clicked to {click:g} px"
+    middle = points.mean(axis=0)
+    return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
+
+
+def _pitch_of_ruler(straight: Straight, values: Array) -> float:
+    ends = straight(values[1:].reshape(2, 2))
+    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+
+
+def _picture_points(raw: Any, min_count: int) -> Array:
+    """Parse points (n, 2) px of the picture: exactly two, or at least `min_count`."""
+    wanted = "two points [[x, y], [x, y]]" if min_count == 2 else f"at least {min_count} points [[x, y], ...]"
+    try:
+        points = np.asarray(raw, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}") from error
+    if points.ndim != 2 or points.shape[1] != 2 or not np.all(np.isfinite(points)):
+        raise FrictrackError(f"expected points as [[x, y], [x, y]] but got {raw!r}")
+    if len(points) < min_count or (min_count == 2 and len(points) > 2):
+        raise FrictrackError(f"expected {wanted} but got {len(points)}")
+    return points
+
+
+def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
+    """Parse a positive length.
+
+    Parameters
+    ----------
+    raw
+        Text or number.
+    what : str
+        Its name for error messages.
+    unit : str
+        Unit of the result and of a number.
+
+    Returns
+    -------
+    tuple of float
+        Length and its standard deviation.
+
+    Raises
+    ------
+    FrictrackError
+        For a length that is not above 0.
+
+    Examples
+    --------
+    >>> parse_length("40 mm", "the target's size")
+    (0.04, 0.0)
+
+    """
+    value, std = parse_quantity(raw, unit, what)
+    if not value > 0:
+        raise FrictrackError(f"expected {what} above 0 {unit} but got {raw!r}")
+    return value, std
+
+
+def click_std(scale: Mapping[str, Any]) -> float:
+    """Return the standard deviation of a click, px."""
+    return parse_length(scale.get("click", DEFAULT_CLICK), "click, the standard deviation of a click,", "px")[0]
+
+
+def _plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Parse places (n, 2) m of points on the plane, and their standard deviations (n, 2) m.
+
+    Numbers are in metres or in the `unit` of the scale; texts have their own unit.
+    """
+    raw, unit = scale["plane"], scale.get("unit", "m")
+    factor = parse_quantity(f"1 {unit}", "m", "the unit of plane")[0]
+    if not isinstance(raw, list | tuple) or any(not isinstance(p, list | tuple) or len(p) != 2 for p in raw):
+        raise FrictrackError(f"expected plane as places [[X, Y], ...] but got {raw!r}")
+
+    def place(v: Any) -> tuple[float, float]:
+        value, std = parse_quantity(v, "m", "a place on the plane")
+        return (value, std) if isinstance(v, str) else (value * factor, std)
+
+    both = np.array([[place(v) for v in pair] for pair in raw], dtype=np.float64).reshape(-1, 2, 2)
+    return both[..., 0], both[..., 1]
+
+
+def check_points(scale: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+    """Parse points of known place: picture points (n, 2) px, places (n, 2) m, and the places' standard deviations."""
+    points = _picture_points(scale["points"], 4)
+    places, std = _plane_points(scale)
+    click_std(scale)
+    if len(points) != len(places):
+        raise FrictrackError(f"expected as many places as points but got {len(places)} for {len(points)} points")
+    return points, places, std
+
+
+def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
+    """Return the number of squares along and across the board."""
+    raw = scale["squares"]
+    whole = isinstance(raw, list | tuple) and len(raw) == 2 and all(type(n) is int for n in raw)
+    min_count = 3 if "dictionary" in scale else 4
+    if not whole or min(raw) < min_count or max(raw) > 100:
+        raise FrictrackError(
+            f"expected squares as their number along and across, {min_count} to 100 each, such as [9, 6], "
+            f"but got {raw!r}"
+        )
+    return raw[0], raw[1]
+
+
+def check_board(scale: Mapping[str, Any]) -> None:
+    """Check the description of a board; its pictures are read later."""
+    board_squares(scale)
+    square, _ = parse_length(scale["square"], "the side of a square")
+    if ("dictionary" in scale) != ("marker" in scale):
+        raise FrictrackError("expected both dictionary and marker for a ChArUco board, neither for a checkerboard")
+    if "marker" in scale and parse_length(scale["marker"], "the side of a marker")[0] >= square:
+        raise FrictrackError(f"expected a marker smaller than its square but got {scale['marker']!r}")
+    if type(scale.get("plane", 0)) is not int or scale.get("plane", 0) < 0:
+        raise FrictrackError(f"expected plane as the number of a picture (the first is 0) but got {scale['plane']!r}")
+    board_files(scale)
+
+
+def board_files(scale: Mapping[str, Any]) -> list[Path]:
+    """Return the files with the pictures of a board."""
+    raw = scale["board"]
+    files = list(raw) if isinstance(raw, list | tuple) else [raw]
+    if not files or not all(isinstance(part, str | Path) and str(part) for part in files):
+        raise FrictrackError(f"expected board as a picture, several, a folder or a recording but got {raw!r}")
+    return [Path(part) for part in files]
+
+
+CHECKS: Mapping[str, Callable[[Any], Any]] = {
+    "points": check_points,
+    "target": lambda scale: parse_length(scale["target"], "the target's size along the course"),
+    "board": check_board,
+}

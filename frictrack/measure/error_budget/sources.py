@@ -1,0 +1,245 @@
+"""Compute the contribution of every source of error to the friction force of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number
+from frictrack.measure.error_budget.sources import FilterResponse
+from frictrack.measure.error_budget.summary import (
+    ALL_FRAMES,
+    ALL_RUNS,
+    DRIVE,
+    DRIVE_CLOCK,
+    FILTER,
+    LOCKING,
+    MASS,
+    NOISE,
+    NOISE_FACTOR_TWICE_FRAMES,
+    SCALE,
+    SENSOR,
+    SHAKE,
+    TIME,
+    Budget,
+    Contribution,
+)
+from frictrack.measure.friction import friction, white_noise
+from frictrack.measure.motion import Derivatives
+from frictrack.records import GRAVITY, Array, Filtered, Mask, Run
+
+if TYPE_CHECKING:
+    from frictrack.results import RecordingInfo
+
+MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
+NOISE_FACTORS = (NOISE_FACTOR_TWICE_FRAMES, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # noise reductions that are tried
+
+
+def budget(
+    run: Run,
+    filtered: Filtered,
+    quality: Mapping[str, Any] | None = None,
+    film: RecordingInfo | None = None,
+    clocks: Mapping[str, Any] | None = None,
+) -> Budget:
+    """Compute the error budget of a run's friction force.
+
+    Parameters
+    ----------
+    run
+        The run, with a mass or with measured friction.
+    filtered
+        The low-passed displacement from which its motion was derived.
+    quality
+        Self-checks of the film: peak locking and camera shake. Without them these sources are left out.
+    film
+        The film, for its time base; None for a table.
+    clocks
+        Alignment of the sensors' clocks.
+
+    Returns
+    -------
+    Budget
+        Every source with its effect in N; sources of unknown size have no number.
+
+    Raises
+    ------
+    FrictrackError
+        If the run has neither a mass nor measured friction, or no free frames.
+
+    Notes
+    -----
+    Sources are independent and add in quadrature (JCGM 100:2008, GUM, section 5.1).
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> found = ft.budget(run, ft.low_pass(run.displacement))
+    >>> [row.source for row in found.rows][:2]
+    ['pixel noise', 'filter']
+
+    """
+    if run.mass is None and run.friction_N is None:
+        raise FrictrackError(f'run "{run.name}": expected a mass for an error budget but got none; weigh the slider')
+    result = friction(run)
+    free = result.free
+    if not np.any(free):
+        raise FrictrackError(f'run "{run.name}": expected free frames for an error budget but got none')
+    weights = np.where(free, np.sign(run.motion.v), 0.0) / np.sum(free)
+    mean = float(weights @ result.F)
+    if run.friction_N is not None:
+        return Budget(run.name, mean, (_cell(result.sigma_F, free),))
+    del result  # of a long run it takes much memory
+    errors = _RunErrors(run, free, weights)
+    response = FilterResponse(Derivatives.of_x(filtered), run.motion)
+    rows = (
+        *errors.noise_and_filter(response, film is not None),
+        *errors.common_errors(film),
+        *errors.picture_errors(response, quality),
+        *errors.drive_errors((clocks or {}).get("drive", {})),
+    )
+    reductions = response.noise_reductions(weights, NOISE_FACTORS)
+    return Budget(run.name, mean, rows, reductions, filmed=film is not None)
+
+
+def _cell(sigma: Array, free: Mask) -> Contribution:
+    """Error of a load cell that measured friction itself; nothing else counts."""
+    level = float(np.sqrt(np.mean(sigma[free] ** 2)))
+    known_from = "white noise of the record, from its fifth differences; zero and sensitivity are not known"
+    return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
+
+
+class _RunErrors:
+    """Effect of every source of error on one run."""
+
+    def __init__(self, run: Run, free: Mask, weights: Array) -> None:
+        assert run.mass is not None
+        self.run, self.free, self.weights, self.mass = run, free, weights, run.mass
+
+    def effect(self, rows: Array) -> tuple[float, float]:
+        """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
+        return float(np.sqrt(np.mean(rows[self.free] ** 2))), abs(float(self.weights @ rows))
+
+    def noise_and_filter(self, response: FilterResponse, filmed: bool) -> list[Contribution]:
+        """Noise that the smoother transmits, and signal that it removes."""
+        noise = response.transmitted_noise(self.weights)
+        lost = response.lost_signal(self.weights, noise)
+        known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
+        if response.derived.sensor_weights is not None:
+            known_from += "; the effect includes accelerometer noise"
+        rms_noise, rms_lost = (float(np.sqrt(np.mean(error.rows[self.free] ** 2))) for error in (noise, lost))
+        cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
+        how = f"removed by the smoother ({cutoff}), estimated from the record"
+        return [
+            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise.total),
+            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost.total),
+        ]
+
+    def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:
+        """Errors that all runs share: of the scale, of the mass, and of the frame rate, squared in the acceleration."""
+        inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a + GRAVITY * np.sin(self.run.incline)
+        scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / self.mass
+        rate, rate_from = frame_rate_error(film)
+        length = "standard deviation of the calibrated length of the path"
+        return [
+            self._common(SCALE, scale, inertia, "%", length if scale else "not given"),
+            self._common(MASS, mass, self.mass * weighed, "g", "as given in the study" if mass else "not given"),
+            self._common(TIME, rate, 2 * inertia, "%", rate_from),
+        ]
+
+    def _common(self, source: str, error: float | None, force: Array, unit: str, known_from: str) -> Contribution:
+        """A relative error, and the force (n,) that it multiplies; of an unknown one, what 0.1 % would do."""
+        if not error:
+            known_from += f"; each 0.1 % would add {format_number(1e-3 * self.effect(force)[1], 2)} N"
+            return Contribution(source, None, unit, known_from, None, None, ALL_RUNS)
+        size = error * (1e3 * self.mass if unit == "g" else 100.0)
+        return Contribution(source, size, unit, known_from, *self.effect(error * force), ALL_RUNS)
+
+    def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
+        """Peak locking and camera shake: systematic errors of the picture."""
+        pitch = self.run.pixel_pitch
+        if not quality or pitch is None:
+            return []
+        return [self._peak_locking(response, quality, pitch), *self._camera_shake(response, quality, pitch)]
+
+    def _peak_locking(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> Contribution:
+        size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
+        if size is None or error is None:
+            return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.derived.x / pitch, pitch)  # of one px
+        if size < MIN_SIGMAS_LOCKING * error:
+            largest = size + 2 * error
+            most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
+            known_from = (
+                f"none found; at most {most} px, which would add {in_frame} N in a frame and {in_mean} N in the mean"
+            )
+            return Contribution(LOCKING, 0.0, "px", known_from, 0.0, 0.0, ALL_FRAMES)
+        true = float(np.sqrt(size**2 - error**2))
+        known_from = f"amplitude, measured to {format_number(error, 2)} px"
+        return Contribution(LOCKING, true, "px", known_from, true * frame, true * mean, ALL_FRAMES)
+
+    def _camera_shake(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
+        """What is left of a camera shake: the error of what was subtracted, or all of it if nothing was."""
+        remaining, frequency = quality.get("shake_left_px"), quality.get("shake_Hz")
+        if not remaining or not frequency:
+            return []
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * frequency * self.run.motion.t, pitch)
+        rms = float(np.sqrt(2.0)) * remaining
+        known_from = f"{quality.get('shake_left_told', 'not removed')}, at {frequency:.0f} Hz"
+        return [Contribution(SHAKE, remaining, "px", known_from, rms * frame, rms * mean, ALL_FRAMES)]
+
+    def _effect_of_wave(self, response: FilterResponse, angle: Array, size: float) -> tuple[float, float]:
+        """Effects of a displacement of amplitude `size` (m) with phase angle (n,), averaged over the phase, N."""
+        apparent = response.of(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        effects = [self.effect(self.mass * column) for column in apparent.T]
+        frame, mean = np.sqrt(np.mean(np.square(effects), axis=0))
+        return float(frame), float(mean)
+
+    def drive_errors(self, clock: Mapping[str, Any]) -> list[Contribution]:
+        """White noise of a measured drive, and the uncertainty of its clock."""
+        if self.run.drive is None:
+            return []
+        drive = np.asarray(self.run.drive, dtype=float)
+        level, n, t = white_noise(drive), float(np.sum(self.free)), self.run.motion.t
+        known_from = "white noise of the record, from its fifth differences"
+        rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
+        offset_std = clock.get("sigma_offset_s")
+        if offset_std:
+            slope = np.gradient(drive, t)
+            noise_slope = level / (float(np.median(np.diff(t))) * np.sqrt(2.0))  # what noise alone makes of a slope
+            frame, mean = self.effect(offset_std * slope)
+            frame = float(np.sqrt(max(frame**2 - (offset_std * noise_slope) ** 2, 0.0)))
+            known_from = "of the offset between the drive's clock and the camera's"
+            rows.append(Contribution(DRIVE_CLOCK, 1e3 * offset_std, "ms", known_from, frame, mean, ALL_FRAMES))
+        return rows
+
+
+RATE_PREFIX = "frame rate, "
+PLAYBACK = "speed of showing"
+STAMPS = "stamps"
+MIN_RELATIVE_ERROR = 5e-7  # rounding of the rates in the audit
+RATE_TEXTS = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
+
+
+def frame_rate_error(film: RecordingInfo | None) -> tuple[float | None, str]:
+    """Return the relative error of the frame rate, None if not known, and how it is known, or why not.
+
+    The rates by the user, the header and the time stamps are compared with the one that is used; the largest difference
+    counts. Agreement of user and header without camera time stamps proves nothing: both state the setting.
+    """
+    if film is None:
+        return None, "not known: the table's times are used as given"
+    rates = {
+        name.removeprefix(RATE_PREFIX): float(value.split()[0])
+        for name, value, verdict in film.audit
+        if name.startswith(RATE_PREFIX) and verdict != PLAYBACK
+    }
+    error = max((abs(rate / film.fps - 1.0) for rate in rates.values()), default=0.0)
+    if error < MIN_RELATIVE_ERROR and not (film.clocked and STAMPS in rates and len(rates) > 1):
+        used = next((RATE_TEXTS.get(name, name) for name in rates), "the frame rate")
+        return None, f"not known: {used} is used as given; there are no camera time stamps to check it"
+    return max(error, MIN_RELATIVE_ERROR), f"difference of the frame rates ({' and '.join(rates)})"

@@ -1,0 +1,706 @@
+"""Compute the friction force where nothing else acts on the slider, and find the events of a run.
+
+    F = D - m a,   D = drive - m g sin(incline)
+
+F > 0 resists motion toward +x; the incline is positive when the course rises toward +x.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion import noise_level
+from frictrack.records import GRAVITY, Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
+
+MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
+MAX_PAUSE_SHARE = 0.1  # of the shorter neighbouring span: longest pause at the reversal of a swing
+MAX_SWING_RATIO = 3.0  # acceleration at a reversal over the median; an impact exceeds it
+MIN_MOTION_SIGMAS = 5.0  # |v| over sigma_v that a span of moving frames must reach to be a motion
+PUSH_SPEED_SHARE = 0.8  # of the highest speed; a record that begins slower contains the push
+IMPACT_TIME_S = 4e-3  # within which an impact takes half of the speed
+IMPACT_RATIO = 5.0  # deceleration of an impact over the median
+EVENT_REACH_FRAMES = 3  # beyond an event that differences still contain it
+MAX_EVENT_DISTANCE = 8  # frames between an event of the smoother and its cause
+MIN_FREE_FRAMES = 8  # of a free section
+MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
+MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
+MIN_REST_FRAMES = 12  # frames needed to estimate the noise
+EDGE_FRAMES = 3  # frames at either end of a rest that may still move
+
+
+def free_section(run: Run) -> tuple[Mask, str]:
+    """Select the frames in which only friction slows the slider.
+
+    A given `run.free` overrides. With a measured drive or measured friction these are all moving frames. With
+    `has_incline` they last from the beginning of motion to the first of impact, last valid frame and stop. Otherwise
+    the slider was struck or pushed, and they start at the highest speed. A mass that bounces flies freely again, up to
+    its next impact. Invalid frames are never free.
+
+    Parameters
+    ----------
+    run
+        Run of n frames.
+
+    Returns
+    -------
+    mask : array of bool
+        Free frames, (n,).
+    reason : str
+        Why these frames, in words.
+
+    Raises
+    ------
+    FrictrackError
+        If fewer than 8 frames are left.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> mask, reason = ft.free_section(ft.samples.runs()[2])
+    >>> int(mask.sum())
+    503
+    >>> reason
+    'from the highest speed at 0.004 s and 18 frames for the filter to the last moving frame at 0.134 s'
+
+    """
+    valid, moving = run.displacement.valid, is_moving(run)
+    if run.free is not None:
+        t = run.motion.t
+        mask = valid & (t >= run.free[0]) & (t <= run.free[1])
+        reason = f"{run.free[0]:g} s to {run.free[1]:g} s as given"
+    elif _has_measured_force(run):
+        mask = valid & moving
+        measured = "drive" if run.friction_N is None else "friction"
+        stuck = int(np.sum(valid & ~moving))
+        reason = f"whole record ({measured} is measured), {stuck} of {len(valid)} frames left out as stuck"
+    else:
+        section = _section(run)
+        reason = section.reason
+        mask = valid & moving & ~_events_at_ends(run) & _within(section.flights, len(valid))
+    if np.sum(mask) < MIN_FREE_FRAMES:
+        raise FrictrackError(
+            f'run "{run.name}": expected at least {MIN_FREE_FRAMES} free frames but got {np.sum(mask)} ({reason}); '
+            "give the free section as free = [t0, t1]"
+        )
+    return mask, reason
+
+
+def release_time(run: Run) -> float:
+    """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
+    if run.free is None and not _has_measured_force(run):
+        return float(run.motion.t[_section(run).release])
+    return float(run.motion.t[np.argmax(free_section(run)[0])])
+
+
+def moving_sections(run: Run) -> list[slice]:
+    """Split the free frames at reversals and stops; a span may contain invalid frames, but no stuck ones."""
+    mask, _ = free_section(run)
+    free = np.flatnonzero(mask)
+    direction = np.sign(run.motion.v[free])
+    stuck_before = np.cumsum(run.displacement.valid & ~mask)[free]
+    cuts = np.flatnonzero((np.diff(direction) != 0) | (np.diff(stuck_before) > 0)) + 1
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(free, cuts)]
+
+
+def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
+    """Acceleration, m/s^2, with which a mass without a drive reverses smoothly between two spans of its motion.
+
+    None if the mass rests in between, an impact reverses it, or one of the spans is too short to be distinguished from
+    the end of the smoothed motion at a stop.
+    """
+    if _has_measured_force(run):
+        return None
+    v, a = run.motion.v, np.abs(run.motion.a)
+    shorter = min(before.stop - before.start, after.stop - after.start)
+    if shorter < _filter_frames(run):  # where a mass comes to rest, the smoothed motion swings on within these
+        return None
+    turn = slice(before.stop - 1, after.start + 1)
+    if v[turn.start] * v[after.start] >= 0 or after.start - before.stop > max(MAX_PAUSE_SHARE * shorter, 2):
+        return None
+    around = slice(max(before.stop - shorter, before.start), after.start + shorter)
+    acceleration, typical = float(np.max(a[turn])), float(np.median(a[around]))
+    significant = float(np.min(a[turn])) > MIN_MOVING_SIGMAS * float(np.max(run.motion.sigma_a[turn]))
+    is_swing = significant and np.all(run.displacement.valid[turn]) and acceleration < MAX_SWING_RATIO * typical
+    return acceleration if is_swing else None
+
+
+def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
+    """Join neighbouring spans of motion across the reversals of a swing.
+
+    Dry friction changes its sign at a reversal. Where gravity or a spring pulls the mass back, it does not rest there,
+    and one model must describe the loss from swing to swing. A blow also reverses a mass, but at once: there the spans
+    stay separate, as they do where the drive is measured. Every span comes with the speed (m/s) within which its
+    direction changes: what the mass gains in one frame at its reversals, 0 for a span of one direction.
+    """
+    out: list[tuple[slice, float]] = []
+    for span in spans:
+        pull = _swing_acceleration(run, out[-1][0], span) if out else None
+        if pull is None:
+            out.append((span, 0.0))
+        else:
+            before, slack = out[-1]
+            out[-1] = slice(before.start, span.stop), max(slack, pull * _interval(run))
+    return out
+
+
+def impact(run: Run) -> str:
+    """Describe the first impact of a run without a drive.
+
+    Parameters
+    ----------
+    run
+        Run of n frames.
+
+    Returns
+    -------
+    str
+        One sentence; empty if there is no impact.
+
+    Examples
+    --------
+    >>> from frictrack import records
+    >>> t = np.arange(0, 1, 0.01)
+    >>> v = np.where(t < 0.6, 1.0 + 0.5 * t, -0.8 + 0.5 * (t - 0.6))
+    >>> nan, one, x = np.full(100, np.nan), np.ones(100), np.cumsum(v) * 0.01
+    >>> motion = records.Motion(t, x, v, 0 * t, nan, one, 1e-3 * one, one, nan, 0)
+    >>> seen = records.Displacement(t, x, nan, nan, nan, nan, one == 1)
+    >>> impact(records.Run(seen, motion, mass=1.0, has_incline=True, incline=-0.05)).partition("; friction")[0]
+    'the mass hits something at 0.59 s, which turns its velocity from 1.3 to -0.802 m/s'
+
+    """
+    if run.free is not None or _has_measured_force(run):
+        return ""
+    section, (start, stop) = _section(run), _main_motion(run)
+    bounces = [one for one in section.bounces if start < one.before]
+    bounce = bounces[0] if bounces else None
+    hit = _impact(run, start, stop)
+    rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
+    if not rows:
+        return ""
+    consequence, flights = "takes at least half of its velocity", len(section.flights)
+    if bounce and bounce.before <= min(rows) + _filter_frames(run):
+        consequence = f"turns its velocity from {bounce.v_before:.3g} to {bounce.v_after:.3g} m/s"
+    judged = "before that"
+    if flights > 1:
+        restitution = np.median([abs(one.v_after / one.v_before) for one in bounces])
+        judged = (
+            f"in the {flights} flights between its bounces, which have a restitution coefficient of {restitution:.2g}"
+        )
+    return (
+        f"the mass hits something at {run.motion.t[min(rows)]:.4g} s, which {consequence}; friction is judged {judged}"
+    )
+
+
+def friction(run: Run) -> Friction:
+    """Compute the friction force F = D - m a and its standard deviation, and select the free section.
+
+    The variance of F is the sum of those of m a, of the mass (`sigma_mass abs(a + g sin(incline))`), of the scale
+    (`m abs(a)` times its relative error) and of the measured drive. Errors of mass and scale are common to all frames.
+    Where friction itself was measured, F is that series with gaps interpolated, and sigma_F its white noise.
+
+    Parameters
+    ----------
+    run
+        Run of n frames with motion and either mass or measured friction.
+
+    Returns
+    -------
+    Friction
+        Force (N) with its standard deviation, each (n,), and the free frames.
+
+    Raises
+    ------
+    FrictrackError
+        If fewer than 8 frames are free.
+
+    Examples
+    --------
+    >>> from frictrack import records
+    >>> t = np.arange(100) / 100.0
+    >>> nan, one = np.full(100, np.nan), np.ones(100)
+    >>> motion = records.Motion(t, 0 * t, 3.0 - 2.0 * t, -2.0 * one, nan, one, 1e-3 * one, 0.1 * one, nan, 0)
+    >>> positions = records.Displacement(t, 0 * t, nan, nan, nan, nan, one == 1)
+    >>> force = friction(records.Run(positions, motion, mass=0.5))
+    >>> float(force.F[50]), round(float(force.sigma_F[50]), 3)
+    (1.0, 0.05)
+
+    """
+    mask, reason = free_section(run)
+    if run.friction_N is not None:
+        known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
+        force = np.interp(rows, rows[known], run.friction_N[known])
+        sigma = np.full(len(force), white_noise(run.friction_N))
+        return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
+    assert run.mass is not None  # Run checks this
+    acceleration = run.motion.a + GRAVITY * np.sin(run.incline)
+    drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
+    sigma_drive = white_noise(drive)
+    sigma_scale = run.displacement.relative_scale_error * run.mass * run.motion.a
+    variance = (
+        (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * acceleration) ** 2 + sigma_scale**2 + sigma_drive**2
+    )
+    return Friction(run.motion.t, drive - run.mass * acceleration, np.sqrt(variance), mask, reason, run.motion.repaired)
+
+
+def white_noise(series: Array) -> float:
+    """Estimate the white noise of a measured force (n,), N, from its differences; 0 if that is not possible."""
+    return float(np.nan_to_num(noise_level(series, np.isfinite(series))[0]))
+
+
+def _has_measured_force(run: Run) -> bool:
+    """Whether drive or friction was measured."""
+    return run.drive is not None or run.friction_N is not None
+
+
+def is_moving(run: Run) -> Mask:
+    """Frames (n,) whose velocity exceeds three standard deviations."""
+    return np.asarray(np.abs(run.motion.v) > MIN_MOVING_SIGMAS * run.motion.sigma_v)
+
+
+def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
+    """Return the spans of a run, cut where the direction of motion changes between two frames."""
+    out = []
+    for s in spans:
+        reversals = s.start + 1 + np.flatnonzero(np.diff(np.sign(run.motion.v[s])) != 0)
+        out += [slice(int(i), int(j)) for i, j in pairwise([s.start, *reversals, s.stop])]
+    return out
+
+
+def count_flights(run: Run) -> int:
+    """Number of free flights of a run: one more with every bounce that is followed; 1 with a measured force."""
+    return 1 if run.free is not None or _has_measured_force(run) else len(_section(run).flights)
+
+
+@dataclass(frozen=True)
+class _Section:
+    """First and last frame of every free flight, the frame of release, why they are these, and the bounces."""
+
+    flights: tuple[tuple[int, int], ...]
+    release: int
+    reason: str
+    bounces: list[_Bounce]
+
+
+def _section(run: Run) -> _Section:
+    """Free flights of a run that coasts or slides down an incline."""
+    bounces, (start, stop) = _bounces(run), _main_motion(run)
+    first, release, begins = _find_begin(run, start, stop)
+    last, ends = _find_end(run, first, stop, bounces)
+    more = tuple(_flights_after_bounces(run, stop, bounces))
+    if more:
+        ends += f", and {len(more)} flights after bounces, to {run.motion.t[more[-1][1]]:.4g} s"
+    return _Section(((first, last), *more), release, f"from {begins} to {ends}", bounces)
+
+
+def _flights_after_bounces(run: Run, stop: int, bounces: Sequence[_Bounce]) -> Iterator[tuple[int, int]]:
+    """Yield first and last frame of every flight that a bounce begins; on an incline they end with the main motion.
+
+    The last one ends where a further bounce would be that the noise hides.
+    """
+    motions = [motion for motion, _ in join_swings(run, _motions(run))] if bounces else []
+    for bounce, following in zip(bounces, [*bounces[1:], None], strict=False):  # of no bounces, no pair
+        event = _event(run, bounce.after)
+        first = event[1] + EVENT_REACH_FRAMES if event else bounce.after + _filter_frames(run)
+        moves = next((motion.stop - 1 for motion in motions if motion.stop > first), first)
+        end = min(stop if run.has_incline else moves, bounce.following) if following is None else following.after
+        if end - first < MIN_FREE_FRAMES:
+            continue
+        last, _ = _find_end(run, first, end, bounces)
+        if last - first >= MIN_FREE_FRAMES:
+            yield first, last
+
+
+def _within(flights: Sequence[tuple[int, int]], n: int) -> Mask:
+    """Frames (n,) of some flights."""
+    out = np.zeros(n, dtype=bool)
+    for first, last in flights:
+        out[first : last + 1] = True
+    return out
+
+
+def _main_motion(run: Run) -> tuple[int, int]:
+    """First and last valid frame of the motion to use: across reversals on an incline, else the fastest part."""
+    valid, speed = run.displacement.valid, np.abs(run.motion.v)
+    motions = _motions(run)
+    if not motions:
+        raise FrictrackError(
+            f'run "{run.name}": expected a sliding target but its speed never exceeds {MIN_MOTION_SIGMAS:g} standard '
+            "deviations; check the target, or give the free section as free = [t0, t1]"
+        )
+    motions = [motion for motion, _ in join_swings(run, motions)]
+    # a wrong sample at an end of the record looks like the fastest motion of all
+    compared = np.where(valid & ~_events_at_ends(run), speed, 0.0)
+    fastest = max(motions, key=lambda s: float(np.max(compared[s])))
+    chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
+    inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
+    return int(inside[0]), int(inside[-1])
+
+
+def _motions(run: Run) -> list[slice]:
+    """Spans in which the mass moves."""
+    return [s for s in stretches(is_moving(run) | ~run.displacement.valid) if is_motion(run, s)]
+
+
+def is_motion(run: Run, s: slice) -> bool:
+    """Whether the velocity in a span significantly differs from zero somewhere."""
+    significant = np.abs(run.motion.v[s]) > MIN_MOTION_SIGMAS * run.motion.sigma_v[s]
+    return bool(np.any(significant & run.displacement.valid[s]))
+
+
+def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
+    """First free frame, frame of release, and the reason."""
+    t, filter_frames = run.motion.t, _filter_frames(run)
+    usable = run.displacement.valid & ~_lost_frame_spikes(run, start, stop) & ~_events_at_ends(run)
+    speed = np.where(usable, np.abs(run.motion.v), 0.0)[start : stop + 1]
+    fastest = int(np.argmax(speed))
+    before = speed[: fastest + 1]
+    if run.has_incline:
+        release, event = start, f"the beginning of motion at {t[start]:.4g} s"
+        was_at_rest = bool(np.any(run.displacement.valid[:start]))
+    else:
+        was_at_rest = bool(np.min(before[before > 0.0]) < PUSH_SPEED_SHARE * before[-1])
+        release, event = start + fastest, f"the highest speed at {t[start + fastest]:.4g} s"
+    if not was_at_rest:
+        return start, start, f"the first frame at {t[start]:.4g} s, which moves freely already"
+    push = _event(run, release)
+    if push:  # the smoother modelled the push as an event, so it does not smear it
+        first = min(push[1] + EVENT_REACH_FRAMES, release + filter_frames, stop)
+        return first, release, f"{event}, after the push at {t[first]:.4g} s,"
+    return min(release + filter_frames, stop), release, f"{event} and {filter_frames} frames for the filter"
+
+
+def _find_end(run: Run, first: int, stop: int, bounces: Sequence[_Bounce]) -> tuple[int, str]:
+    """Last free frame, and the reason."""
+    t, filter_frames = run.motion.t, _filter_frames(run)
+    rows = [bounce.before for bounce in bounces if first < bounce.before <= stop]
+    hit = _impact(run, first, stop)
+    impact_row = min(rows if hit is None else [hit[0], *rows], default=None)
+    if impact_row is not None:
+        why, event = f"an impact at {t[impact_row]:.4g} s", _event(run, impact_row)
+        if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
+            return min(event[0] - EVENT_REACH_FRAMES, stop), why
+        return max(impact_row - filter_frames, first), f"{why} less {filter_frames} frames for the filter"
+    if stop == np.flatnonzero(run.displacement.valid)[-1]:
+        return stop, f"the last valid frame at {t[stop]:.4g} s"
+    return stop, f"the last moving frame at {t[stop]:.4g} s"
+
+
+def _filter_frames(run: Run) -> int:
+    """Frames over which the low-pass smears an abrupt change: half a period of its cut-off, where known."""
+    if not np.isfinite(run.motion.cutoff):
+        return run.motion.guard
+    period = 1.0 / (run.motion.cutoff * _interval(run))
+    return int(min(np.ceil(period / 2.0), len(run.motion) // 8))
+
+
+def _event(run: Run, row: int) -> tuple[int, int] | None:
+    """First and last row of the event of the smoother nearest to a row; None if there is none."""
+    around = [e for e in run.motion.events if e[0] - MAX_EVENT_DISTANCE <= row <= e[1] + MAX_EVENT_DISTANCE]
+    return min(around, key=lambda e: max(e[0] - row, row - e[1])) if around else None
+
+
+def _events_at_ends(run: Run) -> Mask:
+    """Frames (n,) of events at the ends of the record, where a push cannot be distinguished from a wrong sample."""
+    n = len(run.motion)
+    rows = np.arange(n)
+    out = np.zeros(n, dtype=bool)
+    for first, last in run.motion.events:
+        if first <= EVENT_REACH_FRAMES or last >= n - 1 - EVENT_REACH_FRAMES:
+            out |= (rows >= first - EVENT_REACH_FRAMES) & (rows <= last + EVENT_REACH_FRAMES)
+    return out
+
+
+def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
+    """Frames (n,) whose speed appears and disappears at once: lost frames, not pushes."""
+    speed, window = np.abs(run.motion.v), _impact_frames(run)
+    i = np.arange(len(speed))
+    neighbour_speed = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
+    return np.asarray(
+        (neighbour_speed < PUSH_SPEED_SHARE * speed) & (speed - neighbour_speed > _sudden_speed_loss(run, start, stop))
+    )
+
+
+def _interval(run: Run) -> float:
+    """Frame interval, s."""
+    return float(np.median(np.diff(run.motion.t)))
+
+
+def _impact_frames(run: Run) -> int:
+    """Frames within which an impact takes half of the speed in low-passed data."""
+    return max(round(IMPACT_TIME_S / _interval(run)), 2 * _filter_frames(run))
+
+
+def _impact_acceleration(run: Run, first: int, stop: int) -> float:
+    """Acceleration from which on a span contains an impact, m/s^2."""
+    return IMPACT_RATIO * float(np.median(np.abs(run.motion.a[first : stop + 1])))
+
+
+def _sudden_speed_loss(run: Run, first: int, stop: int) -> float:
+    """Loss of speed within the frames of an impact that sliding cannot cause, m/s."""
+    return _impact_acceleration(run, first, stop) * _impact_frames(run) * _interval(run) / 2.0
+
+
+def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
+    """First and last frame of the first impact: half of the speed is lost far faster than in the slide.
+
+    Speed that returns soon after was not lost; a frame was.
+    """
+    v, a = run.motion.v, np.abs(run.motion.a)
+    window = _impact_frames(run)
+    i = np.arange(first, min(stop + 1, len(v) - 1))
+    j = np.minimum(i + window, len(v) - 1)
+    offsets = [k * round(IMPACT_TIME_S / _interval(run)) for k in range(3)]
+    direction = np.sign(v[i])
+    speed_before = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in offsets], axis=0)
+    speed_after = np.max([direction * v[np.minimum(j + k, len(v) - 1)] for k in offsets], axis=0)
+    loss = speed_before - speed_after
+    hits = i[(loss > 0.5 * speed_before) & (loss > _sudden_speed_loss(run, first, stop)) & ~_events_at_ends(run)[i]]
+    if len(hits) == 0:
+        return None
+    hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
+    quiet = a <= _impact_acceleration(run, first, stop)
+    before, after = np.flatnonzero(quiet[first:hardest]), np.flatnonzero(quiet[hardest:])
+    begins = first + before[-1] if len(before) else first
+    return int(begins), int(hardest + after[0]) if len(after) else len(a) - 1
+
+
+def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
+    """Return whether two parabolas describe positions better than one polynomial of degree 5, by five deviations."""
+    both = np.concatenate([rows[0][:-1], rows[1]])
+    both = both[usable[both]]
+    turn = t[rows[1][0]]
+    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
+        smooth = np.polyval(np.polyfit(t[both] - turn, x[both], 5), t[both] - turn)
+    parabolas = np.where(t[both] < turn, *(np.polyval(side.c, t[both] - turn) for side in sides))
+    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
+    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
+
+
+@dataclass(frozen=True)
+class _Bounce:
+    """A reversal at which something hits the mass: velocities before and after, m/s, and the frames around it.
+
+    `before` and `after` are the last and the first frame of free flight, `following` the next reversal of its sense.
+    """
+
+    v_before: float
+    v_after: float
+    before: int
+    after: int
+    following: int
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Parabola through the positions on one side of a reversal, the variance of its slope there, and the noise."""
+
+    c: Array
+    slope_variance: float
+    noise: float
+
+
+def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> _Side | None:
+    """Fit a parabola to positions (n,), m, at times (n,), s, from a reversal at 0, but to the eighth nearest to it."""
+    use = usable & (np.abs(t) > np.max(np.abs(t)) / 8)
+    if np.sum(use) < MIN_FREE_FRAMES:
+        return None
+    c, covariance = np.polyfit(t[use], x[use], 2, cov="unscaled")
+    variance = np.sum((x[use] - np.polyval(c, t[use])) ** 2) / (np.sum(use) - 3)
+    variance = max(float(variance), resolution**2 / 12)
+    return _Side(c, float(covariance[1, 1]) * variance, float(np.sqrt(variance)))
+
+
+def _crossing(before: _Side, after: _Side) -> tuple[float, float, float, float] | None:
+    """Time at which two parabolas cross, s, their velocities there, and the standard deviation of their difference."""
+    roots = np.roots(after.c - before.c)
+    roots = roots[np.isreal(roots)].real
+    if not len(roots):
+        return None
+    t = float(roots[np.argmin(np.abs(roots))])
+    v_before, v_after = (float(np.polyval(np.polyder(side.c), t)) for side in (before, after))
+    return t, v_before, v_after, float(np.sqrt(before.slope_variance + after.slope_variance))
+
+
+def _bounces(run: Run) -> list[_Bounce]:
+    """Find the bounces of a run: reversals at which its way has a kink.
+
+    A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
+    cross, their slopes differ by the blow. No smooth curve of as many parameters describes the way as well, as it does
+    that of a swing. Smoothed velocities do not tell it in coarse records.
+    """
+    x, t = run.displacement.x, run.motion.t
+    usable = run.displacement.valid & np.isfinite(x)
+    moves = [part for part in split_by_direction(run, stretches(is_moving(run) | ~usable)) if is_motion(run, part)]
+    turns = []
+    for before, after in pairwise(moves):
+        sign = np.sign(run.motion.v[before.stop - 1])
+        if sign != np.sign(run.motion.v[after.start]):
+            between = slice(before.stop - 1, after.start + 1)
+            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
+    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
+    out = []
+    for i, (low, turn, high) in enumerate(zip(edges, edges[1:], edges[2:], strict=False)):
+        rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
+        sides = [_parabola(t[r] - t[turn], x[r], usable[r], run.displacement.resolution) for r in rows]
+        known = [side for side in sides if side is not None]
+        crossing = _crossing(*known) if len(known) == len(sides) else None
+        if crossing is None:
+            continue
+        tau, v_before, v_after, sigma = crossing
+        least = min(t[turn] - t[rows[0][0]], t[rows[1][-1]] - t[turn]) / 4
+        is_kink = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and _is_kinked(t, x, known, rows, usable)
+        if v_before * v_after < 0 and is_kink and abs(tau) < least:
+            last, first = (
+                r[np.abs(x[r] - np.polyval(side.c, t[r] - t[turn])) < MIN_MOVING_SIGMAS * side.noise]
+                for r, side in zip(rows, known, strict=True)
+            )
+            ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
+            out.append(_Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
+    return out
+
+
+def find_events(run: Run) -> RunEvents:
+    """Find the events and the rests of a run.
+
+    A reversal is where the velocity crosses zero between two motions of opposite direction. A stop and a start are
+    where the mass rests between motions. An impact changes the velocity by far more than friction does in that time.
+    The noise at rest is that of the unfiltered displacement about the mean of each rest, without rests that creep.
+
+    Parameters
+    ----------
+    run
+        A run with displacement and motion.
+
+    Returns
+    -------
+    RunEvents
+        Events in order as (kind, begin s, end s), rests as (begin s, end s), and the noise at rest, m.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> [kind for kind, _, _ in ft.find_events(ft.samples.runs()[2]).events]
+    ['release', 'stop']
+
+    """
+    t, v = run.motion.t, run.motion.v
+    least = MIN_DISTANCE_SIGMAS * float(np.nanmedian(run.displacement.sigma_x))  # more than the noise of the position
+    spans = split_by_direction(run, stretches(is_moving(run) | ~run.displacement.valid))
+    motions = [s for s in spans if is_motion(run, s) and np.ptp(run.motion.x[s]) > least]
+    release = _release(run)
+    found: list[tuple[str, int, int]] = []  # kind, first and last frame
+    if motions and motions[0].start > MIN_REST_FRAMES:
+        found.append(("start", motions[0].start - 1, motions[0].start))
+    for before, after in pairwise(motions):
+        ends = before.stop - 1
+        if np.sign(v[ends]) != np.sign(v[after.start]) and after.start - ends <= MIN_REST_FRAMES:
+            found.append(("reversal", ends, after.start))
+        else:
+            found += [("stop", ends, ends + 1), ("start", after.start - 1, after.start)]
+    if motions and motions[-1].stop < len(t) - 1:
+        found.append(("stop", motions[-1].stop - 1, motions[-1].stop))
+    found += _impacts(run, motions, -np.inf if release is None else release)
+    events = [("release", release, release)] if release is not None else []
+    events += [(kind, float(t[i]), float(t[j])) for kind, i, j in found]
+    rests = _rests(run, motions)
+    spans_of_rests = tuple((float(t[s.start]), float(t[s.stop - 1])) for s in rests)
+    return RunEvents(tuple(sorted(events, key=lambda e: e[1])), spans_of_rests, _noise(run, rests))
+
+
+def _release(run: Run) -> float | None:
+    """Time of the release of a run without a measured force, s, if it lies after the first frame."""
+    if run.free is not None or _has_measured_force(run):
+        return None
+    try:
+        at = release_time(run)
+    except FrictrackError:
+        return None
+    return at if at > run.motion.t[0] else None
+
+
+def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, int, int]]:
+    """The bounces and, of every motion, the first sudden loss of speed that does not stop it, both after a time."""
+    out = [("impact", one.before, one.after) for one in _bounces(run)]
+    for s in motions:
+        hit = _impact(run, max(s.start, int(np.searchsorted(run.motion.t, after))), s.stop - 1)
+        if hit and hit[1] + EDGE_FRAMES < s.stop:
+            out.append(("impact", *hit))
+    return [one for one in out if run.motion.t[one[1]] > after]
+
+
+def _rests(run: Run, motions: list[slice]) -> list[slice]:
+    """Stretches between the motions that are long enough to show the noise."""
+    edges = [0, *[k for s in motions for k in (s.start, s.stop)], len(run.motion)]
+    between = [
+        slice(i + EDGE_FRAMES, max(j - EDGE_FRAMES, i + EDGE_FRAMES))
+        for i, j in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return [s for s in between if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
+
+
+def _noise(run: Run, rests: list[slice]) -> float:
+    """Standard deviation of the displacement at rest, m; NaN without a rest."""
+    at_rest = [run.displacement.x[s][run.displacement.valid[s]] for s in rests]
+    count = sum(len(x) - 1 for x in at_rest)
+    return float(np.sqrt(sum(np.sum((x - np.mean(x)) ** 2) for x in at_rest) / count)) if count else float("nan")
+
+
+def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[float | None]) -> list[Run]:
+    """Return the runs, each with the runs that were made before it.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs on the same surfaces, in the order in which they were made.
+    pauses : sequence of float or None
+        Time between the end of the run before and the beginning of each, s; that of the first does not count. None
+        where it is not known: what happened before then is not known either, for this run and those after it.
+
+    Returns
+    -------
+    list of Run
+        The runs with `earlier`.
+
+    Raises
+    ------
+    FrictrackError
+        If there is not one pause per run.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> runs = ft.with_earlier_runs(ft.samples.runs()[:2], [None, 60.0])
+    >>> runs[0].earlier, [(rest, round(slid, 2)) for rest, slid in runs[1].earlier]
+    ((), [(60.0, 0.21)])
+
+    """
+    if len(pauses) != len(runs):
+        raise FrictrackError(f"expected one pause for each of the {len(runs)} runs but got {len(pauses)}")
+    if all(pause is None for pause in pauses[1:]):
+        return list(runs)
+    earlier: EarlierRuns | None = ()
+    out = [replace(runs[0], earlier=earlier)]
+    for run, pause in zip(runs[1:], pauses[1:], strict=True):
+        if earlier is not None and pause is not None:
+            t = out[-1].motion.t
+            # the distance is without the noise at rest
+            slid = float(np.sum(np.abs(np.diff(out[-1].motion.x)) * is_moving(out[-1])[1:]))
+            earlier = after_run(earlier, float(t[-1] - t[0]), slid, pause)
+        else:
+            earlier = None
+        out.append(replace(run, earlier=earlier))
+    return out
+
+
+def after_run(earlier: EarlierRuns, duration: float, distance: float, pause: float) -> EarlierRuns:
+    """Return what was slid before a run that begins a pause (s) after another one.
+
+    The other one has its own `earlier`, lasted for a duration (s) and slid a distance (m).
+    """
+    return *((rest + duration + pause, slid) for rest, slid in earlier), (pause, distance)

@@ -1,0 +1,81 @@
+"""Compute position, velocity and acceleration with their standard deviations from a displacement.
+
+`low_pass` smooths the displacement by one of `filter_methods` or by a structural model (a trend of varying stiffness,
+lines, events, forces that are periodic in place, and coloured noise), and `differentiate` derives it. Of that model,
+`structure_search` finds the structure, `smoother` solves the equations, `posterior_deviations` says what is uncertain.
+"""
+
+from frictrack.measure.motion.derivative import (
+    Derivatives,
+    best_smoothing,
+    covariance,
+    derivatives,
+    differentiate,
+    filtered_acceleration,
+)
+from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
+from frictrack.measure.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
+from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, interpolate_missing, unit_responses
+from frictrack.measure.motion.grid import (
+    STENCIL_FRAMES,
+    FrameGrid,
+    frame_grid,
+    stencil_start,
+    stencil_weights,
+    stencils,
+)
+from frictrack.measure.motion.noise import (
+    CORRELATION_COST,
+    DIFFERENCE_ORDER,
+    FALLBACK_ORDER,
+    CorrelatedNoise,
+    NoiseStretch,
+    correlated_noise,
+    difference_order,
+    difference_variance,
+    noise_level,
+    slow_spectrum,
+)
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
+from frictrack.measure.motion.smoother_data import SmootherData
+from frictrack.settings.filters import METHOD_NAMES
+
+__all__ = [
+    "CORRELATION_COST",
+    "DIFFERENCE_ORDER",
+    "FALLBACK_ORDER",
+    "METHOD_NAMES",
+    "MISSING_SIGMA",
+    "STENCIL_FRAMES",
+    "CorrelatedNoise",
+    "Derivatives",
+    "FactoredSmoother",
+    "FilterMethod",
+    "FilteredMotion",
+    "FrameGrid",
+    "KnownAcceleration",
+    "NoiseStretch",
+    "Smoother",
+    "SmootherData",
+    "Structure",
+    "best_smoothing",
+    "compare_filters",
+    "correlated_noise",
+    "covariance",
+    "cutoff_tradeoff",
+    "derivatives",
+    "difference_order",
+    "difference_variance",
+    "differentiate",
+    "filtered_acceleration",
+    "frame_grid",
+    "frame_weights",
+    "interpolate_missing",
+    "low_pass",
+    "noise_level",
+    "slow_spectrum",
+    "stencil_start",
+    "stencil_weights",
+    "stencils",
+    "unit_responses",
+]

@@ -1,0 +1,450 @@
+"""Compute velocity and acceleration of a low-passed displacement, with standard deviations and covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
+from frictrack.measure.motion.filter_methods import Smoother, interpolate_missing
+from frictrack.measure.motion.grid import (
+    STENCIL_FRAMES,
+    STENCIL_REACH,
+    FrameGrid,
+    frame_grid,
+    stencil_derivative,
+    stencil_derivatives,
+    stencils,
+)
+from frictrack.measure.motion.place_forces import Course, place_force_errors
+from frictrack.measure.motion.posterior_deviations import deviations, line_frequency_errors, weighted_cubic
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
+from frictrack.measure.motion.smoother_data import SmootherData
+from frictrack.measure.motion.structure_average import added_variances, mean_shift
+from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES
+from frictrack.records import Array, Displacement, Filtered, Motion
+
+QUANTITIES = ("x", "v", "a")
+_BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
+
+
+def differentiate(filtered: Filtered) -> Motion:
+    """Compute velocity and acceleration of a low-passed displacement by finite differences.
+
+    Stencils have five points inside and six at the ends; they are exact for polynomials up to fourth order. Standard
+    deviations follow from the covariance of the smoother: noise let through and signal removed. Where the acceleration
+    jumps between two frames, sigma_a covers the values on both sides. The remainder of a camera shake is included.
+
+    Parameters
+    ----------
+    filtered
+        Displacement of n frames, smoothed by `low_pass`.
+
+    Returns
+    -------
+    Motion
+        x (m), v (m/s) and a (m/s^2) with standard deviations, each (n,). Its `guard` is the number of frames at an end
+        that are not reliable: half a period of the cut-off, which reduces an abrupt event to a fifth, or the end frames
+        with sigma_a above twice its median if these are more; at most an eighth of the record.
+
+    Examples
+    --------
+    >>> from frictrack.measure.motion import low_pass
+    >>> from frictrack.records import Displacement
+    >>> t = np.arange(200) / 1000.0
+    >>> none, one = np.full(200, np.nan), np.ones(200)
+    >>> x = 2.0 * t - 5.0 * t**2 + 1e-6 * np.random.default_rng(0).standard_normal(200)
+    >>> motion = differentiate(low_pass(Displacement(t, x, none, none, 1e-6 * one, none, one == 1)))
+    >>> bool(abs(motion.a[100] + 10.0) < 0.1)
+    True
+
+    """
+    of_x = Derivatives.of_x(filtered)
+    sigma, values = of_x.deviations(), of_x.values()
+    if filtered.events:
+        sigma[2] = np.hypot(sigma[2], _jump_deviation(values[2], filtered.events))
+    shake_a = 0.0
+    if filtered.shake:
+        shake = of_x.shake_errors(*filtered.shake)
+        sigma, shake_a = np.hypot(sigma, shake), float(np.sqrt(np.mean(shake[2] ** 2)))
+    a_y = sigma_a_y = np.full(len(filtered), np.nan)
+    if np.isfinite(filtered.cutoff_y):
+        of_y = Derivatives.of_y(filtered)
+        a_y, sigma_a_y = of_y.values()[2], of_y.deviations()[2]
+    for column in (values, sigma, a_y):
+        column.setflags(write=False)  # so that the record need not copy them
+    period = 1.0 / (filtered.cutoff * of_x.grid.interval)
+    return Motion(
+        t=filtered.t,
+        x=values[0],
+        v=values[1],
+        a=values[2],
+        a_y=a_y,
+        sigma_x=sigma[0],
+        sigma_v=sigma[1],
+        sigma_a=sigma[2],
+        sigma_a_y=sigma_a_y,
+        guard=_guard_frames(sigma[2][filtered.sigma_x < MISSING_SIGMA], period),
+        cutoff=filtered.cutoff,
+        filter=filtered.smoother if of_x.smoother.method else "",
+        events=filtered.events,
+        lines=filtered.lines,
+        shake_a=shake_a,
+        repaired=filtered.repaired,
+        smoother=filtered.smoother if filtered.sigma_sensor is None else "",
+    )
+
+
+def filtered_acceleration(motion: Motion, measured: Displacement, x: Array) -> Array | None:
+    """Compute the acceleration of another displacement through the filter of a motion.
+
+    A filter is linear once its settings are chosen, so a model can be seen as the measurement was.
+
+    Parameters
+    ----------
+    motion
+        What `differentiate` computed, n frames.
+    measured
+        The displacement of the same frames; its deviations weight the frames.
+    x
+        The other displacement, m, (n,).
+
+    Returns
+    -------
+    Array or None
+        Acceleration, m/s^2, (n,). None if the filter of the motion is not known.
+
+    """
+    if not motion.smoother:
+        return None
+    known = measured.known
+    sigma = np.full(len(motion), MISSING_SIGMA)
+    sigma[known] = frame_weights(measured.sigma_x, known)[known] ** -0.5
+    none = np.full(len(motion), np.nan)
+    filtered = Filtered(motion.t, motion.x, none, sigma, none, cutoff=motion.cutoff, smoother=motion.smoother)
+    cubic = Polynomial.fit(motion.t, x, 3)  # the filters smooth what is left after it, and add it again
+    change = Derivatives.of_x(filtered).apparent_motion((x - cubic(motion.t))[:, None])[2, :, 0]
+    return np.asarray(cubic.deriv(2)(motion.t) + change)
+
+
+def derivatives(filtered: Filtered) -> Array:
+    """Compute x, v and a without their standard deviations, which take most of the time.
+
+    Parameters
+    ----------
+    filtered
+        Displacement of n frames, smoothed by `low_pass`.
+
+    Returns
+    -------
+    Array
+        x (m), v (m/s) and a (m/s^2), (3, n).
+
+    """
+    return Derivatives.of_x(filtered).values()
+
+
+def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = None) -> Array:
+    """Compute the covariance of x, v or a among frames; smoothing correlates their errors.
+
+    The standard deviation of a mean or a slope of the friction force follows from it.
+
+    Parameters
+    ----------
+    filtered
+        Displacement smoothed by `low_pass`.
+    of
+        "x", "v" or "a".
+    rows
+        Rows of the record, (m,); by default all.
+
+    Returns
+    -------
+    Array
+        Covariance, (m, m), in m^2, m^2/s^2 or m^2/s^4.
+
+    Raises
+    ------
+    FrictrackError
+        For another quantity.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> filtered = ft.low_pass(ft.samples.runs()[0].displacement)
+    >>> matrix = ft.covariance(filtered, "v", np.arange(60, 70))
+    >>> matrix.shape, bool(np.allclose(np.diag(matrix) ** 0.5, ft.differentiate(filtered).sigma_v[60:70]))
+    ((10, 10), True)
+
+    """
+    if of not in QUANTITIES:
+        raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
+    chosen = np.arange(len(filtered)) if rows is None else np.asarray(rows, dtype=np.int64)
+    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of one low-passed coordinate and their standard deviations.
+
+    Attributes
+    ----------
+    grid
+        Frame numbers of the n rows, on N frames.
+    x
+        Low-passed rows, m, (n,).
+    w
+        Weights on the grid, (N,).
+    noise
+        Standard deviation of a frame of weight 1, m.
+    smoother
+        What low-passed the coordinate.
+    sensor_weights
+        Weights of the second differences that a sensor measured, (N - 2,).
+    measured
+        Unfiltered series on the grid, (N,), where the deviations need it.
+    best
+        Derivatives by the default smoother, where another filter was asked for. Given the data, the true motion differs
+        from these by their deviations, whatever the filter. So the error of the filter asked for, noise that it passes
+        and signal that it loses, is its distance from these and their error.
+
+    """
+
+    grid: FrameGrid
+    x: Array
+    w: Array
+    noise: float
+    smoother: Smoother
+    sensor_weights: Array | None = None
+    measured: Array | None = None
+    best: Derivatives | None = None
+
+    @classmethod
+    def of_x(cls, filtered: Filtered) -> Derivatives:
+        """Derivatives of x."""
+        grid, known = frame_grid(filtered.t), filtered.sigma_x < MISSING_SIGMA
+        noise = float(np.mean(filtered.sigma_x[known] ** -2.0) ** -0.5)
+        measured = None if filtered.x_measured is None else grid.to_frames(np.nan_to_num(filtered.x_measured))
+        w = grid.to_frames(frame_weights(filtered.sigma_x, known))
+        smoother = Smoother.read(filtered.smoother)
+        result = cls(grid, filtered.x, w, noise, smoother, measured=measured)
+        best = best_smoothing(filtered)
+        if best is not filtered:
+            return replace(result, best=cls.of_x(best))
+        if filtered.sigma_sensor is None or smoother.method:
+            return result
+        sigma = grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
+        return replace(result, sensor_weights=sensor_weights(sigma, grid.interval**2, noise))
+
+    @classmethod
+    def of_y(cls, filtered: Filtered) -> Derivatives:
+        """Derivatives of y: those of x after y was put in its place."""
+        return cls.of_x(
+            replace(
+                filtered,
+                x=filtered.y,
+                sigma_x=filtered.sigma_y,
+                x_measured=filtered.y_measured,
+                smoother=filtered.smoother_y,
+                sigma_sensor=None,
+            )
+        )
+
+    def values(self) -> Array:
+        """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""
+        if self.measured is not None and self.smoother.method is not None:
+            return self.grid.to_rows(self._respond(self.measured))
+        return self.grid.to_rows(stencil_derivatives(self._on_grid(), self.grid.interval))
+
+    def _respond(self, columns: Array) -> Array:
+        """Derivatives (3, N, ...) of what the filter makes of columns (N, ...); missing frames do not count."""
+        if (method := self.smoother.method) is not None:
+            filled = interpolate_missing(columns, self.w > 0)
+            found = [method.derived(filled, k) for k in range(3)]
+        else:
+            smooth = self.factor.smooth(columns)
+            found = [stencil_derivative(smooth, k) for k in range(3)]
+        return np.stack([one / self.grid.interval**k for k, one in enumerate(found)])
+
+    def deviations(self) -> Array:
+        """Standard deviations of `values`, (3, n)."""
+        if self.best is not None:
+            return np.asarray(np.hypot(self.best.deviations(), self.values() - self.best.values()))
+        best, structure, measured = self._without_forces, self.smoother.structure, self.measured
+        changes: list[tuple[slice, Array]] = []
+        if structure is not None and measured is not None and self.smoother.alternatives:
+            rest = measured - self._course.displacement(self.smoother.forces)
+            rest = np.where(self.w > 0, rest - weighted_cubic(rest, self.w), 0.0) / self.noise
+            average = SmootherData(rest, self.w, colour=self.smoother.colour), structure, self.smoother.alternatives
+            best = best - self.noise * mean_shift(*average)  # of the best structure alone
+            changes = [*added_variances(*average, self.grid.interval)]
+        spread = deviations(self.factor, best, self.noise, self.grid.interval)
+        for frames, more in changes:
+            spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+        for error in self.parameter_errors:
+            np.hypot(spread, error, out=spread)
+        spread *= self.noise
+        return self.grid.to_rows(spread)
+
+    @cached_property
+    def parameter_errors(self) -> list[Array]:
+        """Changes of x, v and a by one standard deviation of frequencies and forces, (3, N), for unit noise."""
+        lines = line_frequency_errors(self.factor, self._without_forces / self.noise, self.grid.interval)
+        return [*lines, *place_force_errors(self.factor, self._course, self.smoother.forces)]
+
+    @cached_property
+    def _course(self) -> Course:
+        return Course(self._on_grid(), self.grid.interval)
+
+    @cached_property
+    def _without_forces(self) -> Array:
+        """Low-passed series (N,) without the displacement by forces that are periodic in place."""
+        return self._course.x - self._course.displacement(self.smoother.forces)
+
+    def shake_errors(self, frequency: float, size: float) -> Array:
+        """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
+
+        Parameters
+        ----------
+        frequency
+            Frequency, Hz.
+        size
+            Rms displacement, m.
+
+        Returns
+        -------
+        Array
+            Rms errors, (3, n).
+
+        """
+        angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
+        apparent_motion = self.apparent_motion(
+            size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
+        )
+        return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
+
+    def apparent_motion(self, ghosts: Array) -> Array:
+        """Compute the response of x, v and a to apparent displacements.
+
+        Parameters
+        ----------
+        ghosts
+            Displacements that the measurement adds, m, (n, k).
+
+        Returns
+        -------
+        Array
+            Their contribution to x, v and a, (3, n, k).
+
+        """
+        whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
+        return np.asarray(self._respond(whole)[:, self.grid.frames])
+
+    def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
+        """Compute the covariance of one derivative among rows.
+
+        Parameters
+        ----------
+        order
+            0 for x, 1 for v, 2 for a.
+        rows
+            Rows of the record, (m,).
+
+        Returns
+        -------
+        Array
+            Covariance, (m, m).
+
+        """
+        if self.best is not None:
+            away = (self.values() - self.best.values())[order, rows]
+            return self.best.covariance(order, rows) + np.outer(away, away)
+        start, table = stencils(self.grid.n, self.grid.interval)
+        frames = self.grid.frames[rows]
+        nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
+        use, place = np.unique(nodes, return_inverse=True)
+        pick = np.zeros((len(rows), len(use)))
+        np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
+        found = pick @ self.factor.covariance(use)[use] @ pick.T
+        for error in self.parameter_errors:
+            found += np.outer(error[order, frames], error[order, frames])
+        scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
+        out: Array = found * np.outer(scale, scale)
+        return out
+
+    @cached_property
+    def factor(self) -> FactoredSmoother:
+        """Equations of the structural smoother."""
+        assert self.smoother.structure is not None
+        return self.factor_smoother(self.smoother.structure)
+
+    def factor_smoother(self, structure: Structure) -> FactoredSmoother:
+        """Equations of another structure with the same weights."""
+        return structure.factor_smoother(
+            SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
+        )
+
+    def _on_grid(self) -> Array:
+        """Low-passed rows on the grid (N,); missing frames are interpolated as smoothly as possible."""
+        if self.grid.n == len(self.x):
+            return self.x
+        w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so large that the rows, which are smooth, do not move
+        y = self.grid.to_frames(self.x)
+        cubic = weighted_cubic(y, w)
+        return cubic + Structure((0.0,)).factor_smoother(SmootherData(y - cubic, w)).smooth(
+            np.where(w > 0, y - cubic, 0.0)
+        )
+
+
+def best_smoothing(filtered: Filtered) -> Filtered:
+    """Smooth the same x by the default method; once, however many ask for it.
+
+    Parameters
+    ----------
+    filtered
+        A displacement low-passed by any method.
+
+    Returns
+    -------
+    Filtered
+        The same object if it was smoothed by the default, or if a sensor was fused.
+
+    """
+    if not filtered.asked or filtered.x_measured is None:
+        return filtered
+    if filtered not in _BEST:
+        none, known = np.full(len(filtered), np.nan), filtered.sigma_x < MISSING_SIGMA
+        rows = Displacement(filtered.t, filtered.x_measured, none, none, filtered.sigma_x, none, known)
+        _BEST[filtered] = low_pass(rows)
+    return _BEST[filtered]
+
+
+def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
+    """Standard deviation (n,) of an acceleration that jumps between its neighbours; 0 outside events."""
+    change = np.abs(np.roll(a, -STENCIL_REACH) - np.roll(a, STENCIL_REACH)) / np.sqrt(12.0)
+    inside = np.zeros(len(a), dtype=bool)
+    for first, last in events:
+        inside[max(first - STENCIL_REACH, STENCIL_REACH) : min(last + STENCIL_REACH + 1, len(a) - STENCIL_REACH)] = True
+    return np.where(inside, change, 0.0)
+
+
+def _guard_frames(sigma_a: Array, period: float) -> int:
+    """Frames not to be trusted at an end; `period` of the cut-off in frames.
+
+    The deviations of a long record differ along it: each end is judged against its own eighth.
+    """
+    n = len(sigma_a)
+    window = n if n <= MAX_WHOLE_FRAMES else n // 8
+    ragged = max(_uncertain_frames(sigma_a, window), _uncertain_frames(sigma_a[::-1], window))
+    return int(min(max(np.ceil(period / 2.0), ragged), n // 8))
+
+
+def _uncertain_frames(sigma_a: Array, window: int) -> int:
+    """Frames at the beginning whose deviation exceeds twice the usual one of the first `window`."""
+    return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:window]))[0])

@@ -1,0 +1,461 @@
+"""Estimate the noise of a displacement series: its white level, and correlation between neighbouring frames.
+
+For white noise of variance s^2 the differences of order k have the variance C(2k, k) s^2 and the autocorrelations
+(-1)^j C(2k, k + j) / C(2k, k); a signal of frequency f enters them with (2 sin(pi f / fs))^k. Its level is estimated
+from fifth differences, which contain little slow signal. Third differences need shorter stretches and give a slightly
+more precise estimate, but contain jerks and the ripple of a tracker.
+
+Filters of a sensor, mains and air cause noise that is correlated between neighbouring frames, whatever the friction
+law. It is modelled as white noise plus a first-order autoregressive process of rms `s` and correlation time `tau`,
+whose spectrum is flat at low frequencies. Forces on the mass differ from it: whether they change slowly or from frame
+to frame, the spectrum of the motion falls at least with the fourth power of the frequency. So
+
+    S(f) = w + s g(f; tau) + c (2 sin pi f)^-4 + d (2 sin pi f)^-8,      w, s, c, d >= 0
+
+is fitted to the spectrum (Whittle likelihood: Whittle 1953, Ark. Mat. 2; multiplicative updates: Fevotte, Bertin &
+Durrieu 2009, Neural Comput. 21) of each run; only tau, a property of the instrument, is common. The spectrum is a
+multitaper estimate of the second differences (Thomson 1982, Proc. IEEE 70), so that the slide does not leak into it.
+Lines are left out. The test for such noise uses frequencies above a tenth of the frame rate, where hardly any force
+moves a mass. Correlation times that a record does not contain many times are not tried: a slow misfit belongs to the
+model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import comb
+
+import numpy as np
+import scipy
+
+from frictrack.base.distributions import chi2_isf, robust_std
+from frictrack.records import Array, Mask
+from frictrack.sampling import frame_numbers
+
+DIFFERENCE_ORDER = 5
+FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
+OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
+MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
+
+
+def difference_variance(order: int) -> float:
+    """Variance of the differences of unit white noise, C(2k, k)."""
+    return float(comb(2 * order, order))
+
+
+def correlation_cost(order: int) -> float:
+    """Sum of the squared autocorrelations of the differences: frames per degree of freedom."""
+    return comb(4 * order, 2 * order) / comb(2 * order, order) ** 2
+
+
+CORRELATION_COST = correlation_cost(DIFFERENCE_ORDER)  # 2.91
+
+
+def slow_spectrum(n: int) -> Array:
+    """Amplitudes of a slow error of unit rms in the first cosines of n frames.
+
+    The error has equal power in each octave from a few frames to the whole piece.
+
+    Parameters
+    ----------
+    n
+        Number of frames.
+
+    Returns
+    -------
+    Array
+        Amplitudes of the orthonormal cosines, without the constant, (k,).
+
+    """
+    k = np.arange(1, max(n // MIN_HALF_WAVE_FRAMES, 2))
+    return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
+
+
+def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array | None = None) -> tuple[Array, Array]:
+    """Estimate the standard deviation of the white noise of a series.
+
+    Differences over a missing frame, and outliers by an impact, are left out. From m fifth differences,
+    var(s^2) / s^4 = 2 * 2.91 / m, and half of its root for s.
+
+    Parameters
+    ----------
+    x
+        Values at evenly spaced frames in any unit, (n,) or (n, B).
+    valid
+        Frames that were measured, (n,).
+    relative
+        Relative standard deviations of the frames, (n,); the result then is that of a frame where they are 1.
+    t
+        Times, s, (n,), if intervals between frames may be longer than others.
+
+    Returns
+    -------
+    tuple of arrays
+        Standard deviation, and its relative standard deviation, both (B,) or scalars. NaN if fewer than four
+        neighbouring frames are valid.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).standard_normal(5000)
+    >>> sigma, _ = noise_level(np.linspace(0.0, 50.0, 5000) ** 2 + noise, np.ones(5000, dtype=bool))
+    >>> 0.95 < float(sigma) < 1.05
+    True
+
+    """
+    steps = np.minimum(np.diff(frame_numbers(t)), 2.0) if t is not None and len(t) > 1 else np.ones(1)
+    if np.any(steps > 1):
+        rows = np.repeat(np.arange(len(x)), np.append(steps, 1).astype(int))  # with a frame in every gap, not measured
+        measured = valid[rows] & np.append(True, np.diff(rows) > 0)
+        if np.any(_complete_differences(measured, FALLBACK_ORDER)):
+            return noise_level(x[rows], measured, None if relative is None else relative[rows])
+    order = difference_order(
+        *(int(np.sum(_complete_differences(valid, k))) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
+    )
+    d, whole = _differences(x, valid, order)
+    if not np.any(whole):
+        return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
+    d = d[whole] / _expected(relative, valid, order)[whole].reshape(-1, *[1] * (x.ndim - 1))
+    usual = robust_std(d, axis=0)
+    kept = np.abs(d) <= OUTLIER_SIGMAS * usual
+    m = np.sum(kept, axis=0)
+    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m)
+    return sigma, 0.5 * np.sqrt(2.0 * correlation_cost(order) / m)
+
+
+def difference_order(many: int, few: int) -> int:
+    """Choose the order of differences.
+
+    Parameters
+    ----------
+    many, few
+        Numbers of complete differences of `DIFFERENCE_ORDER` and `FALLBACK_ORDER`.
+
+    Returns
+    -------
+    int
+        `FALLBACK_ORDER` if missing frames leave too few differences of the higher order.
+
+    Examples
+    --------
+    >>> difference_order(100, 102), difference_order(10, 60)
+    (5, 3)
+
+    """
+    return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
+
+
+def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
+    """Differences (n - order, ...), and a mask of those without a missing frame."""
+    filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
+    return np.diff(filled, order, axis=0), _complete_differences(valid, order)
+
+
+def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
+    """Standard deviation of the differences (n - order,) of independent noise with relative standard deviations."""
+    size = np.ones(len(valid)) if relative is None else np.where(valid, relative, 1.0)
+    weights = np.array([float(comb(order, k)) for k in range(order + 1)])
+    return np.sqrt(np.convolve(size**2, weights**2, mode="valid"))
+
+
+def _complete_differences(valid: Mask, order: int) -> Mask:
+    """Mask of the differences without a missing frame."""
+    count = max(len(valid) - order, 0)
+    return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))
+
+
+MIN_FRAMES = 64  # of a stretch
+BANDWIDTH, TAPERS = 4, 7  # time-bandwidth product of the tapers, and number of tapers with low leakage
+DIFFERENCES = 2
+MOTION_POWERS = 4, 8  # of the frequency, with which the spectrum of a motion falls
+MIN_CORRELATION_TIMES = 20  # within a stretch
+CORRELATIONS = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.88, 0.93, 0.96])
+SHARES = np.array([0.3, 0.7, 0.9, 1.0])
+MAX_CORRELATION = 0.999
+SEARCH_WIDTHS = 0.5, 0.25, 0.12  # steps of the log odds of correlation and share, to refine the best shape
+SHAPES = np.array([(c, share) for c in CORRELATIONS for share in SHARES])  # (R, 2)
+WHITE = np.zeros((1, 2))
+N_UPDATES = 300
+ALPHA_CORRELATED = 1e-3  # false-alarm probability for white noise
+MIN_RUNS = 3  # needed to attribute noise to the instrument from half of `MIN_FREQUENCY` on
+MAX_BINS = 400  # of a spectrum
+N_SHAPE_PARAMETERS = 2  # correlation and share
+MIN_FREQUENCY = 0.1  # cycles per frame; the test uses the spectrum above it
+LINE_FACTOR = 3.0  # over the smooth spectrum; white noise exceeds it with these tapers once in 10 000
+
+
+@dataclass(frozen=True)
+class CorrelatedNoise:
+    """White noise plus autoregressive noise of k stretches.
+
+    Attributes
+    ----------
+    correlation
+        Correlation of neighbouring frames of the autoregressive part; the same in all stretches.
+    share
+        Its share of the variance; the same in all stretches.
+    rms
+        Standard deviation of both parts together by stretch, m, (k,).
+
+    """
+
+    correlation: float
+    share: float
+    rms: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseStretch:
+    """Evenly spaced positions (n,), m, with what was computed of their noise, so that it is computed once.
+
+    The positions must not be changed.
+    """
+
+    positions: Array
+    _evidence: dict[float, Array] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Longest part (m,) without a jump or kink."""
+        return _longest_undisturbed(self.positions)
+
+    @cached_property
+    def spectrum(self) -> _Spectrum:
+        """Spectrum of that part."""
+        return _Spectrum.of(self.smooth)
+
+    @staticmethod
+    def evidence(stretches: Sequence[NoiseStretch], lowest: float) -> Array:
+        """Evidence (k, R) for all `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
+        new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
+        for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
+            stretch._evidence[lowest] = row
+        return np.array([s._evidence[lowest] for s in stretches])
+
+
+def correlated_noise(stretches: Sequence[NoiseStretch]) -> CorrelatedNoise | None:
+    """Find noise that is correlated between neighbouring frames.
+
+    Parameters
+    ----------
+    stretches
+        The stretches; what is computed of one is kept with it.
+
+    Returns
+    -------
+    CorrelatedNoise or None
+        None if white noise explains the spectra.
+
+    References
+    ----------
+    Thomson 1982, Proc. IEEE 70, 1055-1096; Whittle 1953, Ark. Mat. 2, 423-434.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> t = np.linspace(0.0, 1.0, 2000)
+    >>> noise = 1e-5 * lfilter([0.6], [1.0, -0.8], np.random.default_rng(1).standard_normal(2000))
+    >>> found = correlated_noise([NoiseStretch(3.0 * t - t**2 + noise)])
+    >>> 0.7 < found.correlation < 0.9
+    True
+    >>> white = 1e-5 * np.random.default_rng(2).standard_normal(2000)
+    >>> correlated_noise([NoiseStretch(3.0 * t - t**2 + white)]) is None
+    True
+
+    """
+    n_shapes = _n_resolved(stretches)
+    return _best_shape(stretches, n_shapes) if n_shapes and _is_significant(stretches, n_shapes) else None
+
+
+def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
+    """Find correlated noise that the full spectrum of one stretch suggests.
+
+    At low frequencies a motion can look like such noise; the likelihood of the smoother has to confirm it.
+
+    Parameters
+    ----------
+    stretch
+        Evenly spaced positions, m, (n,).
+
+    Returns
+    -------
+    CorrelatedNoise or None
+        None if white noise explains the spectrum.
+
+    """
+    own = [NoiseStretch(stretch)]
+    n_shapes = _n_resolved(own)
+    return _best_shape(own, n_shapes) if n_shapes and _is_consistent(_evidence_of(own, n_shapes, 0.0)) else None
+
+
+def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
+    """Best-fitting noise: best of the first shapes, then refined."""
+    spectra = [s.spectrum for s in stretches]
+    best = SHAPES[int(np.argmax(np.sum(_evidence_of(stretches, n_shapes, 0.0), axis=0)))]
+    for width in SEARCH_WIDTHS:
+        near = _shapes_near(best, width)
+        best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
+    variances, _ = _fit_shapes(spectra, best[None])
+    return CorrelatedNoise(float(best[0]), float(best[1]), np.sqrt(variances[:, 0]))
+
+
+def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
+    """Whether one of the first shapes is significant above `MIN_FREQUENCY` and the same in all runs.
+
+    Noise of the instrument is the same in all runs, forces are not. Several runs that agree are tested from half of
+    that frequency on, too.
+    """
+    lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
+    return any(_is_consistent(_evidence_of(stretches, n_shapes, f)) for f in lowest)
+
+
+def _is_consistent(evidence: Array) -> bool:
+    """Whether the evidence (k, R) of k runs is significant for one shape that fits each run."""
+    best = int(np.argmax(np.sum(evidence, axis=0)))
+    differs = float(np.sum(np.max(evidence, axis=1) - evidence[:, best]))
+    consistent = differs < float(chi2_isf(ALPHA_CORRELATED, max(N_SHAPE_PARAMETERS * (len(evidence) - 1), 1)))
+    return consistent and float(np.sum(evidence[:, best])) > float(chi2_isf(ALPHA_CORRELATED, N_SHAPE_PARAMETERS))
+
+
+def _longest_undisturbed(x: Array) -> Array:
+    """Longest part (m,) of a stretch without a jump or kink, whose spectrum would look like noise."""
+    d = np.abs(np.diff(x, DIFFERENCE_ORDER))
+    if not len(d):
+        return x
+    jumps = np.flatnonzero(d > OUTLIER_SIGMAS * robust_std(d)) + DIFFERENCE_ORDER // 2
+    return max(np.split(x, np.unique(np.concatenate([jumps, jumps + 1]))), key=len) if len(jumps) else x
+
+
+def _n_resolved(stretches: Sequence[NoiseStretch]) -> int:
+    """Number of `SHAPES`, from the first on, that the shortest stretch contains often enough."""
+    n = min((len(s.smooth) for s in stretches), default=0)
+    return int(np.sum(np.exp(-MIN_CORRELATION_TIMES / n) >= SHAPES[:, 0])) if n >= MIN_FRAMES else 0
+
+
+def _shapes_near(shape: Array, width: float) -> Array:
+    """Shapes (R, 2) near one: the odds of correlation and share are multiplied by factors."""
+    odds = shape / (1 - np.minimum(shape, MAX_CORRELATION))
+    factors = np.exp(width * np.array([-1.0, 0.0, 1.0]))
+    odds_near = np.array([(odds[0] * a, odds[1] * b) for a in factors for b in factors])
+    return np.asarray(odds_near / (1 + odds_near))
+
+
+def _evidence_of(stretches: Sequence[NoiseStretch], n_shapes: int, lowest: float) -> Array:
+    """Evidence (k, R) for the first shapes in the spectra from a frequency on, cycles per frame."""
+    return NoiseStretch.evidence(stretches, lowest)[:, :n_shapes]
+
+
+def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
+    """Twice the gain in log-likelihood (k, R) by noise of the shapes (R, 2) over white noise, by stretch."""
+    _, losses = _fit_shapes(spectra, np.concatenate([WHITE, shapes]))
+    return losses[:, :1] - losses[:, 1:]
+
+
+def _slepian_tapers(n: int) -> Array:
+    """Slepian tapers (TAPERS, n), eigenvectors of a tridiagonal matrix (Slepian 1978, Bell Syst. Tech. J. 57)."""
+    i = np.arange(n, dtype=np.float64)
+    diagonal = ((n - 1 - 2 * i) / 2) ** 2 * np.cos(2 * np.pi * BANDWIDTH / n)
+    _, tapers = scipy.linalg.eigh_tridiagonal(
+        diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1)
+    )
+    return np.asarray(tapers.T[::-1])
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """Spectral density (F,), m^2 per (cycle per frame), of one stretch at frequencies (F,), cycles per frame."""
+
+    frequency: Array
+    density: Array
+
+    @classmethod
+    def of(cls, x: Array) -> _Spectrum:
+        """Multitaper spectrum of positions (n,), from second differences without their straight line."""
+        differences = np.diff(x, DIFFERENCES)
+        n = len(differences)
+        t = np.linspace(-1.0, 1.0, n)
+        differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
+        power = np.mean(np.abs(np.fft.rfft(_slepian_tapers(n) * differences, axis=1)) ** 2, axis=0)
+        bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
+        frequency = bins / n
+        return cls(frequency, power[bins] / (2 * np.sin(np.pi * frequency)) ** (2 * DIFFERENCES))
+
+    def beyond(self, lowest: float) -> _Spectrum:
+        """The part from a frequency on, cycles per frame."""
+        high = self.frequency >= lowest
+        return _Spectrum(self.frequency[high], self.density[high])
+
+    def noise(self, shapes: Array) -> Array:
+        """Spectra (R, F) of noise of the shapes (R, 2) and variance one."""
+        rotation = np.exp(-2j * np.pi * self.frequency)
+        return np.array([1 - share + share * (1 - c**2) / np.abs(1 - c * rotation) ** 2 for c, share in shapes])
+
+    def motion(self) -> Array:
+        """Spectra (2, F) of motions, one at the lowest frequency."""
+        sine = 2 * np.sin(np.pi * self.frequency)
+        return np.array([(sine / sine[0]) ** -power for power in MOTION_POWERS])
+
+
+def _fit_shapes(spectra: Sequence[_Spectrum], shapes: Array) -> tuple[Array, Array]:
+    """Variances (k, R) of noise of the shapes (R, 2) that fit the spectra best, and -2 log-likelihood (k, R)."""
+    if not spectra:
+        return np.empty((0, len(shapes))), np.empty((0, len(shapes)))
+    scales = np.array([[np.median(s.density)] for s in spectra])
+    powers = [s.density / scale for s, scale in zip(spectra, scales, strict=True)]
+    sizes, losses = _fit_sizes(powers, [s.noise(shapes) for s in spectra], [s.motion() for s in spectra])
+    return scales * sizes[..., 0], 2 * TAPERS * losses
+
+
+def _fit_sizes(powers: Sequence[Array], noises: Sequence[Array], motions: Sequence[Array]) -> tuple[Array, Array]:
+    """Fit sizes of one of R noises and of all motions, by stretch, so that they sum to its power.
+
+    All stretches are updated at once: shorter spectra are filled with zeros, and the model there with ones, which adds
+    nothing to the sums over frequencies.
+
+    Returns
+    -------
+    sizes, losses : array of shape (k, R, K), (k, R)
+        Sizes of the noise and the K - 1 motions; negative log-likelihood.
+
+    """
+    power, noise, motion = _filled(powers)[:, None], _filled(noises), _filled(motions)
+    filling = 1.0 - _filled([np.ones_like(p) for p in powers])[:, None]
+    sizes = np.stack([_first_sizes(*parts) for parts in zip(powers, noises, motions, strict=True)])
+    k, n_noises, n = noise.shape
+    by_frequency = np.ascontiguousarray(np.swapaxes(motion, 1, 2))
+    weights = np.empty((k, 2, n_noises, n))
+    capped, inverse = weights[:, 0], weights[:, 1]  # capped power over the squared model, and one over the model
+    sums = np.empty((k, 2, n_noises, sizes.shape[-1]))
+    model = np.empty_like(noise)
+    for _ in range(N_UPDATES):
+        np.divide(1.0, _model(sizes, noise, motion, filling, model), out=inverse)
+        np.multiply(power, inverse, out=capped)
+        np.minimum(capped, LINE_FACTOR, out=capped)
+        capped *= inverse
+        np.einsum("karf,krf->kar", weights, noise, out=sums[..., 0])
+        sums[..., 1:] = (weights.reshape(k, -1, n) @ by_frequency).reshape(k, 2, n_noises, -1)
+        sizes = sizes * np.sqrt(sums[:, 0] / sums[:, 1])
+    _model(sizes, noise, motion, filling, model)
+    return sizes, np.sum(np.log(model) + np.minimum(power / model, LINE_FACTOR), axis=2)
+
+
+def _first_sizes(power: Array, noise: Array, motion: Array) -> Array:
+    """Sizes (R, K) with which each part alone would have the median of a power (F,), shared among the K parts."""
+    of_motion = np.broadcast_to(np.median(power / motion, axis=1), (len(noise), len(motion)))
+    return np.column_stack([np.median(power / noise, axis=1), of_motion]) / (1 + len(motion))
+
+
+def _model(sizes: Array, noise: Array, motion: Array, filling: Array, out: Array) -> Array:
+    """Write the sum (k, R, F) of noise (k, R, F) and motions (k, K - 1, F) of some sizes (k, R, K) to `out`."""
+    np.multiply(sizes[..., :1], noise, out=out)
+    out += sizes[..., 1:] @ motion
+    out += filling
+    return out
+
+
+def _filled(rows: Sequence[Array]) -> Array:
+    """Stack arrays (..., F_i), filled with zeros to the largest F_i."""
+    length = max(row.shape[-1] for row in rows)
+    return np.stack([np.pad(row, [(0, 0)] * (row.ndim - 1) + [(0, length - row.shape[-1])]) for row in rows])

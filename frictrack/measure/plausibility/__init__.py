@@ -1,0 +1,44 @@
+"""Check that the numbers of a study are plausible: mass, scale, frame rate, units and incline.
+
+`implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
+measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`, `implausible_sensors` and
+`different_origins` check all runs together. Every finding states what was read, why it is implausible, and what to
+enter instead. The plausible ranges and their sources are in `findings`.
+"""
+
+from frictrack.measure.plausibility.comparison import (
+    CONTRADICTION,
+    MAX_RELATIVE_DIFFERENCE,
+    describe_shift,
+    different_origins,
+    implausible_clocks,
+    implausible_masses,
+    implausible_sensors,
+    shifted_swings,
+    time_unit,
+)
+from frictrack.measure.plausibility.findings import ERROR, EnteredValues, Finding, implausible_entries
+from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
+from frictrack.measure.plausibility.slide import estimate_slide, implausible_slide
+
+__all__ = [
+    "CONTRADICTION",
+    "ERROR",
+    "MAX_RELATIVE_DIFFERENCE",
+    "EnteredValues",
+    "Finding",
+    "describe_shift",
+    "different_origins",
+    "estimate_slide",
+    "implausible_clocks",
+    "implausible_entries",
+    "implausible_inclines",
+    "implausible_masses",
+    "implausible_sensors",
+    "implausible_slide",
+    "missing_incline",
+    "path_angle",
+    "shifted_swings",
+    "time_unit",
+    "wrong_incline",
+]

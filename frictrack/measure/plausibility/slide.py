@@ -1,0 +1,315 @@
+"""Check speed, distance and friction of a run, and find the unit with which they become typical.
+
+The motion is divided into strokes: one direction, accelerating or decelerating, with a fitted acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import log10, sin
+
+import numpy as np
+
+from frictrack.measure.friction import is_moving, split_by_direction
+from frictrack.measure.plausibility.findings import (
+    BLOW_ENERGY,
+    DRY_FRICTION,
+    ERROR,
+    FRICTION,
+    MIN_ROLLING,
+    RAIL_SPEED,
+    SPEED,
+    TRAVEL,
+    USUAL_FRICTION,
+    USUAL_SPEED,
+    USUAL_TRAVEL,
+    WARNING,
+    Finding,
+)
+from frictrack.records import GRAVITY, Array, Run, stretches
+
+MIN_FRAMES = 10  # of a stroke, for a parabola
+TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
+EVENT_REACH_FRAMES = 3  # frames that an event affects beyond itself
+CORRELATION_FACTOR = 3.0  # on standard deviations, for errors that neighbours share
+MIN_SIGMAS = 5.0  # of an acceleration that differs from 0
+# Share of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring.
+MAX_PARTNER_SHARE = 0.25
+MIN_SHARE_EACH_WAY = 0.2  # of the distance, for a direction to count
+FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
+    (1e-3, 1.0, "the scale is a thousand times too large (mm taken for m?)"),
+    (1e3, 1.0, "the scale is a thousand times too small (um taken for mm?)"),
+    (1e-2, 1.0, "the scale is a hundred times too large (cm taken for m?)"),
+    (1e-1, 1.0, "the scale is ten times too large"),
+    (1e1, 1.0, "the scale is ten times too small"),
+    (1.0, 1e-3, "fps is a thousand times too small (kHz?)"),
+    (1.0, 1e-1, "fps is ten times too small"),
+    (1.0, 1e1, "fps is ten times too large"),
+)
+MS_AND_MM = 't_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}'
+MIN_TRAVEL_MS_MM = 1.0  # m: in a laboratory a free slide is shorter
+TABLE_UNITS = (
+    (1e-3, 1.0, 'x_m holds mm: give columns = {x = "x_m (mm)"}'),
+    (1.0, 1e-3, 't_s holds ms: give columns = {t = "t_s (ms)"}'),
+    (1e-3, 1e-3, MS_AND_MM),
+    (1e-6, 1.0, 'x_m holds um: give columns = {x = "x_m (um)"}'),
+    (1.0, 1e-6, 't_s holds us: give columns = {t = "t_s (us)"}'),
+    (1e-2, 1.0, 'x_m holds cm: give columns = {x = "x_m (cm)"}'),
+    (1e3, 1.0, 'x_m holds km: give columns = {x = "x_m (km)"}'),
+    (1.0, 60.0, 't_s holds minutes: give columns = {t = "t_s (min)"}'),
+)
+UNIT_STEP = 1e3  # factor of a wrong unit; no camera setting differs by as much
+FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A stretch of one direction between two collisions, stops or reversals, before or after its highest speed."""
+
+    distance: float  # m, above 0
+    direction: float  # 1 or -1
+    a: float  # m/s^2 toward +x
+    sigma_a: float
+    speed: float  # m/s, the highest
+    mid_speed: float  # m/s, in its middle
+    misfit: float  # rms of what a constant acceleration leaves beyond the noise, over the way
+    is_accelerating: bool  # before the highest speed
+    partner_distance: float  # m, way of the same stretch on the other side of its highest speed
+
+    @property
+    def speed_gain(self) -> float:
+        """Acceleration in the direction of motion, m/s^2."""
+        return self.a * self.direction
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the acceleration differs from 0."""
+        return abs(self.a) > MIN_SIGMAS * self.sigma_a
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing pushes the mass: it decelerates, or its acceleration lasts to the end."""
+        return not self.is_accelerating or self.partner_distance < MAX_PARTNER_SHARE * self.distance
+
+
+def find_strokes(run: Run) -> tuple[Stroke, ...]:
+    """Find the strokes of a run, in order; they exclude frames not found, events and rests."""
+    free = run.displacement.valid & is_moving(run)
+    for first, last in run.motion.events:
+        free[max(first - EVENT_REACH_FRAMES, 0) : last + EVENT_REACH_FRAMES + 1] = False
+    x, found = run.motion.x, []
+    for s in split_by_direction(run, stretches(free)):
+        top = s.start + int(np.argmax(np.abs(run.motion.v[s])))  # the highest speed
+        before, after = abs(float(x[top] - x[s.start])), abs(float(x[s.stop - 1] - x[top]))
+        found.append(_fit_stroke(run, slice(s.start, top + 1), is_accelerating=True, partner_distance=after))
+        found.append(_fit_stroke(run, slice(top, s.stop), is_accelerating=False, partner_distance=before))
+    return tuple(stroke for stroke in found if stroke is not None)
+
+
+def total_distance(strokes: tuple[Stroke, ...]) -> float:
+    """Distance of all strokes together, m."""
+    return float(sum(stroke.distance for stroke in strokes))
+
+
+def mean_acceleration(strokes: tuple[Stroke, ...]) -> float:
+    """Mean acceleration of strokes, weighted by their variances, m/s^2."""
+    floor = 1e-6 * max(stroke.sigma_a for stroke in strokes) + 1e-300
+    weights = [(stroke.sigma_a + floor) ** -2.0 for stroke in strokes]
+    return float(np.average([stroke.a for stroke in strokes], weights=weights))
+
+
+def _fit_stroke(run: Run, s: slice, *, is_accelerating: bool, partner_distance: float) -> Stroke | None:
+    """Fit the stroke of a slice; None if it is too short."""
+    trimmed = int(TRIMMED_SHARE * (s.stop - s.start))
+    rows = slice(s.start + trimmed, s.stop - trimmed)
+    t, x = run.motion.t[rows], run.displacement.x[rows]
+    distance = float(abs(x[-1] - x[0])) if len(t) >= MIN_FRAMES else 0.0
+    if distance <= 0.0:
+        return None
+    u = t - (t[0] + t[-1]) / 2
+    (_, slope, a), std, residual_rms = fit_columns(np.stack([np.ones_like(u), u, u**2 / 2], axis=1), x)
+    noise = float(np.median(run.displacement.sigma_x[rows]))
+    return Stroke(
+        distance=distance,
+        direction=float(np.sign(x[-1] - x[0])),
+        a=float(a),
+        sigma_a=CORRELATION_FACTOR * float(std[2]),
+        speed=float(abs(slope) + abs(a) * (t[-1] - t[0]) / 2),
+        mid_speed=float(abs(slope)),
+        misfit=float(np.sqrt(max(residual_rms**2 - noise**2, 0.0))) / distance,
+        is_accelerating=is_accelerating,
+        partner_distance=partner_distance,
+    )
+
+
+def fit_columns(design: Array, values: Array) -> tuple[Array, Array, float]:
+    """Least-squares coefficients (k,) of columns (n, k), their deviations for white noise, and the rms residual."""
+    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    unit = design / scale
+    found = np.linalg.lstsq(unit, values, rcond=None)[0]
+    rms = float(np.sqrt(np.sum((values - unit @ found) ** 2) / max(len(values) - unit.shape[1], 1)))
+    std = rms * np.sqrt(np.diag(np.linalg.pinv(unit.T @ unit)))
+    return found / scale, std / scale, rms
+
+
+@dataclass(frozen=True)
+class SlideEstimate:
+    """Speed, distance and friction of a run.
+
+    Parameters
+    ----------
+    speed
+        Highest speed, m/s.
+    travel
+        Distance of its longest stroke, m.
+    friction
+        Mean friction over normal load while only friction and gravity act; None if never.
+    deceleration
+        Mean deceleration by friction, m/s^2; None as above.
+
+    """
+
+    speed: float
+    travel: float
+    friction: float | None
+    deceleration: float | None
+
+    def scaled(self, length: float, time: float) -> SlideEstimate:
+        """Return the estimate for lengths and times multiplied by factors; gravity is not changed."""
+        friction, deceleration = (
+            None if one is None else one * length / time**2 for one in (self.friction, self.deceleration)
+        )
+        return SlideEstimate(self.speed * length / time, self.travel * length, friction, deceleration)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether such slides occur in a laboratory."""
+        friction_is_possible = self.friction is None or self.friction in FRICTION
+        return friction_is_possible and self.speed in SPEED and self.travel in USUAL_TRAVEL
+
+    @property
+    def rarity(self) -> float:
+        """Decades by which friction and speed differ from typical ones."""
+        friction_term = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
+        return friction_term + abs(log10(self.speed / USUAL_SPEED))
+
+
+def estimate_slide(run: Run) -> SlideEstimate | None:
+    """Estimate speed, distance and friction of a run; None if nothing moves long enough."""
+    strokes = find_strokes(run)
+    if not strokes:
+        return None
+    deceleration, load = _deceleration(run, strokes), run.load
+    friction = None if deceleration is None or not load or not run.mass else run.mass * deceleration / load
+    return SlideEstimate(max(s.speed for s in strokes), max(s.distance for s in strokes), friction, deceleration)
+
+
+def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
+    """Deceleration by friction alone, m/s^2; None if it cannot be determined.
+
+    It is taken from the decelerating part of a struck run, or from a slide on an incline, in one direction of motion.
+    """
+    if run.drive is not None or run.friction_N is not None:
+        return None
+    direction = max(strokes, key=lambda stroke: stroke.distance).direction
+    one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)
+    free = tuple(s for s in one_way if s.is_free and (run.has_incline or not s.is_accelerating))
+    goes_one_way = total_distance(one_way) >= (1 - MIN_SHARE_EACH_WAY) * total_distance(strokes)
+    if not (goes_one_way and any(stroke.is_significant for stroke in free)):
+        return None
+    deceleration = direction * (-GRAVITY * sin(run.incline) - mean_acceleration(free))
+    return deceleration if deceleration > 0 else None
+
+
+def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
+    """Find an implausible speed, friction coefficient or energy of a run.
+
+    `run`: a run with displacement and motion; `film`: whether it was filmed: then scale and fps may be wrong, else the
+    units of the table. An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand
+    explains.
+    """
+    slide = estimate_slide(run)
+    if slide is None:
+        return ()
+    # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
+    check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
+    found = [*_check_measured_friction(run), *_check_slide(run, slide, film=film)]
+    return tuple(replace(one, run=run.name, check=check) for one in found)
+
+
+def _check_slide(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
+    """Check the speed, else the friction, the distance or the energy of a slide."""
+    hint, correction, grade = _correction(slide, film=film)
+    if slide.speed not in SPEED:
+        beyond = slide.speed > RAIL_SPEED
+        than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if beyond else "than in a laboratory"
+        why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
+        yield Finding("speed", f"{why}; {hint}", correction, grade=ERROR if beyond else grade)
+    elif slide.friction is not None and slide.friction not in FRICTION:
+        yield Finding("friction", f"{_friction_text(run, slide)}; {hint}", correction, grade=grade)
+    elif slide.friction is not None and slide.travel not in TRAVEL:
+        words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
+        yield Finding("scale", words, correction, grade=grade)
+    elif not film and _holds_ms_and_mm(slide):
+        seconds = float(run.displacement.t[-1] - run.displacement.t[0])
+        words = f"{_friction_text(run, slide)}, over {slide.travel:.3g} m in {seconds:.3g} s"
+        yield Finding("friction", f"{words}; probably {MS_AND_MM}", MS_AND_MM)
+    elif slide.friction is not None and not run.has_incline and run.mass is not None:
+        yield from _check_energy(run.mass, slide)
+
+
+def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
+    """Whether a long slide with hardly any friction is a usual one in ms and mm; its speed is the same in both."""
+    if slide.friction is None or slide.friction >= MIN_ROLLING or slide.travel < MIN_TRAVEL_MS_MM:
+        return False
+    return 1e3 * slide.friction in DRY_FRICTION and 1e-3 * slide.travel in USUAL_TRAVEL
+
+
+def _check_measured_friction(run: Run) -> Iterator[Finding]:
+    """Check a measured friction force against the stated load."""
+    if run.friction_N is None or run.normal_load is None:
+        return
+    ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
+    if ratio not in FRICTION and ratio != 0.0:
+        unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
+        line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
+        likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
+        words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
+        yield Finding("friction", words, line)
+
+
+def _friction_text(run: Run, slide: SlideEstimate) -> str:
+    """Say how large the friction coefficient would be, and what has more or less."""
+    assert slide.friction is not None
+    out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.deceleration:.3g} m/s^2)"
+    if slide.friction > FRICTION.high:
+        load = "normal load" if run.normal_load is not None else "weight"
+        pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
+        return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
+    return f"{out}, less than {'on an air bearing' if slide.friction < FRICTION.low else 'in a ball bearing'}"
+
+
+def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, str]:
+    """Likely correction of the units as a sentence and alone; an error where it must be a factor of a thousand."""
+    fitting = [
+        (made.rarity, words, max(length, 1 / length, time, 1 / time))
+        for length, time, words in (FILM_UNITS if film else TABLE_UNITS)
+        if (made := slide.scaled(length, time)).is_possible
+    ]
+    if not fitting:
+        return ("check scale and fps" if film else "check the units of the table's columns"), "", WARNING
+    words, grade = min(fitting)[1], ERROR if all(size >= UNIT_STEP for *_, size in fitting) else WARNING
+    return f"probably {words}", words, grade
+
+
+def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:
+    energy = mass * slide.speed**2 / 2
+    if energy not in BLOW_ENERGY:
+        grams = f'mass = "{mass:g} g"' if mass > 1.0 else ""
+        likely = f"; if grams were meant give {grams}" if grams else ""
+        words = (
+            f"a mass of {mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
+            f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
+        )
+        yield Finding("mass", words, grams)

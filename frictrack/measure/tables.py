@@ -1,0 +1,464 @@
+"""Make displacements and runs of tables and arrays: even clock, jitter, doubled and missing samples, noise."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.units import parse_quantity
+from frictrack.measure.calibration import parse_scale
+from frictrack.measure.motion import differentiate, low_pass, noise_level
+from frictrack.measure.plausibility import (
+    CONTRADICTION,
+    MAX_RELATIVE_DIFFERENCE,
+    EnteredValues,
+    implausible_entries,
+    implausible_slide,
+    time_unit,
+)
+from frictrack.records import Array, Displacement, Mask, Run
+from frictrack.sampling import (
+    EvenClock,
+    SampledPath,
+    Slip,
+    common_unevenness,
+    correct_ticks,
+    count_intervals,
+    describe_frames,
+    describe_length,
+    find_slips,
+    frame_numbers,
+    is_even,
+    jittered_clock,
+    moved_to_grid,
+    quantum,
+    robust_speed,
+    rounded_clock,
+    rounding_noise,
+    screened,
+    stamp_rounding,
+    unevenness,
+    unwrapped,
+)
+from frictrack.study import COLUMNS, TableData, read_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+Rows = NDArray[np.int64]
+MIN_RATE_DIFFERENCE = 1e-3  # relative difference of two frame rates that is reported
+DOUBLE_RESOLUTION = 8 * np.finfo(float).eps  # relative error of what a double holds
+MIN_JUMP_SIGMAS = 10.0  # a smaller jump of a position, in its noise, is no missing sample
+MAX_GAP_FRAMES = 1000
+MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
+MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
+MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
+MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
+MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
+MIN_ROWS = 16  # rows needed to find a fault of the clock
+MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
+
+
+@dataclass(frozen=True, eq=False)
+class EvenTable:
+    """A table whose rows lie on an even clock."""
+
+    data: TableData
+    valid: Mask  # whether a row holds a sample of its own
+    numbers: Rows  # of each row in the file, counted from 0
+    notes: tuple[str, ...] = ()  # what was corrected
+
+
+def displacement_of_table(
+    data: TableData, *, fps: float | None = None, scale: str | None = None, x_offset: float = 0.0
+) -> Displacement:
+    """Compute the displacement of a table of positions.
+
+    Missing columns are NaN, outliers are marked as invalid, and standard deviations that are not given are estimated.
+
+    Parameters
+    ----------
+    data
+        Columns in SI units, with `x`.
+    fps
+        Frame rate, Hz; it decides where the time stamps say another.
+    scale
+        Size of a pixel, if the positions come from a film, such as ``"0.5 mm/px"``.
+    x_offset
+        Shift of the positions, m.
+
+    Returns
+    -------
+    Displacement
+        Its `notes` say what was corrected.
+
+    Examples
+    --------
+    >>> t = np.arange(100) / 1000
+    >>> displacement_of_table(TableData(t, 2.0 * t)).x[-1]
+    np.float64(0.198)
+
+    """
+    return displacement_of_even_table(with_even_clock(data, fps), scale=scale, x_offset=x_offset)
+
+
+def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_offset: float = 0.0) -> Displacement:
+    """Compute the displacement of a table whose clock is even; see `displacement_of_table`."""
+    data = table.data
+    assert data.x is not None
+    nan = np.full(len(data.t), np.nan)
+    nan.setflags(write=False)  # so that the records share it
+    pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
+    displacement = screened(
+        Displacement(
+            t=data.t,
+            x=data.x + x_offset,
+            y=nan if data.y is None or not np.any(data.y) else data.y,  # a column of zeros was not measured
+            angle=nan,
+            sigma_x=nan if data.sigma is None else data.sigma,
+            sigma_y=nan,
+            valid=table.valid,
+            pixel_pitch=pitch,
+            relative_scale_error=relative,
+            notes=(*data.notes, *table.notes),
+            stamped_rate=data.stamped_rate,
+        ),
+        table.numbers,
+    )
+    displacement = _with_jitter_noise(displacement)
+    is_known = not np.all(np.isnan(displacement.sigma_x))
+    return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
+
+
+def _with_jitter_noise(displacement: Displacement) -> Displacement:
+    """Return a displacement with larger standard deviations if its samples jitter although the time stamps are even."""
+    if len(displacement) < MIN_ROWS or not is_even(displacement.t):
+        return displacement
+    interval = float(np.median(np.diff(displacement.t)))
+    jitter, at_rest_noise = unevenness(displacement.t, displacement.x, _max_resolved_speed(displacement))
+    if not jitter:
+        return displacement
+    stated = np.isfinite(displacement.sigma_x)
+    at_rest = np.where(stated, displacement.sigma_x, max(at_rest_noise, rounding_noise(displacement.resolution)))
+    moved = jitter * np.abs(robust_speed(displacement.t, displacement.x))
+    if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
+        return displacement
+    note = (
+        f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
+        f"{100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are "
+        "even; deviations grow with it"
+    )
+    return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
+
+
+def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
+    """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
+    even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
+    jitter = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
+    if not jitter:
+        return ()
+    share = 100 * jitter / float(np.median([np.median(np.diff(d.t)) for d in even]))
+    return (
+        f"the noise of the runs grows with their speed, as if samples jittered by {share:.2g} % of the interval (rms) "
+        "although their time stamps are even, or the picture were blurred",
+    )
+
+
+def _max_resolved_speed(displacement: Displacement) -> float:
+    """Return the speed of half a pixel or half a step per sample, m/s; rounding errors grow with the speed below it."""
+    step = max(displacement.pixel_pitch or 0.0, displacement.resolution)
+    return 0.5 * step / float(np.median(np.diff(displacement.t)))
+
+
+def _table_sigma(displacement: Displacement) -> Array:
+    """Return the white noise (n,) of a table without standard deviations; at least that of rounding."""
+    x = displacement.x
+    steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
+    rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
+    sigma = max(float(noise_level(x, displacement.valid, t=displacement.t)[0]), rounding_noise(displacement.resolution))
+    return np.full(len(x), sigma if sigma > nothing else rounding)
+
+
+def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
+    """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
+    n = len(data.t)
+    rows = np.arange(n)
+    if data.x is not None:
+        x, turned = unwrapped(data.x)
+        data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
+    if data.x is None or n < MIN_ROWS:
+        return EvenTable(data, np.ones(n, dtype=bool), rows)
+    if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
+        return table
+    clocked = not is_even(data.t)
+    data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
+    data, more = _at_rate(data, fps)
+    data, moved = _on_grid(data)
+    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
+    return _without_slips(table, clocked=clocked) if _can_find_slips(data) else table  # else the smoother reports it
+
+
+def _rounding(data: TableData) -> float:
+    """Return to what the time stamps are rounded, s; 0 where that leaves them even, or the motion confirms all gaps."""
+    assert data.x is not None
+    steps, moved = np.diff(data.t), np.diff(data.x)
+    twice = (steps == 0) & (moved == 0)  # rows that were written twice
+    own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
+    rounding = stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
+    if rounding < MIN_ROUNDING * float(np.mean(steps)):
+        return 0.0
+    if not is_even(data.t):
+        return rounding
+    intervals = np.diff(frame_numbers(data.t))
+    as_rows, as_gaps = (
+        np.abs(_second_differences(moved)),
+        intervals[1:-1] * np.abs(_second_differences(moved / intervals)),
+    )
+    wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
+    return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
+
+
+def _second_differences(steps: Array) -> Array:
+    """Return by how much every step differs from the mean of its neighbours, (n - 2,)."""
+    return steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
+
+
+def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
+    """Return a table with rounded stamps on an even clock; None where the stamps are not rounded even times."""
+    given = 1 / fps if fps else None
+    every = np.arange(len(data.t))
+    counts = [every]  # the motion shows missing rows, also where stamps are rounded to an interval or more
+    if rounding < MAX_COUNTED_ROUNDING * float(np.ptp(data.t)) / len(data.t):
+        counts = [count_intervals(data.t, rounding, given), every]
+    for interval, ticks in product((None, given) if given else (None,), counts):
+        rows = every[np.diff(ticks, prepend=-1) > 0]
+        if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
+            continue
+        moving = replace(_select_rows(data, rows), t=ticks[rows].astype(float))
+        table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
+        table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
+        stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
+        clock = rounded_clock(stamps, counted, rounding, interval)
+        clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
+        if clock is not None:
+            found, notes = _at_rate(_at_clock(_select_rows(data, table.numbers), clock), fps, rounding)
+            return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
+    if is_even(data.t):
+        raise FrictrackError(
+            f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
+            "contradicts the gaps they leave; give the frame rate as fps in [camera], or stamps with more digits"
+        )
+    return None
+
+
+def _can_find_slips(data: TableData) -> bool:
+    """Return whether the rows lie on an even clock without long gaps, and the target moves."""
+    assert data.x is not None
+    gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
+    return is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
+
+
+def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
+    """Return a table with uneven time stamps on an even clock, its row numbers, and notes."""
+    from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
+
+    rows = np.arange(len(data.t))
+    read = read_stamps(data.t)
+    if read is None:
+        return data, rows, ()
+    rows = np.setdiff1d(rows, read.doubled)
+    ticks = _fill_corrupt_ticks(read.ticks)[rows]
+    right = data.t[0] + (ticks - ticks[0]) * read.step
+    stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
+    taken = replace(_select_rows(data, rows), t=stamps)
+    if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
+        return data, np.arange(len(data.t)), ()
+    notes = _doubled_note(read.doubled)
+    if len(read.corrupt):
+        notes += (f"the time stamp is wrong in {describe_frames(read.corrupt)}; the row stays in its place",)
+    assert taken.x is not None
+    clock = None if is_even(taken.t) else jittered_clock(taken.t, ticks, taken.x)
+    return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
+
+
+def _doubled_note(rows: Rows) -> tuple[str, ...]:
+    if not len(rows):
+        return ()
+    count = "1 row has" if len(rows) == 1 else f"{len(rows)} rows have"
+    return (f"{count} the time stamp of the row before: {describe_frames(rows)}; left out",)
+
+
+def _fill_corrupt_ticks(ticks: Rows) -> Rows:
+    """Return frame numbers, with those of corrupt stamps (-1) interpolated."""
+    known = ticks >= 0
+    return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
+
+
+def _at_clock(data: TableData, clock: EvenClock) -> TableData:
+    """Return a table at the times of a clock; positions are shifted by the delay of their samples."""
+    moved: dict[str, Any] = {
+        name: column - robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
+        for name, column in (("x", data.x), ("y", data.y))
+        if column is not None
+    }
+    return replace(data, t=clock.t, **moved)
+
+
+def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
+    """Return a table with uneven times at the nearest times of an even grid, and a note."""
+    columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
+    moved = None if is_even(data.t) else moved_to_grid(data.t, list(columns.values()))
+    if moved is None:
+        return data, ()
+    found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
+    note = "the times are uneven; the columns are moved along their course to the nearest times of an even grid"
+    return replace(data, t=moved[0], **found), (note,)
+
+
+def _select_rows(data: TableData, rows: Rows) -> TableData:
+    """Return some rows of a table."""
+    columns = {f.name: getattr(data, f.name) for f in fields(data)}
+    taken: dict[str, Any] = {n: column[rows] for n, column in columns.items() if isinstance(column, np.ndarray)}
+    return replace(data, **taken)
+
+
+def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple[TableData, tuple[str, ...]]:
+    """Return a table with the given frame rate, and a note if its stamps contradict it."""
+    if fps is None:
+        return data, ()
+    span = float(data.t[-1] - data.t[0])
+    frames = frame_numbers(data.t) if is_even(data.t) else (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
+    rate = float(frames[-1]) / span
+    note = f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; fps is used"
+    differs = abs(rate / fps - 1) - rounding / span
+    if time_unit(fps / rate):  # the times are in another unit; the check of the clocks says which
+        return data, ()
+    if differs > MAX_RELATIVE_DIFFERENCE:
+        note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
+    return replace(data, t=data.t[0] + frames / fps), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+
+
+def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
+    """Return the table without samples that repeat the one before, and with gaps in time where samples are missing.
+
+    Uneven time stamps were written by a clock; they are used as they are, and only repeated samples are left out.
+    """
+    found = find_slips(_sampled_path(table.data), held=True)
+    if not found:
+        return table
+    data = table.data
+    t0, interval = data.t[0], float(np.median(np.diff(data.t)))
+    ticks = frame_numbers(data.t).astype(np.int64)
+    if clocked:
+        found = tuple(replace(s, frames=0) for s in found if s.doubled)
+    right, keep = correct_ticks(ticks, found)
+    stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
+    t = np.where(right == ticks, data.t, t0 + right * interval)
+    taken = _select_rows(replace(data, t=t), stay)
+    return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
+
+
+def _sampled_path(data: TableData) -> SampledPath:
+    """Return the positions of a table as a path; only identical positions can repeat each other."""
+    assert data.x is not None
+    x = data.x
+    own = x[np.concatenate(([True], np.diff(x) != 0))]
+    noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
+    noise = max(noise, rounding_noise(quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
+    ticks = frame_numbers(data.t).astype(np.int64)
+    every = np.ones(len(x), dtype=bool)
+    return SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
+
+
+def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
+    """Return notes on repeated and missing samples."""
+    again = [int(numbers[s.frame]) for s in found if s.doubled]
+    lost = [s for s in found if not s.doubled]
+    notes = []
+    if again:
+        count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
+        notes.append(f"{count} the one before: {describe_frames(again)}; left out")
+    if lost:
+        total = sum(s.frames for s in lost)
+        count = "1 sample is" if total == 1 else f"{total} samples are"
+        places = describe_frames([int(numbers[s.frame]) for s in lost])
+        notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
+    return tuple(notes)
+
+
+SMALLEST_STEP_S = np.finfo(float).tiny  # between time stamps that rise
+
+
+def run_of_arrays(
+    t: ArrayLike, x: ArrayLike, *, mass: float | str | None, optional: Mapping[str, Any], settings: Mapping[str, Any]
+) -> Run:
+    """Make a run of arrays; see `Run.from_arrays`. `optional` holds further columns, None where not measured."""
+    columns: dict[str, Any] = {}
+    faults: list[str] = []
+    for name, values in {"t": t, "x": x, **optional}.items():
+        if values is not None:
+            columns[name], found = _column(name, values, np.size(t))
+            faults += found
+    raise_faults(faults, f'run "{settings.get("name", "run")}"')
+    return _run_of(TableData(**columns), mass, settings)
+
+
+def run_of_dataframe(
+    frame: pd.DataFrame, columns: Mapping[str, str], mass: float | str | None, settings: Mapping[str, Any]
+) -> Run:
+    """Make a run of a DataFrame; see `Run.from_dataframe`."""
+    data = read_frame(frame, columns, str(settings.get("name", "run")))
+    return _run_of(data, mass, settings)
+
+
+def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
+    """Convert to an array (n,) of floats, and list what is wrong with it."""
+    try:
+        number = parse_quantity(values, COLUMNS[name][1], name)[0] if isinstance(values, str) else values
+        array = np.asarray(number, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
+    if array.ndim == 0 and name not in ("t", "x"):
+        array = np.full(n, float(array))
+    if array.shape != (n,):
+        return np.full(n, np.nan), [f"expected {name} of shape ({n},), as t has {n} values, but got {array.shape}"]
+    bad = np.flatnonzero(~np.isfinite(array))
+    if len(bad):
+        hint = "; leave the row out where nothing was measured" if name == "x" else ""
+        return array, [f"expected finite {name} but got {array[bad[0]]} in row {bad[0]}{hint}"]
+    if name == "t" and np.any(back := np.diff(array) < (0 if n >= MIN_ROWS and np.ptp(array) > 0 else SMALLEST_STEP_S)):
+        i = int(np.argmax(back))
+        return array, [f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"]
+    return array, []
+
+
+def _in_si(name: str, value: Any) -> Any:
+    """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
+    if isinstance(value, tuple | list):
+        return tuple(_in_si(name, part) for part in value)
+    units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
+    unit = units.get(name, "")
+    return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
+
+
+def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, Any]) -> Run:
+    """Make a run of a table in SI units, and warn of values that are likely in another unit."""
+    weighed, sigma_mass = (None, 0.0) if mass is None else parse_quantity(mass, "kg", "mass")
+    table = with_even_clock(data)
+    displacement, forces = displacement_of_even_table(table), table.data
+    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
+    given |= {name: _in_si(name, value) for name, value in settings.items()}
+    run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
+    bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
+    entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
+    for finding in (*entries, *implausible_slide(run, film=False)):
+        warnings.warn(str(replace(finding, run=run.name)), stacklevel=4)
+    return run

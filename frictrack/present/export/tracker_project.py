@@ -1,0 +1,332 @@
+"""Export films and tracks as projects of the video program Tracker (Open Source Physics), one per film.
+
+A project is the XML that OSP's ``XMLControlElement`` writes for a ``TrackerPanel``: the video clip with its frame rate,
+the axes with their scale, and one point mass per target. Source: the classes ``Loader`` of TrackerPanel, PointMass,
+VideoClip, ClipControl and ImageCoordSystem in github.com/OpenSourcePhysics, and projects that Tracker 5 saved.
+
+OSP reads its XML line by line: every tag stands in a line of its own, and entities are not resolved.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import make_subfolder, replace_text
+from frictrack.present.export.formats import ExportedFiles
+from frictrack.present.export.tables import tracks_of
+from frictrack.records import Array, Displacement, Track
+from frictrack.results import BACKWARD, RecordingInfo, Results, RunResults
+
+PIXEL_CENTRE = 0.5  # px: in Tracker the corner of the picture is (0, 0), in frictrack the centre of the first pixel
+MAX_TIME_DIFFERENCE_S = 1e-9  # between the track and the displacement of a frame
+MIN_TRAVEL_PX = 1.0  # a target that moves less shows no direction
+
+
+@dataclass(frozen=True)
+class TrackerAxes:
+    """Axes in the picture, as Tracker stores them.
+
+    Attributes
+    ----------
+    scale
+        px/m.
+    angle
+        Direction of +x, counter-clockwise from the right, degrees.
+    origin
+        Point with x = y = 0, px, from the corner of the picture, y down.
+    is_mirrored
+        Whether y of Tracker has the opposite sign: its y lies always to the left of x.
+    difference
+        Largest distance of a measured position from the one that Tracker computes, m.
+
+    """
+
+    scale: float
+    angle: float
+    origin: tuple[float, float]
+    is_mirrored: bool
+    difference: float
+
+
+def tracker_axes(track: Track, displacement: Displacement) -> TrackerAxes | None:
+    """Compute the axes that map the positions in the picture to the measured displacement.
+
+    They are fitted by least squares: exact for one scale over the whole picture, else the best that Tracker can hold.
+
+    Parameters
+    ----------
+    track
+        Track of the target.
+    displacement
+        Its displacement, at all or some of the frames.
+
+    Returns
+    -------
+    TrackerAxes or None
+        None for a target that does not move.
+
+    Notes
+    -----
+    With picture points z = x_px - i y_px and places w = x + i y, the map is w = c z + d: the scale is 1/abs(c), the
+    angle that of 1/c, and the origin -d/c. Source: ``ImageCoordSystem.updateTransforms`` of
+    github.com/OpenSourcePhysics/osp.
+
+    """
+    rows = np.searchsorted(track.t, displacement.t - MAX_TIME_DIFFERENCE_S)
+    z = track.x_px[rows] + PIXEL_CENTRE - 1j * (track.y_px[rows] + PIXEL_CENTRE)
+    known = displacement.known & np.isfinite(displacement.y) & np.isfinite(z)
+    z = z[known]
+    if len(z) < 2 or np.max(np.abs(z - z[0])) < MIN_TRAVEL_PX:
+        return None
+    x, y = displacement.x[known], displacement.y[known]
+    fits = [_fit(z, x + side * y) for side in (1j, -1j)]
+    is_mirrored = fits[1][2] < fits[0][2]
+    c, d, difference = fits[is_mirrored]
+    origin = -d / c
+    angle = float(np.degrees(np.angle(1 / c)))
+    return TrackerAxes(float(1 / np.abs(c)), angle, (float(origin.real), float(-origin.imag)), is_mirrored, difference)
+
+
+def _fit(z: Array, w: Array) -> tuple[complex, complex, float]:
+    """Fit w = c z + d; return c, d and the largest residual."""
+    middle = z.mean()
+    (c, d), *_ = np.linalg.lstsq(np.column_stack([z - middle, np.ones(len(z))]), w, rcond=None)
+    return complex(c), complex(d - c * middle), float(np.max(np.abs(c * (z - middle) + d - w)))
+
+
+FOLDER = "tracker"
+
+
+def write_txt(results: Results) -> ExportedFiles:
+    """Write the texts into the folder `tracker`."""
+    folder = make_subfolder(results.output, FOLDER)
+    paths, lost = [], []
+    for run in results.runs:
+        paths.append(replace_text(folder / f"{run.name}.txt", _text(run)))
+        left_out = len(run.displacement) - int(np.count_nonzero(run.displacement.known))
+        if left_out:
+            lost.append(f"{left_out} frames of {run.name} without a valid position, which are left out")
+        further = [name for name in run.tracks if name != BACKWARD]
+        if further:
+            lost.append(f"further targets of {run.name} ({', '.join(further)}), whose positions --to trk writes")
+    return ExportedFiles(tuple(paths), tuple(lost))
+
+
+def _text(run: RunResults) -> str:
+    """Return the text of one run; numbers have all digits."""
+    d = run.displacement
+    names = [name for name in ("t", "x", "y") if _is_measured(d, name)]
+    rows = np.column_stack([getattr(d, name)[d.known] for name in names]).tolist()
+    title = run.name.replace(" ", "_") + "\t" * (len(names) - 1)
+    return "\n".join([title, "\t".join(names), *("\t".join(map(repr, row)) for row in rows), ""])
+
+
+def _is_measured(displacement: Displacement, name: str) -> bool:
+    return bool(np.all(np.isfinite(getattr(displacement, name)[displacement.known])))
+
+
+HEADER = '<?xml version="1.0" encoding="UTF-8"?>'
+VERSION = "5.0.0"  # of Tracker: every later one opens it without a warning
+MEDIA, TRACKER = "org.opensourcephysics.media", "org.opensourcephysics.cabrillo.tracker"
+MOVIES = (".mp4", ".mov", ".avi", ".m4v", ".mpg", ".wmv", ".flv", ".mkv", ".webm")
+PICTURES = (".jpg", ".jpeg", ".png")
+MOVIE_CLASS, PICTURE_CLASS = f"{MEDIA}.xuggle.XuggleVideo", f"{MEDIA}.core.ImageVideo"
+COLOURS = ((255, 0, 0), (0, 0, 255), (0, 160, 0), (200, 0, 200))  # red, green, blue of one target after the other
+DEFAULT_MASS = 1.0  # kg, Tracker's own
+MAX_UNEVENNESS_FRAMES = 1e-3  # of the times of frames
+MAX_DIFFERENCE_PX = 1e-3  # between positions of frictrack and of Tracker
+MS = 1000.0  # in a second; Tracker's times are in ms
+
+Property = tuple[str, Any]  # name and value; a value may be an XML element
+
+
+def write_trk(results: Results) -> ExportedFiles:
+    """Write the projects into the folder `tracker`."""
+    films = [run for run in results.runs if run.film is not None and run.track is not None]
+    if not films:
+        raise FrictrackError(
+            "expected a run with a film for --to trk but all runs are tables, which have no positions in a picture; "
+            "export --to txt",
+            usage=True,
+        )
+    folder = make_subfolder(results.output, FOLDER)
+    paths, lost = (
+        [],
+        [f"{run.name}, which has no film (--to txt writes it)" for run in results.runs if run not in films],
+    )
+    for run in films:
+        project, missing = _project(run, results.path.parent, folder)
+        paths.append(folder / f"{run.name}.trk")
+        lost += missing
+        replace_text(paths[-1], "\n".join([HEADER, *_lines(project), ""]))
+    return ExportedFiles(tuple(paths), tuple(lost))
+
+
+def _project(run: RunResults, study: Path, folder: Path) -> tuple[ET.Element, list[str]]:
+    """Return the project of one run, and what was lost."""
+    film, track = run.film, run.track
+    assert film is not None
+    assert track is not None
+    axes = tracker_axes(track, run.displacement)
+    video = _video(study / run.source, folder, film.fps)
+    targets = {name: one for name, one in tracks_of(run).items() if name != BACKWARD}
+    masses = [_point_mass(one, run.mass if one is track else None, k) for k, one in enumerate(targets.values())]
+    height, width = film.picture.shape
+    about = f"{run.source}, tracked by frictrack"
+    properties = [
+        ("semantic_version", VERSION),
+        ("width", float(width)),
+        ("height", float(height)),
+        ("magnification", -1.0),  # as large as fits
+        ("hide_description", True),
+        ("description", about),
+        ("videoclip", _clip(video, film)),
+        ("clipcontrol", _object(f"{MEDIA}.core.StepperClipControl", _control(film))),
+        ("coords", _coords(axes, run.displacement.pixel_pitch)),
+        ("length_unit", "m"),
+        ("mass_unit", "kg"),
+        ("units_visible", True),
+        (
+            "tracks",
+            [_object(f"{TRACKER}.CoordAxes", _look("axes", (200, 0, 200), "Footprint.BoldSimpleAxes")), *masses],
+        ),
+    ]
+    return _object(f"{TRACKER}.TrackerPanel", properties), _lost(run, film, axes, video is None, targets)
+
+
+def _lost(
+    run: RunResults, film: RecordingInfo, axes: TrackerAxes | None, no_video: bool, targets: Mapping[str, Track]
+) -> list[str]:
+    """Return what a project of Tracker cannot hold of this run."""
+    expected = film.t[0] + np.arange(len(film.t)) / film.fps
+    unevenness = float(np.max(np.abs(film.t - expected)))
+    interpolated = sum(int(np.count_nonzero(np.isfinite(t.x_px) & ~t.found)) for t in targets.values())
+    pitch = run.displacement.pixel_pitch or np.inf
+    facts = {
+        f"film of {run.name}: Tracker does not open {run.source}": no_video,
+        f"uneven times of the frames of {run.name}, up to {MS * unevenness:.3g} ms from one frame rate": (
+            unevenness * film.fps > MAX_UNEVENNESS_FRAMES
+        ),
+        f"{interpolated} interpolated positions of {run.name}, which are left out": interpolated,
+        f"direction and origin of the course in {run.name}, because the target does not move": axes is None,
+        f"sign of y in {run.name}: it is the opposite in Tracker, whose y lies to the left of x": (
+            axes is not None and axes.is_mirrored
+        ),
+        f"corrections of lens, perspective, shake or rotation in {run.name}: positions differ by up to "
+        f"{1e6 * (axes.difference if axes else 0.0):.3g} µm": axes is not None
+        and axes.difference > MAX_DIFFERENCE_PX * pitch,
+        f"mass of {run.name}, which is unknown; Tracker shows {DEFAULT_MASS:g} kg": run.mass is None,
+    }
+    return [what for what, is_lost in facts.items() if is_lost]
+
+
+def _video(film: Path, folder: Path, fps: float) -> ET.Element | None:
+    """Return the video of a clip with its path from the project; None for a film that Tracker cannot open."""
+    pictures = sorted(p for p in film.iterdir() if p.suffix.lower() in PICTURES) if film.is_dir() else []
+    first = pictures[0] if pictures else film
+    suffix = first.suffix.lower()
+    if not film.exists() or suffix not in (*MOVIES, *PICTURES):
+        return None
+    try:
+        path = os.path.relpath(first, folder)
+    except ValueError:  # on another drive
+        path = str(first)
+    properties: list[Property] = [("path", path.replace(os.sep, "/"))]
+    if suffix in MOVIES:
+        return _object(MOVIE_CLASS, properties)
+    return _object(PICTURE_CLASS, [*properties, ("delta_t", MS / fps)])
+
+
+def _clip(video: ET.Element | None, film: RecordingInfo) -> ET.Element:
+    properties: list[Property] = [] if video is None else [("video", video), ("video_framecount", film.n_frames)]
+    properties += [("startframe", 0), ("stepsize", 1), ("stepcount", film.n_frames), ("starttime", MS * film.t[0])]
+    return _object(f"{MEDIA}.core.VideoClip", [*properties, ("readout", "frame"), ("playallsteps", True)])
+
+
+def _control(film: RecordingInfo) -> list[Property]:
+    return [("rate", 1.0), ("delta_t", MS / film.fps), ("frame", 0)]
+
+
+def _coords(axes: TrackerAxes | None, pitch: float | None) -> ET.Element:
+    """Return the axes; without a direction, they lie in the corner of the picture."""
+    if axes is None:
+        axes = TrackerAxes(1 / pitch if pitch else 1.0, 0.0, (PIXEL_CENTRE, PIXEL_CENTRE), False, 0.0)
+    (x, y), kind = axes.origin, f"{MEDIA}.core.ImageCoordSystem"
+    scale: list[Property] = [("xscale", axes.scale), ("yscale", axes.scale)]
+    data = _object(f"{kind}$FrameData", [("xorigin", x), ("yorigin", y), ("angle", axes.angle), *scale])
+    fixed: list[Property] = [("fixedorigin", True), ("fixedangle", True), ("fixedscale", True), ("locked", False)]
+    return _object(kind, [*fixed, ("framedata", _array(f"{kind}$FrameData", {0: data}))])
+
+
+def _point_mass(track: Track, mass: float | None, number: int) -> ET.Element:
+    """Return a target as a point mass with its measured positions, by frame."""
+    kind = f"{TRACKER}.PointMass"
+    places = {
+        int(i): _object(f"{kind}$FrameData", [("x", track.x_px[i] + PIXEL_CENTRE), ("y", track.y_px[i] + PIXEL_CENTRE)])
+        for i in np.flatnonzero(track.found)
+    }
+    look = _look(track.name, COLOURS[number % len(COLOURS)], "Footprint.Diamond")
+    data = _array(f"{kind}$FrameData", places)
+    return _object(kind, [("mass", DEFAULT_MASS if mass is None else mass), *look, ("framedata", data)])
+
+
+def _look(name: str, colour: Sequence[int], footprint: str) -> list[Property]:
+    """Return name, colour and mark of a track."""
+    parts = dict(zip(("red", "green", "blue"), colour, strict=True))
+    rgb = _object("java.awt.Color", [*parts.items(), ("alpha", 255)])
+    return [("name", name), ("color", rgb), ("footprint", footprint), ("visible", True), ("trail", True)]
+
+
+def _object(kind: str, properties: Sequence[Property]) -> ET.Element:
+    """Return a Java object as OSP writes it."""
+    found = ET.Element("object", {"class": kind})
+    found.extend([_property(name, value) for name, value in properties])
+    return found
+
+
+def _property(name: str, value: Any) -> ET.Element:
+    """Return a property of an object: a number, a text, an object, an array of objects, or a list of them."""
+    if isinstance(value, ET.Element) and value.tag == "property":
+        value.set("name", name)
+        return value
+    if isinstance(value, list):
+        found = ET.Element("property", {"name": name, "type": "collection", "class": "java.util.ArrayList"})
+        found.extend([_property("item", item) for item in value])
+        return found
+    kinds = {bool: "boolean", int: "int", str: "string", ET.Element: "object"}
+    found = ET.Element("property", {"name": name, "type": kinds.get(type(value), "double")})
+    if isinstance(value, ET.Element):
+        found.append(value)
+    else:
+        found.text = str(value).lower() if isinstance(value, bool) else str(value)
+    return found
+
+
+def _array(kind: str, objects: Mapping[int, ET.Element]) -> ET.Element:
+    """Return an array of Java objects by index, in rising order; its last index gives its length."""
+    found = ET.Element("property", {"name": "", "type": "array", "class": f"[L{kind};"})
+    found.extend([_property(f"[{index}]", one) for index, one in objects.items()])
+    return found
+
+
+def _lines(element: ET.Element, indent: str = "") -> Iterator[str]:
+    """Yield the lines of an element as OSP writes them; a text with characters of XML is marked as such."""
+    tag = " ".join([element.tag, *(f'{name}="{value}"' for name, value in element.items())])
+    text = element.text or ""
+    if len(element):
+        yield f"{indent}<{tag}>"
+        for child in element:
+            yield from _lines(child, f"{indent}    ")
+        yield f"{indent}</{element.tag}>"
+    elif element.text is None:
+        yield f"{indent}<{tag}/>"
+    else:
+        yield f"{indent}<{tag}>{f'<![CDATA[{text}]]>' if set(text) & set('<>&') else text}</{element.tag}>"

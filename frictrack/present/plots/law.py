@@ -1,0 +1,200 @@
+"""Draw the fitted friction law over the speed, and measured and modelled force against displacement and velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from frictrack.base.number_format import format_number
+from frictrack.present.plots import style
+from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
+from frictrack.present.plots.model import modelled_force, worst_runs
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, plain_name, styled
+from frictrack.records import Array, Curve, Mask
+from frictrack.results import ModelResults, RunResults
+
+HEIGHT_IN, WIDTH_IN = 3.4, 7.0
+POINT_STYLE: dict[str, Any] = {"color": style.MEASURED_COLOUR, "ls": "none", "marker": ".", "ms": 2.2, "alpha": 0.4}
+DIRECTIONS = {1: "toward +x (v > 0)", -1: "toward \N{MINUS SIGN}x (v < 0)"}
+
+
+@styled
+def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: float = WIDTH_IN) -> Figure:
+    """Draw the friction force against the motion over the speed, one panel per direction, with its band.
+
+    The right axis gives the coefficient of friction, where the load is known. The points are the measured force at the
+    load of the law, less what the other effects of the model contribute: the law plus measured minus modelled force.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The fitted model.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+    title : bool
+        Whether the figure has a headline.
+    width : float
+        Width of the figure, inches.
+
+    Raises
+    ------
+    ValueError
+        If no effect of the model depends on the speed alone.
+
+    """
+    model, runs = as_model(model), as_runs(runs)
+    if not has_law(model):
+        raise ValueError(f'expected a model with a law over the speed but "{model.name}" has none; add coulomb')
+    branches: list[Mapping[str, Any]] = model.summary["law"]
+    directions = sorted({branch["direction"] for branch in branches}, reverse=True)
+    figure = new_figure(HEIGHT_IN + 0.3 * title, law_title(model) if title else "", width)
+    panels = figure.subplots(1, len(directions), squeeze=False, sharey=True)[0]
+    scale = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
+    for ax, direction in zip(panels, directions, strict=True):
+        own = [branch for branch in branches if branch["direction"] == direction]
+        for k, branch in enumerate(own):
+            color = style.RUN_STYLES[k]["color"] if len(own) > 1 else style.MODEL_COLOUR
+            _draw_branch(ax, branch, _measured_points(model, runs, branch), scale[0], color)
+        ax.set_xlim(left=0.0)
+        ax.set_xlabel(axis_label("speed |v|", scale[1]))
+        if len(directions) > 1:
+            ax.set_title(DIRECTIONS[direction], fontweight="normal")
+    panels[0].set_ylabel(axis_label("friction force F", "N"))
+    _limit_force(panels[0], branches)
+    load = branches[0]["load_N"]
+    if load:
+        right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
+        right.set_ylabel("coefficient of friction µ")
+    handles = {text: handle for ax in panels for handle, text in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=3, markerscale=3)
+    return figure
+
+
+def has_law(model: ModelResults) -> bool:
+    """Whether the law over the speed is stored with a model; it is not for models of early versions."""
+    return bool(model.summary.get("law"))
+
+
+def law_title(model: ModelResults) -> str:
+    """Title of `law`: the force at the slowest and the fastest speed."""
+    first = model.summary["law"][0]
+    factor, unit = style.axis_scale(np.array(first["v"]), "m/s")
+    slow, fast = (format_number(factor * v) for v in (first["v"][0], first["v"][-1]))
+    begin, end = (format_number(force) for force in (first["F"][0], first["F"][-1]))
+    if begin == end:
+        return f"{plain_name(model.name)}: friction {begin} N from {slow} to {fast} {unit}"
+    return f"{plain_name(model.name)}: friction {begin} N at {slow}, {end} N at {fast} {unit}"
+
+
+def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: float, color: str) -> None:
+    """Draw one direction: measured points (2, n), then the law with its band; speeds times a factor."""
+    v, force, sigma = (np.array(branch[key]) for key in ("v", "F", "sigma_F"))
+    at, points = measured[:, :: max(1, measured.shape[1] // style.MAX_POINTS)]
+    ax.plot(factor * at, points, label="measured", rasterized=True, zorder=1, **POINT_STYLE)
+    draw_band(ax, factor * v, force, sigma, color=color, alpha=0.3, zorder=2, label=f"± {style.BAND_SIGMAS:g} std")
+    ax.plot(factor * v, force, color=color, lw=2.0, zorder=3, label=f"law {branch.get('group', '')}".strip())
+
+
+def _measured_points(model: ModelResults, runs: Sequence[RunResults], branch: Mapping[str, Any]) -> Array:
+    """Speed and force (2, n) of all fitted runs of a branch, in its direction."""
+    of_group = [run for run in runs if branch.get("group", run.group) == run.group]
+    parts = [_points(model, c, run, branch) for run in of_group for c in model.curves if c.run == run.name]
+    return np.concatenate([np.zeros((2, 0)), *parts], axis=1)
+
+
+def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[str, Any]) -> Array:
+    """Speed and law plus residual force (2, n) of one segment, in the direction of a branch."""
+    if curve.role != "fit" or run.friction is None:
+        return np.zeros((2, 0))
+    f, direction = run.friction, branch["direction"]
+    measured = np.interp(curve.t, f.t, style.masked(f.F, style.unsmeared_frames(f, run.motion.guard)))
+    left = direction * (measured - modelled_force(model, curve))
+    kept = np.isfinite(left) & (direction * curve.v_model > branch["v"][0])
+    speed = np.abs(curve.v_model[kept])
+    return np.array([speed, np.interp(speed, branch["v"], branch["F"]) + left[kept]])
+
+
+def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
+    """Show the axis from zero to the law and the bulk of the points; a few wild points set no limit."""
+    points = np.concatenate(
+        [np.asarray(line.get_ydata(), float) for line in ax.lines if line.get_linestyle() == "None"]
+    )
+    bulk = np.percentile(points, [1, 99]) if len(points) else points
+    values = np.concatenate([np.ravel([branch["F"] for branch in branches]), bulk, [0.0]])
+    style.set_y_limits(ax, [values])
+
+
+MAX_PANELS = 4  # runs drawn; of more runs, those that fit worst
+MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
+
+
+@styled
+def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
+    """Draw per run the hysteresis loops of measured and modelled friction force over displacement and velocity.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The fitted model.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+
+    Raises
+    ------
+    ValueError
+        If no run has a friction force.
+
+    """
+    model, runs = as_model(model), as_runs(runs)
+    by_name = {run.name: run for run in runs}
+    shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MAX_PANELS]
+    if not shown:
+        raise ValueError("expected a run with a friction force but got none")
+    figure = new_figure(3.1 * len(shown) + 0.6, _title(model))
+    panels = figure.subplots(len(shown), 2, squeeze=False, sharey="row")
+    for (left, right), name in zip(panels, shown, strict=True):
+        _loops((left, right), [c for c in model.curves if c.run == name], by_name[name])
+        left.set_title(name, fontweight="normal")
+        left.set_ylabel("friction force F / N")
+    handles = [
+        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
+        Line2D([], [], color=style.MODEL_COLOUR, lw=1.8, ls=(0, (4, 1.2)), label="model"),
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=2)
+    return figure
+
+
+def _loops(pair: tuple[Axes, Axes], curves: Sequence[Curve], run: RunResults) -> None:
+    """Draw F of one run against x from the middle of the travel, and against v."""
+    f = run.friction
+    assert f is not None
+    everywhere = np.concatenate([c.x for c in curves])
+    middle = 0.5 * float(everywhere.min() + everywhere.max())
+    for ax, of, words, unit in (
+        (pair[0], lambda c: c.x - middle, "displacement x from the middle", "m"),
+        (pair[1], lambda c: c.v_model, "velocity v", "m/s"),
+    ):
+        factor, written = style.axis_scale(np.concatenate([of(c) for c in curves]), unit)
+        for c in curves:
+            at, unbroken = factor * of(c), _unbroken(c.t)
+            ax.plot(at, style.masked(np.interp(c.t, f.t, f.F), unbroken), color=style.MEASURED_COLOUR, lw=0.9)
+            ax.plot(at, style.masked(c.F_model, unbroken), color=style.MODEL_COLOUR, lw=1.8, ls=(0, (4, 1.2)))
+        ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
+        ax.set_xlabel(axis_label(words, written))
+    pair[1].axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
+
+
+def _unbroken(t: Array) -> Mask:
+    """(n,) False at the first frame after a gap in time."""
+    steps = np.diff(t, prepend=t[0])
+    return np.asarray(steps <= MAX_GAP_STEPS * np.median(steps))
+
+
+def _title(model: ModelResults) -> str:
+    error = model.summary["errors"]["relative_force_error"]
+    return f"{plain_name(model.name)}: error {format_number(100 * error, 2)} % of the measured friction force"

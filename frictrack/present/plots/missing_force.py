@@ -1,0 +1,276 @@
+"""Draw the force that a model misses, over every axis along which it may repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.base.number_format import format_number
+from frictrack.present.plots import style
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
+from frictrack.records import Array, Mask
+from frictrack.results.motion_axes import AXES
+
+MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the step is longer
+MAX_RUNS = 12  # drawn one by one; of more runs, those with the largest missing force
+MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
+FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
+
+
+def has_missing_force(figures: Mapping[str, Mapping[str, Array]]) -> bool:
+    """Whether the stored diagnosis contains the missing force.
+
+    Parameters
+    ----------
+    figures : mapping
+        Curves of the stored diagnosis.
+
+    """
+    return "residual_force" in figures
+
+
+@styled
+def missing_force(
+    figures: Mapping[str, Mapping[str, Array]],
+    spans: Sequence[Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
+    repeats: Sequence[Mapping[str, Any]] = (),
+) -> Figure:
+    """Draw the missing force over time, place, speed, acceleration and phase: of at most 12 runs, and of all together.
+
+    A black line shows the part that is common to all runs. Bands are two standard deviations wide on each side.
+
+    Parameters
+    ----------
+    figures : mapping
+        Curves of the stored diagnosis. `residual_force` has one row per sample of all runs: `run` (index), `F` and
+        `sigma_F` in N, one column per axis, and the load if forces are drawn at the reference load; `common_<axis>` has
+        `at`, `F` and `sigma_F`.
+    spans : sequence of mappings
+        Where the model fails; marked at the foot of every panel.
+    styles : mapping
+        Line styles of the fitted runs by name, in order.
+    repeats : sequence of mappings
+        Results of the repeatability tests, the clearest axis first.
+
+    Raises
+    ------
+    KeyError
+        If the diagnosis has no missing force; see `has_missing_force`.
+
+    """
+    whole = at_reference_load(figures["residual_force"])
+    shown = [name for name in AXES if name in whole]
+    figure = new_figure(5.4, _title(repeats))
+    panels = figure.subplots(2, 3)
+    factor, unit = style.axis_scale(whole["F"], "N")
+    low, high = force_limits(whole)
+    shares = {r["axis"]: r for r in repeats}
+    drawn, styles = _strongest_runs(whole, styles)
+    for ax, name in zip(np.ravel(panels), shown, strict=False):
+        draw_runs(ax, drawn, name, factor, list(styles.values()))
+        draw_common(ax, figures.get(f"common_{name}"), factor)
+        _mark_spans(ax, drawn, name, spans, styles)
+        ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+        foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
+        ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
+        ax.set_xlabel(_label(name, whole))
+        ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
+    for ax in panels[:, 0]:
+        ax.set_ylabel(axis_label(force_label(whole), unit))
+    for ax in np.ravel(panels)[len(shown) :]:
+        ax.set_axis_off()
+    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
+    if len(styles) < len(np.unique(whole["run"])):
+        figure.suptitle(f"{_title(repeats)} ({len(styles)} runs of {len(np.unique(whole['run']))})", x=0.01, ha="left")
+    return figure
+
+
+def _strongest_runs(
+    whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
+) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
+    """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
+    run = whole["run"]
+    known, mean = mean_per_run(run, (whole["F"] / whole["sigma_F"]) ** 2)
+    kept = np.sort(known[np.argsort(-mean, kind="stable")[:MAX_RUNS]])
+    rows = np.isin(run, kept)
+    drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
+    names = list(styles)
+    looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
+    return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
+
+
+def mean_per_run(run: Array, values: Array) -> tuple[Array, Array]:
+    """Runs (R,) of some rows, and the mean of a column (R,) over the rows of each."""
+    names, row = np.unique(run, return_inverse=True)
+    return names, np.bincount(row, values) / np.bincount(row)
+
+
+def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
+    if not repeats or not repeats[0]["holds"]:
+        return "The force that the model misses"
+    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].name}"
+
+
+def _repeat_note(found: Mapping[str, Any] | None) -> str:
+    """How much of a run's misfit the other runs predict over this axis."""
+    if found is None:
+        return ""
+    return f"other runs predict {100 * found['share']:.0f} % of the misfit"
+
+
+def _label(name: str, whole: Mapping[str, Array]) -> str:
+    axis = AXES[name]
+    if name == "phase" and "frequency" in whole:
+        return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
+    return axis_label(axis.label, axis.unit)
+
+
+def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
+    """Divide the missing force by the load, if that is stored: runs then agree better."""
+    load = whole.get("load", np.ones(1))
+    return dict(whole) | {name: whole[name] / load for name in ("F", "sigma_F")}
+
+
+def force_label(whole: Mapping[str, Array]) -> str:
+    """Name of the missing force on an axis."""
+    return "missing force\nat reference load" if "load" in whole else "missing force"
+
+
+def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
+    """Limits of the force axis, N; a band wider than the force itself does not set them."""
+    usual = float(np.median(whole["sigma_F"]))
+    room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
+    low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
+    margin = 0.05 * max(high - low, 1e-12)
+    return min(low, 0.0) - margin, max(high, 0.0) + margin
+
+
+def draw_runs(
+    ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]
+) -> None:
+    """Draw one thin line with its band per run, with gaps where the axis jumps."""
+    for k in np.unique(whole["run"]).astype(int):
+        mine = whole["run"] == k
+        x, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+        steps = np.abs(np.diff(x, prepend=x[0]))
+        usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
+        force = style.masked(force, steps <= usual)
+        look = styles[k]
+        draw_band(ax, x, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
+
+
+def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
+    """Draw the part that is common to all runs as a black line with its band."""
+    if curve is None:
+        return
+    known = np.isfinite(curve["F"])
+    at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
+    draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4)
+
+
+def _mark_spans(
+    ax: Axes,
+    whole: Mapping[str, Array],
+    name: str,
+    spans: Sequence[Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Draw a bar for every span at the foot of the panel, in its run's colour."""
+    if name == "phase":
+        return
+    foot = ax.get_xaxis_transform()
+    names = list(styles)
+    for s in (s for s in spans if s["run"] in styles):
+        k = names.index(s["run"])
+        inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
+        if inside.any():
+            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
+            ends = [float(reach.min()), float(reach.max())]
+            ax.plot(
+                ends, [y, y], transform=foot, color=styles[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
+            )
+
+
+def _within(values: Array, reach: Sequence[float]) -> Mask:
+    room = 1e-6 + 1e-3 * (reach[1] - reach[0])
+    return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
+
+
+def _legend(figure: Figure, ax: Axes | None, styles: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
+    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in styles.items()]
+    handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
+    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.BAND_SIGMAS:g} std"))
+    if spans:
+        handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
+    if ax is None:
+        figure.legend(handles=handles, loc="outside lower left", ncols=6)
+    else:
+        ax.legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)
+
+
+SIDES = {"L * s": "resisting motion, with the load", "s": "resisting motion", "": "independent of the direction"}
+SIGNAL_NAMES = {"vertical": "vertical motion", "accelerometer": "the accelerometer"}
+
+
+@styled
+def unexplained(found: Mapping[str, Any]) -> Figure:
+    """Draw the force that no effect explains over the axis along which it repeats best, with two standard deviations.
+
+    Parameters
+    ----------
+    found : mapping
+        The `unexplained` part of a diagnosis: `axis`, `curve` (n, 2) of axis and force in N, and `band` (n,), the
+        standard deviation of the force.
+
+    """
+    motion_axis = AXES[found["axis"]]
+    curve = np.asarray(found["curve"], dtype=float)
+    figure = new_figure(3.4, f"Unexplained force over {motion_axis.name}, {SIDES[found.get('factor', '')]}")
+    ax = figure.subplots()
+    ax.axhline(0, color="#666666", lw=0.7)
+    if found.get("band"):
+        band = 2 * np.asarray(found["band"], dtype=float)
+        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILION, alpha=0.2, lw=0)
+    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILION, lw=1.8)
+    label = (
+        axis_label("phase of the motion", "rad")
+        if found["axis"] == "phase"
+        else axis_label(motion_axis.label, motion_axis.unit)
+    )
+    ax.set(xlabel=label, ylabel="unexplained force / N")
+    ax.margins(x=0)
+    return figure
+
+
+@styled
+def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -> Figure:
+    """Draw the residual of one run and the part that another measured signal predicts.
+
+    Parameters
+    ----------
+    evidence : mapping
+        One entry of the diagnosis' `evidence`: `shown` (name of the run), `kind` and `name` of the signal.
+    curve : mapping
+        `t` in s, `left` (residual) and `told` (predicted part) in m, all (n,).
+
+    """
+    source = evidence["name"] or SIGNAL_NAMES[evidence["kind"]]
+    figure = new_figure(3.0, f"{evidence['shown']}: residual, and the part that {source} predicts")
+    ax = figure.subplots()
+    factor, unit = style.axis_scale(np.asarray(curve["left"]), "m")
+    ax.axhline(0, color="#666666", lw=0.7)
+    ax.plot(curve["t"], factor * curve["left"], color="#777777", lw=1.0, label="residual")
+    ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
+    ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
+    ax.margins(x=0)
+    figure.legend(loc="outside lower left", ncols=2)
+    return figure

@@ -1,0 +1,361 @@
+"""Draw the model against the measurement: both forces, and the residual.
+
+Modelled and measured displacement look the same: an error of 30 um over a slide of half a metre cannot be seen. So
+these figures show the force, and of the displacement only the residual. Where a load cell measured friction, the
+residual is a force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from frictrack.base.number_format import format_number, format_share
+from frictrack.present.plots import style
+from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
+from frictrack.records import Array, Curve
+from frictrack.results import ModelResults, RunResults
+
+MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
+MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
+MAX_PANELS = 8  # runs drawn; of more runs, those that fit worst
+BETTER_MODEL_STYLE: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Residual of one segment: measured minus modelled displacement in um, or force in N.
+
+    Attributes
+    ----------
+    t : Array
+        (n,) time, ms.
+    values : Array
+        (n,) residual, um or N.
+    sigma : Array
+        (n,) standard deviation of the noise, um or N.
+    repaired : Array or None
+        (n,) codes of repaired frames; None if there are none.
+
+    """
+
+    t: Array
+    values: Array
+    sigma: Array
+    repaired: NDArray[np.int8] | None = None
+
+
+@styled
+def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
+    """Draw per run the modelled and the measured friction force over time, and the residual below.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The fitted model.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+
+    """
+    model, runs = as_model(model), as_runs(runs)
+    shown = worst_runs(model, runs)
+    labels = (axis_label("time t", "ms"), "friction force F / N", axis_label("residual", residual_unit(model)))
+    title = fit_title(model) + _how_many(model, shown)
+    figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1))
+    by_name = {run.name: run for run in runs}
+    for (above, left), name in zip(cells, shown, strict=True):
+        _draw_force(above, model, by_name[name])
+        _draw_residual(left, residuals(model, by_name[name]))
+        above.set_title(_panel_title(model, name), fontweight="normal")
+        above.sharex(left)
+        above.tick_params(labelbottom=False)
+    _share_y([left for _, left in cells])
+    handles: list[Any] = [
+        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
+        Line2D([], [], color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)), label="model"),
+        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
+        Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
+    ]
+    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
+    return figure
+
+
+@styled
+def failing(
+    model: AnyModel,
+    runs: Sequence[AnyRun],
+    spans: Sequence[dict[str, Any]],
+    better: AnyModel | None = None,
+) -> Figure:
+    """Draw the residual of every run, with the spans where the model fails.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The model that fails.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+    spans : sequence of dict
+        Where it fails: each has `run`, `t` (start and end, s) and `share_of_error`, which is written on it.
+    better : ModelResults or Fit, optional
+        A later model, whose residual is drawn in grey.
+
+    """
+    model, runs, better = as_model(model), as_runs(runs), None if better is None else as_model(better)
+    by_name = {run.name: run for run in runs}
+    colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
+    shown = worst_runs(model, runs)
+    labels = (axis_label("time t", "ms"), axis_label("residual", residual_unit(model)))
+    title = _failing_title(model, runs, spans) + _how_many(model, shown)
+    figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
+    for (ax,), name in zip(cells, shown, strict=True):
+        if better is not None:
+            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
+        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
+        ax.set_title(_panel_title(model, name), fontweight="normal")
+        _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name])
+    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
+    if better is not None:
+        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
+    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
+    if spans:
+        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
+    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
+    return figure
+
+
+@styled
+def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
+    """Draw the friction force of one run: measured, fitted in the displacement domain, and by the papers' route.
+
+    Parameters
+    ----------
+    default, papers : ModelResults or Fit
+        The same model, fitted in both ways.
+    run : RunResults or Run
+        A run that both have fitted.
+
+    """
+    default, papers, run = as_model(default), as_model(papers), as_run(run)
+    figure = new_figure(3.4, f"{run.name}: measured force and both fits")
+    ax = figure.subplots()
+    _draw_measured_force(ax, run)
+    for model, look in (
+        (default, {"color": style.MODEL_COLOUR, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
+        (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
+    ):
+        for k, curve in enumerate(c for c in model.curves if c.run == run.name):
+            ax.plot(1e3 * curve.t, modelled_force(model, curve), lw=2.0, **(look if k == 0 else look | {"label": None}))
+    ax.set(xlabel=axis_label("time t", "ms"), ylabel="friction force F / N")
+    figure.legend(loc="outside lower left", ncols=3)
+    return figure
+
+
+def fit_title(model: ModelResults) -> str:
+    """Title of `fit`: the verdict, and the residual against the noise."""
+    errors, noise = model.summary["errors"], noise_um(model)
+    name, rms = plain_name(model.name), errors["rms_displacement_um"]
+    figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
+    if rms is not None and noise is not None:
+        figures = f"residual {format_number(rms)} µm, noise {format_number(noise)} µm"
+    verdict = (model.diagnosis or {}).get("verdict")
+    if verdict is None:
+        return f"{name}: {figures}"
+    word = {"complete": "is complete", "undetermined": "is undetermined"}.get(verdict, "fails")
+    return f"{name} {word}: {figures}"
+
+
+def _how_many(model: ModelResults, shown: Sequence[str]) -> str:
+    """How many runs are drawn, if not all."""
+    n = len({curve.run for curve in model.curves})
+    return f" ({len(shown)} worst of {n} runs)" if len(shown) < n else ""
+
+
+def _residual_title(model: ModelResults, runs: Sequence[RunResults]) -> str:
+    most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
+    noise = noise_um(model)
+    against = "" if noise is None else f", noise {format_number(noise)} µm"
+    return f"{plain_name(model.name)}: residual up to {format_number(most)} {residual_unit(model)}{against}"
+
+
+def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
+    if not spans:
+        return _residual_title(model, runs)
+    worst = max(spans, key=lambda s: s["share_of_error"])
+    t0, t1 = (format_number(1e3 * t) for t in worst["t"])
+    share = f"{format_share(worst['share_of_error'])} of the error"
+    return f"{plain_name(model.name)} fails most in {worst['run']} from {t0} to {t1} ms: {share}"
+
+
+def noise_um(model: ModelResults) -> float | None:
+    """Standard deviation of the noise of all fitted runs, rms.
+
+    Returns
+    -------
+    float or None
+        um; None if no displacement was fitted.
+
+    """
+    if model.diagnosis and model.diagnosis.get("noise_um"):
+        return float(model.diagnosis["noise_um"])
+    levels = [row.get("noise_um") for row in model.summary.get("per_run", ()) if row["role"] == "fit"]
+    known = [level for level in levels if level is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+
+def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
+    """Select the runs to draw.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    runs : sequence of RunResults
+        All runs of the study.
+
+    Returns
+    -------
+    list of str
+        Names of the fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise.
+
+    """
+    names = list(dict.fromkeys(curve.run for curve in model.curves))
+    if len(names) <= MAX_PANELS:
+        return names
+    size = {
+        run.name: float(np.mean(np.concatenate([p.values / p.sigma for p in residuals(model, run)]) ** 2))
+        for run in runs
+        if run.name in names
+    }
+    kept = set(sorted(size, key=lambda n: -size[n])[:MAX_PANELS])
+    return [n for n in names if n in kept]
+
+
+def residual_unit(model: ModelResults) -> str:
+    """Unit of the model's residual: um of displacement, or N if only forces were measured."""
+    return "N" if model.summary["errors"]["rms_displacement_um"] is None else "µm"
+
+
+def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
+    """Compute the residuals of one run.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    run : RunResults
+        A run of the study.
+
+    Returns
+    -------
+    list of Residual
+        One per segment of the fit; none if the run was not fitted.
+
+    """
+    curves = [c for c in model.curves if c.run == run.name]
+    if residual_unit(model) == "µm":
+        return [Residual(1e3 * c.t, 1e6 * c.residual, 1e6 * c.sigma_x, c.repaired) for c in curves]
+    f = run.friction
+    if f is None:
+        return []
+    return [Residual(1e3 * c.t, np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves]
+
+
+def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
+    """Draw residuals over their noise band; many points as a bitmap, to keep the file small."""
+    many = sum(len(part.t) for part in parts) > 4 * style.MAX_POINTS
+    for part in parts:
+        if with_band:
+            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE_COLOUR, zorder=0)
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOT_STYLE | look
+        ax.plot(part.t, part.values, **dots)
+        if with_band:
+            style.mark_repaired(ax, part.t, part.repaired)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+
+
+def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
+    _draw_measured_force(ax, run)
+    for c in model.curves:
+        if c.run == run.name:
+            ax.plot(1e3 * c.t, modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
+
+
+def _repaired_handles(model: ModelResults) -> list[Line2D]:
+    """Entry of the legend for repaired frames, if a fitted run has any."""
+    return next((found for c in model.curves if (found := style.repaired_handles(c.repaired))), [])
+
+
+def modelled_force(model: ModelResults, curve: Curve) -> Array:
+    """Friction force of the model on one fitted segment, through the filter that the measured force went through.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    curve : Curve
+        One segment of the fit, n samples.
+
+    Returns
+    -------
+    Array
+        (n,) force, N; NaN after a gap in time. Where no filter is known, it is also NaN during a blow that is too short
+        to be resolved: only its impulse is known.
+
+    """
+    steps = np.diff(curve.t, prepend=curve.t[0])
+    known = steps <= MAX_GAP_STEPS * np.median(steps)
+    own = next((motion for motion in model.motion if motion.run == curve.run), None)
+    if curve.F_filtered is None and own is not None:
+        known &= ~np.isin(curve.t, own.t[own.blow])
+    return style.masked(curve.F_as_measured, known)
+
+
+def _draw_measured_force(ax: Axes, run: RunResults) -> None:
+    """Draw the measured friction force of the free section with its band, without smeared frames."""
+    f = run.friction
+    if f is None:
+        return
+    F = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
+    draw_band(ax, 1e3 * f.t, F, f.sigma_F, color="#BBBBBB", alpha=0.6)
+    ax.plot(1e3 * f.t, F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
+
+
+def _panel_title(model: ModelResults, name: str) -> str:
+    row = next((r for r in model.summary["per_run"] if r["run"] == name), None)
+    if row is None or row["errors"].get("rms_displacement_um") is None:
+        return name
+    remark = ", not fitted" if row["role"] == "validation" else ""
+    return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{remark}"
+
+
+def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
+    """Shade each span and label it with its share; a label that would overlap an earlier one is left out."""
+    top = ax.get_xaxis_transform()
+    low, high = ax.get_xlim()
+    labelled: list[float] = []
+    for s in spans:
+        a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
+        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
+        if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
+            continue
+        labelled.append((a + b) / 2)
+        share = format_share(s["share_of_error"])
+        label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
+        label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
+
+
+def _share_y(panels: Sequence[Axes]) -> None:
+    """Give all panels the same y axis."""
+    reach = [ax.get_ylim() for ax in panels]
+    for ax in panels:
+        ax.set_ylim(min(low for low, _ in reach), max(high for _, high in reach))

@@ -1,0 +1,164 @@
+"""Draw the motion that a fitted model predicts over the smoothed motion: acceleration and friction force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.base.number_format import format_number
+from frictrack.present.plots import style
+from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
+from frictrack.present.plots.model import worst_runs
+from frictrack.present.plots.style import axis_label, draw_band, panel_grid, plain_name, styled
+from frictrack.records import Array, Mask, ModelledMotion, stretches
+from frictrack.results import ModelResults, RunResults
+
+MAX_PANELS = 6  # runs drawn; of more runs, those that fit worst
+SMOOTHED_STYLE: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
+MODEL_BAND_STYLE: dict[str, Any] = {
+    "facecolor": style.ORANGE,
+    "edgecolor": style.MODEL_COLOUR,
+    "alpha": 0.4,
+    "hatch": "////",
+}
+MODEL_STYLE: dict[str, Any] = {"color": style.MODEL_COLOUR, "lw": 1.6, "ls": (0, (4, 1.2))}
+
+
+@styled
+def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
+    """Draw per run the acceleration, smoothed minus modelled acceleration, and friction force, with their bands.
+
+    A blow that is too short to be resolved is hatched, without the model's line; its impulse is written there.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The fitted model, with its own motion.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+
+    Raises
+    ------
+    ValueError
+        If the model has no motion of its own.
+
+    """
+    model, runs = as_model(model), as_runs(runs)
+    own = {motion.run: motion for motion in model.motion}
+    shown = [name for name in worst_runs(model, runs) if name in own][:MAX_PANELS]
+    if not shown:
+        raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
+    by_name = {run.name: run for run in runs}
+    labels = (axis_label("time t", "ms"), axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"),
+              axis_label("friction F", "N"))  # fmt: skip
+    figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
+    for cell, name in zip(cells, shown, strict=True):
+        _draw_run(cell, own[name], by_name[name], _impulses(model, name))
+    figure.legend(
+        handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
+    )
+    return figure
+
+
+def modelled_title(model: ModelResults) -> str:
+    """Title of `modelled`: standard deviations of the acceleration by the model and by smoothing."""
+    rows = [row["motion"] for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
+    if not rows:
+        return f"{plain_name(model.name)}: its own motion over the smoothed motion"
+    own, smooth = (format_number(_rms([row[key] for row in rows]), 2) for key in ("sigma_a", "sigma_a_smoothed"))
+    motion = f"{plain_name(model.name)}: std of a {own} m/s²; by smoothing {smooth} m/s²"
+    return f"{motion}; the model misses something" if any(row["notes"] for row in rows) else motion
+
+
+def _rms(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+
+def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, impulses: str) -> None:
+    """Draw one run in its three panels."""
+    a, left, force = cell
+    m, rows = run.motion, np.searchsorted(run.motion.t, motion.t - 1e-9)
+    t, at = 1e3 * motion.t, 1e3 * m.t[rows]
+    unsmeared = _unsmeared(run, rows)
+    draw_band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED_STYLE)
+    a.plot(at, m.a[rows], color=style.MEASURED_COLOUR, lw=1.0)
+    _draw_model(a, motion, motion.a, motion.sigma_a)
+    draw_band(left, at, m.a[rows] - motion.a, m.sigma_a[rows], **SMOOTHED_STYLE)
+    left.plot(at, m.a[rows] - motion.a, color=style.MEASURED_COLOUR, lw=1.0)
+    _draw_model(left, motion, np.zeros(len(motion)), motion.sigma_a)
+    if run.friction is not None:
+        f = run.friction
+        draw_band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED_STYLE)
+        force.plot(at, f.F[rows], color=style.MEASURED_COLOUR, lw=1.0)
+    _draw_model(force, motion, motion.F, motion.sigma_F)
+    for ax, smooth, own, sigma in (
+        (a, m.a[rows], motion.a, motion.sigma_a),
+        (left, m.a[rows] - motion.a, np.zeros(len(motion)), np.hypot(motion.sigma_a, np.median(m.sigma_a[rows]))),
+        (force, motion.F, motion.F, motion.sigma_F),
+    ):
+        _set_limits(ax, smooth[unsmeared & ~motion.blow], (own[~motion.blow], sigma[~motion.blow]))
+    for ax in cell:
+        _hatch_blows(ax, t, motion.blow)
+        ax.set_xlim(t[0], t[-1])
+    a.set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
+    if impulses and np.any(motion.blow):
+        middle = float(np.mean(t[motion.blow]))
+        a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
+            {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
+        )
+
+
+def _set_limits(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
+    """Limit the axis to the model's band and most of the smoothed line; a smeared blow must not set the scale."""
+    middle, sigma = own
+    reach = np.quantile(smooth, [0.02, 0.98]), middle - 2 * sigma, middle + 2 * sigma
+    style.set_y_limits(ax, reach)
+
+
+def _unsmeared(run: RunResults, rows: Any) -> Mask:
+    """Frames whose motion the filter does not smear; all frames if it smears every one."""
+    inside = np.zeros(len(run.motion), dtype=bool)
+    inside[run.motion.guard : len(run.motion) - run.motion.guard] = True
+    kept: Mask = inside[rows]
+    return kept if np.any(kept) else ~kept
+
+
+def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
+    """Draw the model's line with its band, segment by segment, with a gap at an unresolved blow."""
+    for k in np.unique(motion.segment):
+        at = motion.segment == k
+        shown = style.masked(values, ~motion.blow)[at]
+        draw_band(ax, 1e3 * motion.t[at], shown, sigma[at], **MODEL_BAND_STYLE, zorder=2.5)
+        ax.plot(1e3 * motion.t[at], shown, zorder=3, **MODEL_STYLE)
+
+
+def _hatch_blows(ax: Axes, t: Array, blow: Mask) -> None:
+    for s in stretches(blow):
+        ax.axvspan(t[s.start], t[s.stop - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
+
+
+def _impulses(model: ModelResults, run: str) -> str:
+    """Impulses of a run's collisions as text."""
+    motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
+    return ", ".join(
+        f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
+    )
+
+
+def _handles(blow: bool) -> list[Any]:
+    handles: list[Any] = [
+        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="smoothed"),
+        Patch(label=f"± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
+        Line2D([], [], label="model", **MODEL_STYLE),
+        Patch(label=f"± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
+    ]
+    if blow:
+        handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to resolve"))
+    return handles

@@ -1,0 +1,133 @@
+"""Draw the likelihood profile of every parameter, and the parabola that its standard deviation gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.interpolate import PchipInterpolator
+
+from frictrack.base.distributions import normal_ppf
+from frictrack.base.number_format import format_number, format_unit
+from frictrack.present.plots import style
+from frictrack.present.plots.style import axis_scale, new_figure, styled
+from frictrack.records import Array
+
+MAX_SHOWN_RISE = 1.7  # top of a panel over the limit
+N_CURVE_POINTS = 200
+MAX_COLUMNS = 4
+LOG_AXIS_RATIO = 30.0  # upper over lower end of an interval, from which the axis is logarithmic
+
+
+@styled
+def profiles(summary: Mapping[str, Any]) -> Figure:
+    """Draw the rise of chi-squared over each parameter while all others are fitted again, one panel per parameter.
+
+    Parameters
+    ----------
+    summary : mapping
+        The JSON of a fit, with its `profiles` and `parameters`.
+
+    References
+    ----------
+    D. M. Bates, D. G. Watts (1988): Nonlinear Regression Analysis and Its Applications, ch. 6, profile t plots.
+
+    """
+    found = summary["profiles"]
+    columns = min(MAX_COLUMNS, max(len(found), 1))
+    rows = -(-len(found) // columns)
+    figure = new_figure(2.3 * rows + 0.8, _title(found))
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for ax, (name, profile) in zip(panels.flat, found.items(), strict=False):
+        _panel(ax, name, profile, summary["parameters"].get(name, {}))
+    for ax in panels.flat[len(found) :]:
+        ax.set_axis_off()
+    for ax in panels[:, 0]:
+        ax.set_ylabel("rise of chi²")
+    handles: list[Any] = [
+        Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),
+        Line2D([], [], color=style.MODEL_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="parabola of the standard deviation"),
+        Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
+        Patch(color=style.NOISE_COLOUR, label=f"{100 * _level(found):.0f} % interval"),
+    ]
+    if summary.get("misfit"):
+        label = "† standard deviation with the misfit"
+        handles.append(Line2D([], [], color=style.MEASURED_COLOUR, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
+    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    return figure
+
+
+def _level(found: Mapping[str, Any]) -> float:
+    return float(next(iter(found.values()))["level"])
+
+
+def _title(found: Mapping[str, Any]) -> str:
+    unclosed = [name for name, profile in found.items() if profile["low"] is None or profile["high"] is None]
+    if not unclosed:
+        return "Every parameter is bounded on both sides"
+    return f"Not bounded on both sides: {', '.join(unclosed)}"
+
+
+def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:
+    limit = float(normal_ppf(0.5 + profile["level"] / 2)) ** 2
+    values, rise = np.array(profile["values"]), np.array(profile["rise"])
+    factor, unit = axis_scale(values, profile["unit"])
+    low, high = _reach(values, rise, profile, limit)
+    ends = [end if profile[key] is None else profile[key] for key, end in (("low", low), ("high", high))]
+    ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE_COLOUR, lw=0, zorder=0)
+    for key, colour, dashes in (
+        ("std", style.MODEL_COLOUR, (4, 1.5)),
+        ("std_misfit", style.MEASURED_COLOUR, (4, 1, 1, 1)),
+    ):
+        if quoted.get(key):
+            x = np.linspace(low, high, N_CURVE_POINTS)
+            curve = ((x - profile["value"]) / quoted[key]) ** 2
+            ax.plot(factor * x, curve, color=colour, lw=1.2, ls=(0, dashes))
+    x, curve = _smooth(values, rise, profile["value"])
+    ax.plot(factor * x, curve, color=style.BLUE, lw=1.5)
+    ax.plot(factor * values, rise, color=style.BLUE, **(style.DOT_STYLE | {"markersize": 5.0}))
+    ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
+    if ends[0] > 0 and ends[1] > LOG_AXIS_RATIO * ends[0]:
+        low, high = 0.8 * ends[0], 1.25 * ends[1]
+        ax.set_xscale("log")
+    else:
+        ax.locator_params(axis="x", nbins=4)
+    ax.set_xlim(factor * low, factor * high)
+    ax.set_ylim(-0.06 * limit, MAX_SHOWN_RISE * limit)
+    ax.set_title(name, fontweight="normal")
+    ax.set_xlabel(f"{_interval(profile, factor)} {format_unit(unit)}".strip())
+
+
+def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:
+    """Ends of a panel: those of the interval and a margin; on an open side the last computed value."""
+    shown = values[rise < 4 * limit]
+    low = shown.min() if profile["low"] is None else profile["low"]
+    high = shown.max() if profile["high"] is None else profile["high"]
+    room = 0.16 * ((high - low) or abs(high) or 1.0)
+    return float(low - room), float(high + room)
+
+
+def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
+    """Interpolate the points by their signed root, which is nearly a line."""
+    if len(values) < 3:
+        return values, rise
+    root = np.sign(values - best) * np.sqrt(rise)
+    logarithmic = values[0] > 0 and values[-1] > LOG_AXIS_RATIO * values[0]
+    at = np.log(values) if logarithmic else values
+    x = np.unique(np.concatenate([np.linspace(at[0], at[-1], N_CURVE_POINTS), at]))
+    curve = np.asarray(PchipInterpolator(at, root)(x)) ** 2
+    return (np.exp(x) if logarithmic else x), curve
+
+
+def _interval(profile: Mapping[str, Any], factor: float) -> str:
+    low, high = (None if profile[key] is None else factor * profile[key] for key in ("low", "high"))
+    if low is None and high is None:
+        return "any"
+    if low is None:
+        return f"below {format_number(high)}"
+    return f"above {format_number(low)}" if high is None else f"{format_number(low)} to {format_number(high)}"

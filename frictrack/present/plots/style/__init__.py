@@ -1,0 +1,501 @@
+"""The style that all figures share: colours, axes, grids of panels, files, and the names of models.
+
+The palette is safe for colour-blind readers. Where two things meet in one panel, they also differ in line style,
+marker or hatching, so that figures can be read in grey.
+
+References
+----------
+M. Okabe, K. Ito (2008): Color Universal Design, https://jfly.uni-koeln.de/color/.
+
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache, wraps
+from threading import RLock
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_mixed import MixedModeRenderer
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from frictrack.base.number_format import format_unit
+from frictrack.present.plots.style.tick_rows import collection_paused, ticks_in_rows
+from frictrack.records import Array, Friction, Mask, away_from_ends
+
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
+REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
+RUN_STYLES: list[dict[str, Any]] = [
+    {"color": color, "linestyle": dash}
+    for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
+    for color in (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
+]  # one per run, then again dashed and dotted
+DOT_STYLE: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
+
+RC_PARAMS: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 10,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": "#222222",
+    "axes.axisbelow": True,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "legend.handlelength": 2.4,
+    "lines.linewidth": 1.5,
+    "hatch.linewidth": 0.6,
+    "hatch.color": "#777777",
+    "figure.titlesize": 12,
+    "figure.titleweight": "bold",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "frictrack",
+    "path.simplify_threshold": 0.2,
+}
+
+
+def run_styles(runs: Sequence[Any]) -> dict[str, dict[str, Any]]:
+    """Assign a colour and a line style to each run of a study, the same in all figures.
+
+    Parameters
+    ----------
+    runs : sequence
+        Objects with a `name`, in the order of the study.
+
+    Returns
+    -------
+    dict
+        Keyword arguments of `Axes.plot` by the name of the run.
+
+    """
+    return {run.name: RUN_STYLES[k % len(RUN_STYLES)] for k, run in enumerate(runs)}
+
+
+TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
+
+_CAPITALISED = {
+    "tustin": "Tustin",
+    "coulomb": "Coulomb",
+    "stribeck": "Stribeck",
+    "stribeck-model": "Stribeck model",
+}
+
+
+def plain_name(group: str) -> str:
+    """Convert the name of a stored model to words.
+
+    Parameters
+    ----------
+    group : str
+        Name of the model's group in the results: its number in the history, an underscore, its parts.
+
+    Examples
+    --------
+    >>> plain_name("2_tustin+texture")
+    'Tustin + texture'
+
+    """
+    return joined_name(group.split("_", 1)[-1].split("+"))
+
+
+def joined_name(effects: Sequence[str]) -> str:
+    """Convert the effects of a model to words.
+
+    Parameters
+    ----------
+    effects : sequence of str
+        Names of effects or models.
+
+    Examples
+    --------
+    >>> joined_name(["coulomb", "stribeck", "viscous", "patch"]), joined_name(["coulomb", "drag"])
+    ('Tustin + patch', 'Coulomb + drag')
+
+    """
+    parts = list(effects)
+    if set(TUSTIN) <= set(parts):
+        parts = ["tustin", *(part for part in parts if part not in TUSTIN)]
+    return " + ".join(_CAPITALISED.get(part, part.upper() if part.startswith("atm") else part) for part in parts)
+
+
+def numbered_name(group: str) -> str:
+    """Convert the name of a stored model to words, with its number in the history.
+
+    Examples
+    --------
+    >>> numbered_name("2_tustin+texture")
+    '2. Tustin + texture'
+
+    """
+    return f"{group.split('_', 1)[0]}. {plain_name(group)}"
+
+
+BAND_SIGMAS = 2.0  # half width of every band, standard deviations
+MAX_POINTS = 1500  # of a band; a page cannot show more
+MAX_COLUMNS = 4  # of a grid of panels
+PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
+
+
+def axis_label(quantity: str, unit: str) -> str:
+    """Label an axis as quantity over unit (ISO 80000-1).
+
+    Examples
+    --------
+    >>> axis_label("velocity v", "m/s"), axis_label("force F", "N"), axis_label("depth", "1")
+    ('velocity v / (m/s)', 'force F / N', 'depth')
+
+    """
+    text = format_unit(unit)
+    return f"{quantity} / ({text})" if "/" in text else f"{quantity} / {text}" if text else quantity
+
+
+def draw_band(ax: Axes, x: Array, middle: Array, sigma: Array, **style: Any) -> None:
+    """Shade `BAND_SIGMAS` standard deviations on both sides of a line.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    x, middle, sigma : Array
+        (n,) abscissa, line, and standard deviation. At most `MAX_POINTS` are drawn.
+    **style
+        Arguments of `Axes.fill_between`.
+
+    """
+    step = max(1, len(x) // MAX_POINTS)
+    x, middle, sigma = x[::step], middle[::step], BAND_SIGMAS * sigma[::step]
+    ax.fill_between(x, middle - sigma, middle + sigma, linewidth=0, **style)
+
+
+def masked(values: Array, mask: Mask) -> Array:
+    """Replace the values outside a mask by NaN, so that a line has gaps there.
+
+    Examples
+    --------
+    >>> masked(np.array([1.0, 2.0]), np.array([True, False])).tolist()
+    [1.0, nan]
+
+    """
+    return np.where(mask, values, np.nan)
+
+
+def unsmeared_frames(friction: Friction, guard: int) -> Mask:
+    """Find the free frames whose force the low-pass filter does not smear.
+
+    Parameters
+    ----------
+    friction : Friction
+        Friction force of n frames, with its free sections.
+    guard : int
+        Frames that the filter smears at each end of a section.
+
+    Returns
+    -------
+    Mask
+        (n,) True away from the ends of each free section; a section of at most 3 `guard` frames is kept whole.
+
+    """
+    return away_from_ends(friction.free, guard)
+
+
+def panel_columns(n: int) -> int:
+    """Columns of a grid of n panels: at most four, in rows as even as possible.
+
+    Examples
+    --------
+    >>> [panel_columns(n) for n in (1, 2, 3, 4, 5, 6, 8)]
+    [1, 2, 3, 4, 3, 3, 4]
+
+    """
+    rows = -(-n // MAX_COLUMNS)
+    return -(-n // rows) if n else 1
+
+
+def log_axis(ax: Axes, which: str, subs: Sequence[float] = (1, 2, 5)) -> None:
+    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks."""
+    getattr(ax, f"set_{which}scale")("log")
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def axis_scale(values: Array, unit: str) -> tuple[float, str]:
+    """Choose the prefix of an axis whose values are small.
+
+    Returns
+    -------
+    factor : float
+        Factor from the given unit to the one of the axis.
+    unit : str
+        Unit of the axis.
+
+    Examples
+    --------
+    >>> axis_scale(np.array([0.012, -0.04]), "m")
+    (1000.0, 'mm')
+
+    """
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    if unit not in PREFIXED_UNITS or not 0 < largest < 1.0:
+        return 1.0, unit
+    return (1e3, f"m{unit}") if largest >= 5e-4 else (1e6, f"µ{unit}")
+
+
+def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> None:
+    """Limit the y axis to the given values and a margin, so that smeared ends do not set the scale.
+
+    Parameters
+    ----------
+    ax : Axes
+        The panel.
+    values : iterable of Array
+        Arrays of any shape; NaN is ignored.
+    margin : float
+        Margin over the range of the values.
+
+    """
+    together = np.concatenate([np.ravel(v) for v in values])
+    together = together[np.isfinite(together)]
+    if len(together):
+        low, high = float(together.min()), float(together.max())
+        room = margin * ((high - low) or abs(high) or 1.0)
+        ax.set_ylim(low - room, high + room)
+
+
+def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> None:
+    """Mark the frames that the user repaired by small ticks at the lower edge.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    x : Array
+        (n,) values of the frames on the x axis.
+    codes : array of int or None
+        (n,) 0 for frames that were not repaired; None if there are none.
+
+    """
+    if codes is None or not np.any(codes):
+        return
+    at = x[codes > 0]
+    marks: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "zorder": 4}
+    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, **marks)
+
+
+def repaired_handles(codes: np.ndarray[Any, Any] | None) -> list[Line2D]:
+    """Return the entry of a legend for the ticks of `mark_repaired`; empty if no frame was repaired."""
+    if codes is None or not np.any(codes):
+        return []
+    look: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
+    return [Line2D([], [], label="repaired by the user", **look)]
+
+
+PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
+SVG_DPI = 72  # of matplotlib's SVG; laid out at the same, so that texts are measured once
+RASTER_DPI = 200  # of what is drawn as a bitmap in an SVG
+P = ParamSpec("P")
+_RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+class _NotebookFigure(Figure):
+    """Figure that a notebook shows as a picture, whether or not pyplot is loaded."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
+def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figure:
+    """Create an empty figure with its title at the left.
+
+    Parameters
+    ----------
+    height, width : float
+        Size in inches.
+    title : str
+        The finding that the figure shows, in a few words.
+
+    """
+    figure = _NotebookFigure(figsize=(width, height), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
+
+
+def panel_grid(
+    n: int, size: tuple[float, float], title: str, labels: tuple[str, ...], **subplots: Any
+) -> tuple[Figure, list[Any]]:
+    """Create a figure of n cells in rows as even as possible, each with its panels one above the other.
+
+    Parameters
+    ----------
+    n : int
+        Number of cells.
+    size : tuple of float
+        Height of a row of cells, and of the rest of the figure, inches.
+    title : str
+        As for `new_figure`.
+    labels : tuple of str
+        Label of the x axis, then of the y axis of each panel of a cell.
+    **subplots
+        For `Figure.subplots`; `height_ratios` of one cell.
+
+    Returns
+    -------
+    figure, cells
+        The figure, and the panels of each cell.
+
+    """
+    x_label, *y_labels = labels
+    columns, each = panel_columns(n), len(y_labels)
+    rows = -(-n // columns)
+    if "height_ratios" in subplots:
+        subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
+    figure = new_figure(size[0] * rows + size[1], title)
+    panels: Any = figure.subplots(each * rows, columns, squeeze=False, **subplots)
+    cells = [panels[each * (k // columns) : each * (k // columns + 1), k % columns] for k in range(rows * columns)]
+    for k, cell in enumerate(cells):
+        for ax, label in zip(cell, y_labels, strict=True):
+            ax.set_ylabel(label if k % columns == 0 else "")
+            if k >= n:
+                ax.set_axis_off()
+        if k + columns >= n:
+            cell[-1].set_xlabel(x_label)
+            cell[-1].tick_params(labelbottom=True)
+    figure.align_ylabels(panels[:, 0])
+    return figure, cells[:n]
+
+
+def svg(figure: Figure) -> str:
+    """Convert a figure to SVG that can be put into an HTML page.
+
+    Returns
+    -------
+    str
+        One `<svg>` element without header and metadata, coordinates rounded to 0.01 pt. The same figure gives the
+        same text.
+
+    """
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        canvas = _SvgCanvas(figure)
+        figure.set_dpi(SVG_DPI)
+        with _laid_out(figure):
+            text = canvas.to_svg()
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
+    return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
+
+
+def svg_file(figure: Figure) -> str:
+    """Convert a figure to the text of an SVG file; see `svg`."""
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + svg(figure)
+
+
+class _SvgCanvas(FigureCanvasSVG):
+    """Canvas of a figure whose sizes of texts are those of all figures: most texts stand in several of them."""
+
+    def get_renderer(self) -> RendererSVG:
+        """Return a renderer that measures texts for the layout."""
+        return self._renderer(io.StringIO())
+
+    def to_svg(self) -> str:
+        """Draw the figure; return its SVG file."""
+        buffer = io.StringIO()
+        width, height = self.figure.get_size_inches()
+        renderer: Any = MixedModeRenderer(self.figure, width, height, RASTER_DPI, self._renderer(buffer))
+        self.figure.draw(renderer)
+        renderer.finalize()
+        return buffer.getvalue()
+
+    def _renderer(self, buffer: io.StringIO) -> RendererSVG:
+        width, height = (SVG_DPI * length for length in self.figure.get_size_inches())
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        return _SvgRenderer(width, height, buffer, image_dpi=RASTER_DPI, metadata=nothing)
+
+
+class _SvgRenderer(RendererSVG):
+    """SVG renderer that measures every text once, whatever figure it stands in."""
+
+    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
+        """Return width, height and descent of a text, px."""
+        return _text_size(s, prop.copy(), ismath)
+
+
+@lru_cache(4096)
+def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
+    return text_to_path.get_text_width_height_descent(text, font, ismath)
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
+    with collection_paused(), ticks_in_rows(figure):
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        yield
+
+
+def png(figure: Figure, dpi: float = 110) -> bytes:
+    """Convert a figure to the content of a PNG file.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    dpi : float
+        Dots per inch.
+
+    """
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        buffer = io.BytesIO()
+        canvas = FigureCanvasAgg(figure)
+        figure.set_dpi(dpi)
+        with _laid_out(figure):
+            canvas.print_png(buffer)
+    return buffer.getvalue()
+
+
+def pdf(figure: Figure) -> bytes:
+    """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        buffer = io.BytesIO()
+        with _laid_out(figure):
+            FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
+    return buffer.getvalue()

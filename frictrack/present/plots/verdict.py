@@ -1,0 +1,572 @@
+"""Draw the verdict on a model in one figure: where it fails, the force that it lacks, and how the error falls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack.base.number_format import format_number
+from frictrack.present.plots import style
+from frictrack.present.plots.held_out import MAX_STEPS_NAMED, HeldOutError, draw_held_out, errors_of_models
+from frictrack.present.plots.inputs import AnyModel, as_model
+from frictrack.present.plots.missing_force import (
+    at_reference_load,
+    draw_common,
+    draw_runs,
+    force_label,
+    force_limits,
+    mean_per_run,
+)
+from frictrack.present.plots.model import noise_um, residual_unit, residuals
+from frictrack.present.plots.style import axis_label, joined_name, new_figure, plain_name, styled
+from frictrack.records import Array, Mask
+from frictrack.results import ModelResults, Results
+from frictrack.results.motion_axes import AXES
+from frictrack.results.verdicts import VERDICTS, certain_effects, indistinguishable_effects
+
+DRAWN_AXES = ("x", "v", "t")
+REJECTED = ("missing", "ambiguous", "unexplained")
+Figures = Mapping[str, Mapping[str, Array]]
+
+
+class DiagnosisLike(Protocol):
+    """A diagnosis: its JSON, and its curves."""
+
+    figures: dict[str, dict[str, Array]]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON."""
+        ...
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residual of one model along the motion of all runs.
+
+    Attributes
+    ----------
+    name : str
+        The model, or what was added to it.
+    along : dict of Array
+        Run (index), time since release s, position m and speed m/s, all (n,), by "run", "t", "x" and "v".
+    values, sigma : Array
+        (n,) residual and its noise, um or N.
+    force : Array or None
+        (n,) force that the added effects exert against the motion, N.
+    quoted : float or None
+        Root mean square of the fit, um or N; the drawn values are thinned out.
+
+    """
+
+    name: str
+    along: Mapping[str, Array]
+    values: Array
+    sigma: Array
+    force: Array | None = None
+    quoted: float | None = None
+
+    @property
+    def rms(self) -> float:
+        """Root mean square, um or N."""
+        return float(np.sqrt(np.mean(self.values**2))) if self.quoted is None else self.quoted
+
+    def of_runs(self, runs: Array) -> Residuals:
+        """Return the rows of some runs."""
+        rows = np.isin(self.along["run"], runs)
+        along = {name: self.along[name][rows] for name in ("run", *DRAWN_AXES)}
+        return replace(self, along=along, values=self.values[rows], sigma=self.sigma[rows], force=None)
+
+
+@dataclass(frozen=True)
+class VerdictData:
+    """What the figure of a verdict shows.
+
+    Attributes
+    ----------
+    name : str
+        The model that was diagnosed.
+    diagnosis : mapping
+        Its diagnosis as JSON; empty before one was made.
+    figures : mapping
+        Curves of the diagnosis.
+    before, after : Residuals or None
+        Residuals of the model, and with what it lacked.
+    errors : list of HeldOutError
+        Held-out errors in the order in which models were tried.
+    noise : float or None
+        Noise of a frame, um or N.
+    unit : str
+        Unit of residuals and errors, "µm" or "N".
+
+    """
+
+    name: str
+    diagnosis: Mapping[str, Any]
+    figures: Figures
+    before: Residuals | None
+    after: Residuals | None
+    errors: list[HeldOutError]
+    noise: float | None
+    unit: str
+
+    @property
+    def axis(self) -> str:
+        """The axis that matters: the one over which the misfit repeats, wholly or mostly, "x", "v" or "t"."""
+        for repeat in self.diagnosis.get("repeats") or []:
+            if (repeat["holds"] or repeat.get("mostly")) and repeat["axis"] in DRAWN_AXES:
+                return str(repeat["axis"])
+        return "t" if self.fails else "v"
+
+    @property
+    def fails(self) -> bool:
+        """Whether the diagnosis rejects the model."""
+        return self.diagnosis.get("verdict") in REJECTED
+
+
+def failed_model(results: Results) -> ModelResults | None:
+    """Select the model whose failure the report shows first.
+
+    Parameters
+    ----------
+    results : Results
+        The study.
+
+    Returns
+    -------
+    ModelResults or None
+        The current model if it was rejected, else the first rejected one that it extends; None if there is none.
+
+    """
+    current = results.current
+    if current is None or is_rejected(current.diagnosis):
+        return current
+    own = set(current.summary["model"])
+    return next((m for m in results.models if is_rejected(m.diagnosis) and set(m.summary["model"]) < own), None)
+
+
+def is_rejected(diagnosis: Mapping[str, Any] | None) -> bool:
+    """Whether a diagnosis says that a model lacks something.
+
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        The JSON of a diagnosis; None before one was made.
+
+    Examples
+    --------
+    >>> is_rejected({"verdict": "missing"}), is_rejected({"verdict": "complete"}), is_rejected(None)
+    (True, False, False)
+
+    """
+    return bool(diagnosis) and diagnosis is not None and diagnosis["verdict"] in REJECTED
+
+
+def data_of_study(results: Results) -> VerdictData:
+    """Select the data of a study: the model that failed, the current one, and all models tried."""
+    current = results.current
+    if current is None:
+        raise ValueError("expected a study with a fitted model but got none")
+    shown = failed_model(results) or current
+    diagnosis, unit = shown.diagnosis or {}, residual_unit(current)
+    figures = shown.figures if diagnosis else {}
+    before = _stored(figures, plain_name(shown.name), unit)
+    before = _of_model(shown, results, figures) if before is None else replace(before, quoted=_rms(shown, unit))
+    after = None if shown is current else _of_model(current, results, figures, shown)
+    errors = errors_of_models(results.models, unit)
+    tried = _errors_tried(diagnosis, unit) if shown is current else []
+    if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
+        errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
+    return VerdictData(
+        plain_name(shown.name), diagnosis, figures, before, after or _tried(figures, diagnosis, unit), errors,
+        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit,
+    )  # fmt: skip
+
+
+def _rms(model: ModelResults, unit: str) -> float | None:
+    found: float | None = model.summary["errors"].get("rms_displacement_um" if unit == "µm" else "rms_N")
+    return found
+
+
+def data_of_diagnosis(found: DiagnosisLike, better: AnyModel | None = None) -> VerdictData:
+    """Select the data of a diagnosis, and of a later fit if there is one."""
+    diagnosis, figures = found.summary(), found.figures
+    unit = "N" if diagnosis.get("noise_N") is not None else "µm"
+    name = joined_name(diagnosis["model"])
+    errors = _errors_tried(diagnosis, unit)
+    after = _tried(figures, diagnosis, unit)
+    if better is not None:
+        later = as_model(better)
+        errors = [*errors[:1], *errors_of_models([later], unit)]
+        after = _residuals_of(later, {}, figures, _added(diagnosis["model"], later))
+    noise = diagnosis["noise_um"] if unit == "µm" else diagnosis["noise_N"]
+    return VerdictData(name, diagnosis, figures, _stored(figures, name, unit), after, errors, noise, unit)
+
+
+def _factor(unit: str) -> float:
+    return 1e6 if unit == "µm" else 1.0
+
+
+def _stored(figures: Figures, name: str, unit: str) -> Residuals | None:
+    """Residual of the diagnosed model, as the diagnosis stores it."""
+    kept = figures.get("residual")
+    if kept is None:
+        return None
+    return Residuals(name, kept, _factor(unit) * kept["before"], _factor(unit) * kept["sigma"])
+
+
+def _tried(figures: Figures, diagnosis: Mapping[str, Any], unit: str) -> Residuals | None:
+    """Residual with the effects found, as the diagnosis tried them."""
+    kept = figures.get("residual", {})
+    if "after" not in kept:
+        return None
+    force = kept["F"] if np.any(kept["F"]) else None  # an effect on the measurement adds none
+    name = f"with {_named(diagnosis.get('missing') or [])}, as tried"
+    return Residuals(name, kept, _factor(unit) * kept["after"], _factor(unit) * kept["sigma"], force)
+
+
+def _named(effects: Sequence[str]) -> str:
+    """Some effects in a legend, where long names have no room."""
+    return " + ".join(effects) if 0 < len(effects) <= MAX_STEPS_NAMED else f"{len(effects) or 'some'} effects"
+
+
+def _of_model(
+    model: ModelResults, results: Results, figures: Figures, base: ModelResults | None = None
+) -> Residuals | None:
+    by_name = {run.name: run for run in results.runs}
+    return _residuals_of(model, by_name, figures, [] if base is None else _added(base.summary["model"], model))
+
+
+def _added(effects: Sequence[str], model: ModelResults) -> list[str]:
+    return [name for name in model.summary["model"] if name not in effects]
+
+
+def _residuals_of(
+    model: ModelResults, runs: Mapping[str, Any], figures: Figures, added: Sequence[str]
+) -> Residuals | None:
+    """Residual of a stored model. Its clock is shifted so that runs begin where they begin in the diagnosis."""
+    fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
+    kept = figures.get("residual", figures.get("residual_force", {}))
+    rows = []
+    for k, name in enumerate(fitted):
+        curves = [c for c in model.curves if c.run == name]
+        parts = residuals(model, runs.get(name, _Named(name)))
+        begins = float(np.min(kept["t"][kept["run"] == k], initial=np.inf)) if "t" in kept else 0.0
+        shift = (begins if np.isfinite(begins) else 0.0) - min((float(c.t[0]) for c in curves), default=0.0)
+        for curve, part in zip(curves, parts, strict=len(parts) == len(curves)):
+            against = np.where(curve.v_model < 0, -1.0, 1.0)
+            force = against * sum((curve.parts[e] for e in added if e in curve.parts), np.zeros(len(curve.t)))
+            rows.append((np.full(len(curve.t), float(k)), curve.t + shift, curve.x, np.abs(curve.v_model),
+                         part.values, part.sigma, force))  # fmt: skip
+    if not rows:
+        return None
+    run, t, x, v, values, sigma, force = (np.concatenate(column) for column in zip(*rows, strict=True))
+    name = f"with {_named(added)}" if added else plain_name(model.name)
+    along = {"run": run, "t": t, "x": x, "v": v}
+    quoted = _rms(model, residual_unit(model))
+    return Residuals(name, along, values, sigma, force if np.any(force) else None, quoted)
+
+
+@dataclass(frozen=True)
+class _Named:
+    """A run of which only the name matters, for a residual of displacement."""
+
+    name: str
+    friction: None = None
+
+
+def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]:
+    """Held-out errors of the diagnosed model and of the effects found on top of it, one after another."""
+    key = "um" if unit == "µm" else "N"
+    best: Mapping[str, Any] = next(iter(diagnosis.get("candidates") or []), {})
+    bare = best.get(f"heldout_rms_before_{key}")
+    if bare is None:
+        return []
+    found = [row for row in diagnosis.get("importance") or [] if row.get(f"heldout_rms_after_{key}") is not None]
+    after = [HeldOutError(f"+ {row['effect']}", row[f"heldout_rms_after_{key}"], tried=True) for row in found]
+    if not after and best.get(f"heldout_rms_after_{key}") is not None:
+        after = [HeldOutError(f"+ {best['effect']}", best[f"heldout_rms_after_{key}"], tried=True)]
+    return [HeldOutError(joined_name(diagnosis["model"]), bare), *after]
+
+
+HEIGHT_IN = 3.3
+MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
+MAX_LIMITS = 8
+ERRORS_WIDTH_IN = 3.3  # of the panel of errors
+MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
+BEFORE, AFTER = style.VERMILION, style.BLUE
+FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
+
+
+@styled
+def verdict(found: Results | DiagnosisLike, better: AnyModel | None = None, *, title: bool = True) -> Figure:
+    """Draw where a model fails, the force that it lacks, and the held-out error of each model tried.
+
+    The residual is drawn over the axis over which the misfit repeats: position, speed or time. Failing spans are
+    shaded. The missing force has a band of two standard deviations; the force that the named effects add lies over it.
+    Where nothing is missing, detection limits take its place.
+
+    Parameters
+    ----------
+    found : Results or Diagnosis
+        A study, or the diagnosis of a fit.
+    better : ModelResults or Fit, optional
+        A later model, if `found` is a diagnosis. Without it the effects found are drawn as the diagnosis tried them.
+    title : bool
+        Whether the figure has a headline.
+
+    Raises
+    ------
+    ValueError
+        If a study has no fitted model.
+
+    """
+    data = data_of_study(found) if isinstance(found, Results) else data_of_diagnosis(found, better)
+    figure = new_figure(HEIGHT_IN + 0.3 * title, _headline(data) if title else "")
+    left, middle, right = figure.subplots(1, 3, width_ratios=[1.15, 1.15, 0.8])
+    handles = [*_draw_residuals(left, data), *_draw_force(middle, data)]
+    if data.before is not None and "residual_force" in data.figures:
+        middle.set_xlim(left.get_xlim())
+    _draw_errors(right, data)
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside lower left", ncols=len(handles), handlelength=1.8, columnspacing=1.4
+        )
+    return figure
+
+
+def _headline(data: VerdictData) -> str:
+    if not data.diagnosis:
+        return f"{data.name}, not yet diagnosed"
+    before, after, found = data.before, data.after, data.diagnosis["verdict"]
+    if before is None or after is None or found not in ("missing", "ambiguous"):
+        return f"{data.name}: {VERDICTS[found]}"
+    errors = f"{format_number(before.rms)} to {format_number(after.rms)} {data.unit}"
+    return f"{data.name} lacks {_lacking(data.diagnosis)}: with it the residual falls from {errors}"
+
+
+def _lacking(diagnosis: Mapping[str, Any]) -> str:
+    names = [*certain_effects(diagnosis), *indistinguishable_effects(diagnosis)]
+    return " or ".join(names) if diagnosis["verdict"] == "ambiguous" else " and ".join(diagnosis["missing"])
+
+
+# ---- residual before and after
+
+
+def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
+    """Draw the residuals over their noise band; return the handles of the legend."""
+    if data.before is None:
+        return _say(ax, "No residual is stored; diagnose again")
+    handles: list[Any] = []
+    shown = _worst_runs(data.before)
+    for whole, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
+        if whole is not None:
+            one = whole.of_runs(shown)
+            _draw_lines(ax, one.along["run"], one.along[data.axis], one.values, color=colour, lw=0.9, alpha=0.85)
+            handles.append(
+                Line2D(
+                    [], [], color=colour, lw=1.8, label=one.name + (_how_many(whole) if whole is data.before else "")
+                )
+            )
+    band = style.BAND_SIGMAS * float(np.median(data.before.sigma))
+    ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
+    handles += _shade_spans(ax, data)
+    ax.set_xlabel(_x_label(data.axis))
+    ax.set_ylabel(axis_label("residual", data.unit))
+    ax.set_title(_residual_title(data))
+    ax.margins(x=0.01)
+    return handles
+
+
+def _worst_runs(residuals: Residuals) -> Array:
+    """The runs to draw: of many, those with the largest residual over its noise."""
+    names, mean = mean_per_run(residuals.along["run"], (residuals.values / residuals.sigma) ** 2)
+    return names[np.argsort(-mean, kind="stable")[:MAX_RUNS_DRAWN]]
+
+
+def _residual_title(data: VerdictData) -> str:
+    before, after = data.before, data.after
+    assert before is not None
+    size = f"{format_number(before.rms)} {data.unit}"
+    if after is not None:
+        return f"Residual: {size} before, {format_number(after.rms)} after"
+    if not data.diagnosis or data.noise is None:
+        return f"Residual: {size}"
+    return f"Residual: {size}, noise {format_number(data.noise)} {data.unit}"
+
+
+def _how_many(residuals: Residuals) -> str:
+    """How many runs are drawn, if not all."""
+    n = len(np.unique(residuals.along["run"]))
+    return f", {MAX_RUNS_DRAWN} worst of {n} runs" if n > MAX_RUNS_DRAWN else ""
+
+
+def _x_label(axis: str) -> str:
+    return axis_label(AXES[axis].label, AXES[axis].unit)
+
+
+def _draw_lines(ax: Axes, run: Array, x: Array, y: Array, **look: Any) -> None:
+    """Draw one line per run, with gaps where the axis jumps."""
+    gap = MAX_GAP_SHARE * max(float(np.ptp(x)), 1e-12)
+    many = len(x) > 4 * style.MAX_POINTS
+    for k in np.unique(run):
+        at, values = x[run == k], y[run == k]
+        broken = np.abs(np.diff(at, prepend=at[0])) > gap
+        ax.plot(at, np.where(broken, np.nan, values), rasterized=many, **look)
+
+
+def _shade_spans(ax: Axes, data: VerdictData) -> list[Any]:
+    """Shade the union of the failing spans of all runs; return the handle of the legend if there is any."""
+    spans = _spans(data)
+    for low, high in spans:
+        ax.axvspan(low, high, zorder=0.4, **FAILS_STYLE)
+    return [Patch(label="fails here", **FAILS_STYLE)] if spans else []
+
+
+def _spans(data: VerdictData) -> list[tuple[float, float]]:
+    """Union of the failing spans along the axis."""
+    found = data.diagnosis.get("fails_at") or []
+    if data.axis == "t":
+        return []  # spans have the clock of each recording
+    ends = sorted(_reach(s[data.axis], data.axis) for s in found)
+    out: list[tuple[float, float]] = []
+    for low, high in ends:
+        if out and low <= out[-1][1]:
+            out[-1] = (out[-1][0], max(high, out[-1][1]))
+        else:
+            out.append((low, high))
+    return out
+
+
+def _reach(ends: Sequence[float], axis: str) -> tuple[float, float]:
+    low, high = sorted(map(abs, ends)) if axis == "v" else sorted(ends)
+    return low, high
+
+
+# ---- the missing force
+
+
+def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
+    """Draw the missing force or, where nothing is missing, what would be seen; return the handles of the legend."""
+    if "residual_force" in data.figures:
+        return _draw_missing_force(ax, data)
+    if data.diagnosis.get("detection_limits") and not data.fails:
+        return _draw_limits(ax, data.diagnosis["detection_limits"])
+    return _say(ax, "The missing force is not computed yet")
+
+
+def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
+    whole, axis = at_reference_load(data.figures["residual_force"]), data.axis
+    factor, unit = style.axis_scale(whole["F"], "N")
+    n = len(np.unique(whole["run"]))
+    handles: list[Any] = []
+    if n <= MAX_RUNS_DRAWN:
+        draw_runs(ax, whole, axis, factor, [{"color": "#8C8C8C"}] * n)
+        handles.append(Line2D([], [], color="#8C8C8C", lw=1.0, label="missing force, each run"))
+    if n > 1:
+        draw_common(ax, data.figures.get(f"common_{axis}"), factor)
+        handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label=f"all runs, ± {style.BAND_SIGMAS:g} std"))
+    after = data.after
+    if after is not None and after.force is not None:
+        rows = _some_runs(after.along["run"])
+        force = after.force[rows] / _load_of(whole, after.along["run"][rows])
+        _draw_lines(ax, after.along["run"][rows], after.along[axis][rows], factor * force, color=AFTER,
+                    lw=1.5, ls=(0, (4, 1.2)), zorder=5)  # fmt: skip
+        handles.append(Line2D([], [], color=AFTER, lw=1.5, ls=(0, (4, 1.2)), label=_force_name(data)))
+    _shade_spans(ax, data)
+    low, high = force_limits(whole)
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    ax.set_ylim(factor * low, factor * high)
+    ax.set_xlabel(_x_label(axis))
+    ax.set_ylabel(axis_label(force_label(whole), unit))
+    ax.set_title(_force_title(data))
+    return handles
+
+
+def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
+    """Load by which the force of every row is divided, (n,)."""
+    if "load" not in whole:
+        return np.ones(len(run))
+    by_run = {k: whole["load"][whole["run"] == k][0] for k in np.unique(whole["run"])}
+    return np.array([by_run.get(k, 1.0) for k in run])
+
+
+def _some_runs(run: Array) -> Mask:
+    """Rows of some runs, spread over all."""
+    names = np.unique(run)
+    kept = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]
+    return np.asarray(np.isin(run, kept))
+
+
+def _force_name(data: VerdictData) -> str:
+    assert data.after is not None
+    several = ", each run" if len(np.unique(data.after.along["run"])) > 1 else ""
+    return f"force of {data.after.name.removeprefix('with ').removesuffix(', as tried')}{several}"
+
+
+def _force_title(data: VerdictData) -> str:
+    repeats = data.diagnosis.get("repeats") or []
+    if repeats and repeats[0]["holds"]:
+        return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
+    return "The missing force"
+
+
+def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+    """Draw the smallest force of each effect that these runs would show, the best seen on top."""
+    known = sorted((one["value"], name) for name, one in limits.items() if one["unit"] == "N" and one["value"])
+    if not known:
+        return _say(ax, "No force is detectable in these runs")
+    shown = known[:MAX_LIMITS]
+    sizes = [value for value, _ in shown]
+    factor, unit = style.axis_scale(np.array(sizes), "N")
+    ax.plot([factor * s for s in sizes], range(len(shown)), "o", ms=7, color=AFTER)
+    for k, size in enumerate(sizes):
+        ax.annotate(format_number(factor * size, 2), (factor * size, k), (7, 0), textcoords="offset points",
+                    va="center", fontsize=9)  # fmt: skip
+    ax.set_yticks(range(len(shown)), [name.replace("_", " ") for _, name in shown])
+    ax.set_ylim(len(shown) - 0.4, -0.6)
+    style.log_axis(ax, "x")
+    ax.set_xlim(0.6 * factor * min(sizes), 4.0 * factor * max(sizes))
+    ax.grid(axis="y", color="#E4E7EA", lw=0.8)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel(axis_label("smallest force that would be detected", unit))
+    ax.set_title("What these runs would have shown")
+    return []
+
+
+# ---- the held-out errors
+
+
+def _draw_errors(ax: Axes, data: VerdictData) -> None:
+    if not data.errors:
+        _say(ax, "No held-out error was computed")
+        return
+    draw_held_out(ax, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
+    ax.set_title(_errors_title(data, np.array([one.value for one in data.errors])))
+
+
+def _errors_title(data: VerdictData, values: Array) -> str:
+    if len(values) == 1:
+        return "Error and noise"
+    if values[-1] >= values[0]:
+        return "Error does not fall"
+    reached = data.noise is not None and values[-1] < 1.2 * data.noise
+    return "Error falls to the noise" if reached else "Error falls"
+
+
+# ---- common to the panels
+
+
+def _say(ax: Axes, words: str) -> list[Any]:
+    """Write a sentence instead of a panel."""
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color="#666666")
+    return []

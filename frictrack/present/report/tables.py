@@ -1,0 +1,628 @@
+"""Tables of text for the report and the page: results in, headings and rows out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from frictrack.base.number_format import (
+    DASH,
+    format_interval,
+    format_number,
+    format_quantity,
+    format_share,
+    format_size,
+    format_unit,
+)
+from frictrack.present.plots import plain_name
+from frictrack.present.report.markup import mark_code
+from frictrack.results import ModelResults, RunResults
+from frictrack.results.candidates import MAIN_KINDS, CandidateRow
+from frictrack.results.error_rows import error_rows
+
+Cell = str | Markup
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text.
+
+    Attributes
+    ----------
+    heads : tuple of str
+        One heading per column.
+    rows : tuple of tuples
+        Cells as plain text, or as `Markup` where they contain HTML.
+    numeric : frozenset of int
+        Indices of the columns that are aligned to the right.
+
+    """
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    numeric: frozenset[int] = frozenset()
+
+
+def make_table(heads: Sequence[str], rows: Sequence[Sequence[Cell]], numeric: Sequence[int] = ()) -> TextTable:
+    """Build a table and leave out its empty columns.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        One heading per column.
+    rows : sequence of sequences
+        One cell per column in each row. A column is empty if its cells are all "" or a dash.
+    numeric : sequence of int
+        Indices of the columns of numbers, counted before any column is left out.
+
+    Examples
+    --------
+    >>> make_table(("run", "mass", "speed"), [("v1", "", "2.0")], numeric=(1, 2))
+    TextTable(heads=('run', 'speed'), rows=(('v1', '2.0'),), numeric=frozenset({1}))
+
+    """
+    kept = [k for k in range(len(heads)) if not rows or any(row[k] not in ("", DASH) for row in rows)]
+    new_index = {old: new for new, old in enumerate(kept)}
+    return TextTable(
+        tuple(heads[k] for k in kept),
+        tuple(tuple(row[k] for k in kept) for row in rows),
+        frozenset(new_index[k] for k in numeric if k in new_index),
+    )
+
+
+def code_cell(text: str) -> Markup:
+    """Set a name of the study file or the command line as code."""
+    return Markup("<code>{}</code>").format(text)
+
+
+PER_RUN_NAME = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
+MAX_FIRST_PARAMETERS = 8  # of the first screen
+UNITS_WITH_SCALE_ERROR = ("N", "N s", "m", "m/s")  # in N s/m and N/m the error of the scale cancels
+
+
+def parameter_table(model: ModelResults, scale_error: float = 0.0) -> TextTable:
+    """Table of the parameters that all runs share.
+
+    If the model is rejected, a column marked with a dagger gives the standard deviation that includes the misfit.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+    scale_error : float
+        Relative standard deviation of the scale. A column gives its contribution to each parameter.
+
+    """
+    rejected = any("std_misfit" in p for p in model.summary["parameters"].values())
+    unresolved = {f"{c['effect']}.width" for c in model.summary.get("collisions", []) if not c["resolved"]}
+    rows = [
+        (
+            code_cell(name),
+            format_quantity(p["value"], p["std"], p["unit"]),
+            *([format_size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
+            _scale_contribution(p, scale_error),
+            _remark(p, unresolved=name in unresolved),
+        )
+        for name, p in model.summary["parameters"].items()
+        if not PER_RUN_NAME.match(name)
+    ]
+    heads = ("parameter", "value", *(["† ± with the misfit"] if rejected else []), "± of the scale", "")
+    return make_table(heads, rows, (1, 2, 3) if rejected else (1, 2))
+
+
+def short_parameter_table(model: ModelResults) -> TextTable:
+    """Table of the first shared parameters with one ± each, for the first screen of the report.
+
+    Where the model is rejected, ± includes the effect of the misfit and is marked with a dagger.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+
+    """
+    rows = [
+        (
+            code_cell(name),
+            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]) + (" †" if "std_misfit" in p else ""),
+            _short_remark(p),
+        )
+        for name, p in shared_parameters(model).items()
+    ][:MAX_FIRST_PARAMETERS]
+    return make_table(("parameter", "value ± std", ""), rows, (1,))
+
+
+def shared_parameters(model: ModelResults) -> dict[str, Mapping[str, Any]]:
+    """Parameters that all runs share, those that were not fixed first."""
+    shared = {name: p for name, p in model.summary["parameters"].items() if not PER_RUN_NAME.match(name)}
+    return dict(sorted(shared.items(), key=lambda item: item[1].get("reason") == "fixed"))
+
+
+def _short_remark(p: Mapping[str, Any]) -> str:
+    """The remark as far as it fits into a line; what settles a parameter is in the full table."""
+    return _remark(p).split(";")[0].split(":")[0]
+
+
+def _scale_contribution(p: Mapping[str, Any], scale_error: float) -> str:
+    """Error that the common error of the scale causes in a parameter that is proportional to the scale."""
+    value = p["value"]
+    if not (scale_error and value) or p["unit"] not in UNITS_WITH_SCALE_ERROR or p.get("reason") == "fixed":
+        return ""
+    return format_size(abs(value) * scale_error, p["unit"])
+
+
+def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
+    if unresolved:
+        return "not resolved: the impulse is known, the peak force is not"
+    if p.get("reason"):
+        return str(p["reason"])
+    if p.get("at_bound"):
+        return "at its bound: the true value may lie beyond"
+    mu = p.get("mu")
+    return "" if mu is None else f"µ = {format_quantity(mu['value'], mu['std'], '1')}"
+
+
+def interval_table(model: ModelResults) -> TextTable:
+    """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model, with profiles or a bootstrap; parameters with neither are left out.
+
+    """
+    summary = model.summary
+    profiles, bootstrap = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
+    rows = [
+        (
+            code_cell(name),
+            format_quantity(p["value"], p["std"], p["unit"]),
+            _interval(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
+            _interval(bootstrap[name]["interval"][0], bootstrap[name]["interval"][1], p["unit"])
+            if name in bootstrap
+            else "",
+            format_size(bootstrap[name]["std"], p["unit"]) if name in bootstrap else "",
+            "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
+        )
+        for name, p in summary["parameters"].items()
+        if (name in profiles or name in bootstrap) and not PER_RUN_NAME.match(name)
+    ]
+    heads = ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws", "")
+    return make_table(heads, rows, (1, 2, 3, 4))
+
+
+def _interval(low: float | None, high: float | None, unit: str) -> str:
+    """Format an interval whose ends may be open."""
+    if low is None and high is None:
+        return "any"
+    if low is None or high is None:
+        return f"below {format_size(high, unit)}" if high is not None else f"above {format_size(low or 0.0, unit)}"
+    return f"{format_number(low, 4)} to {format_number(high, 4)} {format_unit(unit)}".strip()
+
+
+def run_table(model: ModelResults) -> TextTable:
+    """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs.
+
+    Parameters
+    ----------
+    model : ModelResults
+        The fitted model.
+
+    """
+    per_run: dict[str, dict[str, str]] = {}
+    for name, p in model.summary["parameters"].items():
+        m = PER_RUN_NAME.match(name)
+        if m:
+            per_run.setdefault(m["name"], {})[m["run"]] = format_quantity(p["value"], p["std"], p["unit"])
+    rows = [
+        (
+            row["run"],
+            "" if row["role"] == "fit" else "predicted, not fitted",
+            format_number(row["level"]),
+            format_number(row.get("noise_um")),
+            format_number(row["errors"].get("rms_displacement_um")),
+            format_number(row["errors"].get("free_run_rms_um")),
+            format_number(_percent(row["errors"].get("relative_force_error"))),
+            str(row["segments"]),
+            *(values.get(row["run"], DASH) for values in per_run.values()),
+        )
+        for row in model.summary["per_run"]
+    ]
+    errors = ("residual / µm", "free run / µm", "force error / %")
+    heads = ("run", "", "friction level", "noise / µm", *errors, "segments", *per_run)
+    return make_table(heads, rows, range(2, len(heads)))
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+MIN_P_SHOWN = 1e-6  # smaller p-values get no digits: the distribution of the noise is not known that far out
+
+
+def history_table(models: Sequence[ModelResults]) -> TextTable:
+    """Table of the models in the order in which they were fitted, with their errors and verdicts.
+
+    Parameters
+    ----------
+    models : sequence of ModelResults
+        All models of the study. Errors that no model has get no column.
+
+    """
+    errors = error_rows(m.summary["errors"] for m in models)
+    heads = ("model", *(f"{e.name} / {_unit_in_brackets(e.unit)}" if e.unit else e.name for e in errors), "verdict")
+    rows = []
+    for k, m in enumerate(models):
+        name = Markup("{}. {}{}").format(k + 1, plain_name(m.name), " (current)" if m.current else "")
+        rows.append((name, *(format_number(e.values[k]) for e in errors), (m.diagnosis or {}).get("verdict", "")))
+    return make_table(heads, rows, range(1, len(errors) + 1))
+
+
+def _unit_in_brackets(unit: str) -> str:
+    return f"({unit})" if "/" in unit else unit
+
+
+def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
+    """Table of the parameters and errors of the default fit and of the papers' route.
+
+    Parameters
+    ----------
+    default, papers : ModelResults
+        The same model, fitted in both ways.
+
+    """
+    theirs = papers.summary["parameters"]
+    rows: list[Sequence[Cell]] = [
+        (
+            code_cell(name),
+            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]),
+            _quantity_or_dash(theirs.get(name)),
+        )
+        for name, p in default.summary["parameters"].items()
+        if not PER_RUN_NAME.match(name)
+    ]
+    for e in error_rows(m.summary["errors"] for m in (default, papers)):
+        rows.append((e.name, *(f"{format_number(value)} {e.unit}".strip() for value in e.values)))
+    heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
+    return make_table(heads, rows, (1, 2))
+
+
+def _quantity_or_dash(p: Mapping[str, Any] | None) -> str:
+    return DASH if p is None else format_quantity(p["value"], p["std"], p["unit"])
+
+
+def failing_span_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of the spans in which a model fails.
+
+    Parameters
+    ----------
+    spans : sequence of mappings
+        The `fails_at` of a diagnosis: `run`, the ends of `t` in s, `x` in m and `v` in m/s, `share_of_error`, `p`.
+
+    """
+    rows = [
+        (
+            s["run"],
+            format_interval(s.get("t"), 1e3),
+            format_interval(s.get("x")),
+            format_interval(s.get("v")),
+            format_share(s["share_of_error"]),
+            _p_value(s.get("p")),
+        )
+        for s in spans
+    ]
+    return make_table(("run", "t / ms", "x / m", "v / (m/s)", "share of the misfit", "p"), rows, (1, 2, 3, 4, 5))
+
+
+def _p_value(p: float | None) -> str:
+    return "" if p is None else "< 10⁻⁶" if p < MIN_P_SHOWN else format_number(p, 1)
+
+
+def track_table(runs: Sequence[RunResults]) -> TextTable:
+    """Table of the films: frame rate, frames with the target, pixel pitch and its error.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study; runs without a film are left out.
+
+    """
+    rows = []
+    for run in runs:
+        if run.film is None or run.track is None:
+            continue
+        t, found = run.track, run.track.found
+        at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
+        pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
+        rows.append(
+            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", code_cell(at),
+             format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
+        )  # fmt: skip
+    heads = ("run", "film", "frames per s", "frames with target", "target", "µm/px", "scale error / %")
+    return make_table(heads, rows, (2, 3, 5, 6))
+
+
+def measurement_table(runs: Sequence[RunResults]) -> TextTable:
+    """Table of the measurement self-checks of each film: noise, peak locking, shake, blur.
+
+    Parameters
+    ----------
+    runs : sequence of RunResults
+        All runs of the study; runs without a film are left out.
+
+    """
+    rows = []
+    for run in runs:
+        if not run.quality:
+            continue
+        q = run.quality
+        locking = format_quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
+        shake = "none" if q["shake_px"] == 0 else format_number(q["shake_px"], 2)
+        rows.append(
+            (run.name, format_number(q["sigma_px"], 2), format_number(q["sigma_um"], 2), format_number(q["score"]),
+             locking, format_number(q["forward_backward_px"], 2), format_number(q["noise_floor_px"], 2), shake,
+             format_number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), format_number(q["blur_px"], 2))
+        )  # fmt: skip
+    heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
+             "shake / px", "exposure / µs", "blur / px")  # fmt: skip
+    return make_table(heads, rows, range(1, len(heads)))
+
+
+DEFAULTS: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
+
+
+def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
+    """Select the proposed experiments that would distinguish effects, best first.
+
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        A diagnosis; None before one was made.
+
+    Returns
+    -------
+    list of mappings
+        The experiments. Keys that an older file lacks have default values.
+
+    """
+    steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
+    return [DEFAULTS | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
+
+
+def with_expected_evidence(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Select the experiments whose expected evidence is known, so that it can be drawn."""
+    return [step for step in steps if step["expected_if_true"]]
+
+
+def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
+    """Describe the effects that no run can distinguish, and what else can.
+
+    Parameters
+    ----------
+    diagnosis : mapping or None
+        A diagnosis; None before one was made.
+
+    """
+    return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
+
+
+def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of the proposed experiments, best first.
+
+    Parameters
+    ----------
+    steps : sequence of mappings
+        Experiments from `separating_experiments`.
+
+    """
+    rows = [
+        (f"{k}.", mark_code(step["what"]), step["tells"], format_number(step["expected_delta_bic"], 2))
+        for k, step in enumerate(steps, 1)
+    ]
+    return make_table(("", "what to do", "distinguishes", "expected delta BIC, at least"), rows, (3,))
+
+
+TEXT_KEYS = ("what", "looks_like", "here", "confirm")
+MAX_OTHERS_SHOWN = 3  # where no candidate was found
+ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
+
+
+@dataclass(frozen=True)
+class CandidateCard:
+    """The texts about one candidate effect.
+
+    Attributes
+    ----------
+    row : CandidateRow
+        Its row in the list of candidates.
+    acts_on : str
+        Whether it is a force or an error of the measurement.
+    words : mapping
+        What it is, what it looks like, where it shows here, how to confirm it.
+    numbers : tuple
+        Its parameters and the evidence.
+    rivals : tuple of str
+        Effects that these runs cannot distinguish from it.
+
+    """
+
+    row: CandidateRow
+    acts_on: str
+    words: Mapping[str, Markup]
+    numbers: tuple[str, ...]
+    rivals: tuple[str, ...]
+
+
+def candidate_cards(rows: Sequence[CandidateRow]) -> list[CandidateCard]:
+    """Describe candidates, one card each.
+
+    Parameters
+    ----------
+    rows : sequence of CandidateRow
+        From `frictrack.results.candidates.candidate_rows`.
+
+    """
+    return [
+        CandidateCard(
+            row=row,
+            acts_on=ACTS_ON.get(row.source["acts_on"], ""),
+            words={key: mark_code(row.source["words"].get(key, "")) for key in TEXT_KEYS},
+            numbers=(*row.parameters, row.evidence, *_held_out_words(row)),
+            rivals=tuple(row.source["indistinguishable_from"]) if row.passes else (),
+        )
+        for row in rows
+    ]
+
+
+def _held_out_words(row: CandidateRow) -> list[str]:
+    how = "whole runs" if row.source.get("heldout") == "run" else "every other frame"
+    return [f"held-out error {row.held_out} ({how})"] if row.held_out else []
+
+
+def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]:
+    """Tables of the candidates that were found or cannot be told from those, and of the others.
+
+    Parameters
+    ----------
+    rows : sequence of CandidateRow
+        From `frictrack.results.candidates.candidate_rows`.
+
+    """
+    heads = ("effect", "", "held-out error", "explains alone", "p", "delta BIC")
+    shown = [row for row in rows if row.kind in MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
+
+    def table(listed: Sequence[CandidateRow]) -> TextTable:
+        cells = [
+            (
+                Markup('<span class="mark {}"></span><code>{}</code>').format(row.kind, row.effect),
+                row.standing,
+                row.held_out,
+                row.share,
+                row.p,
+                format_number(row.delta_bic),
+            )
+            for row in listed
+        ]
+        return make_table(heads, cells, (2, 3, 4, 5))
+
+    return table(shown), table([row for row in rows if row not in shown])
+
+
+def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the misfit that each effect explains alone and after the effects above it.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis. Without `importance` the table is empty.
+
+    """
+    rows = []
+    for row in diagnosis.get("importance") or []:
+        shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
+        unit = "um" if "heldout_rms_after_um" in row else "N"
+        error = row[f"heldout_rms_after_{unit}"]
+        after = "" if error is None else f"{format_number(error)} {format_unit(unit)}"
+        rows.append((code_cell(row["effect"]), *shares, after, "stop here" if row["stop"] else ""))
+    return make_table(("effect", "explains alone", "adds in sequence", "held-out error after it", ""), rows, (1, 2, 3))
+
+
+def _share_of_misfit(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"
+
+
+def undetermined_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the questions that the runs leave open, and what would answer them.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis. Without `undetermined` the table is empty.
+
+    """
+    rows = [
+        (mark_code(gap["what"]), mark_code(gap["why"]), mark_code(gap["settled_by"] or ""))
+        for gap in diagnosis.get("undetermined") or []
+    ]
+    return make_table(("not determined", "why", "what settles it"), rows)
+
+
+def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
+    """Table of the smallest size of each effect that 95 of 100 repeats would detect.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        The JSON of a diagnosis, with `detection_limits`.
+
+    """
+    rows = [
+        (code_cell(name), _limit(limit), limit.get("reason") or _worst_setting(name, limit))
+        for name, limit in diagnosis["detection_limits"].items()
+    ]
+    return make_table(("effect", "detectable from", "at the least favourable"), rows, (1,))
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    return DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
+
+
+def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
+    from frictrack import effects  # noqa: PLC0415 - only for the units
+
+    kind = effects.known().get(effect.split(":", maxsplit=1)[0])
+    units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
+    return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
+
+
+BUDGET_HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one frame / N", "common to")
+
+
+def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
+    """Describe each run's error of the force, its largest source, and what would halve it.
+
+    Returns
+    -------
+    list of Markup
+        One sentence per run that has an error budget.
+
+    """
+    return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
+
+
+def source_table(runs: Sequence[RunResults]) -> TextTable:
+    """Table of all error sources of all runs.
+
+    Standard deviations are those of the mean force and of one frame, N.
+    """
+    rows: list[Sequence[Cell]] = []
+    for run in runs:
+        for k, row in enumerate(run.budget.get("rows", ())):
+            rows.append((run.name if k == 0 else "", *_budget_cells(row)))
+    return make_table(BUDGET_HEADS, rows, (4, 5, 6))
+
+
+def _budget_cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    last = row["source"] == "total"
+    size = (
+        ""
+        if last
+        else "not known"
+        if row["size"] is None
+        else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
+    )
+    share = "" if row["share_mean"] is None or last else f"{100 * row['share_mean']:.0f} %"
+    name: Cell = Markup("<b>total</b>") if last else row["source"]
+    return (
+        name,
+        size,
+        row["told"],
+        format_number(row["mean_N"], 2),
+        share,
+        format_number(row["frame_N"], 2),
+        row["common"],
+    )

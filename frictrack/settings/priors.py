@@ -1,0 +1,350 @@
+"""Read and write prior files: a friction law that was identified on one set-up, as a prior for another.
+
+A prior file is TOML: one ``[[parameter]]`` per parameter with value, standard deviation and correlations with the
+parameters before it. It is checked when it is read. Values that scale with the normal load belong to the load that the
+file states; `Prior.at_load` converts them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import replace_text
+from frictrack.records import Array
+
+FORMAT = 1  # version of the file format
+MAX_PRIOR_BYTES = 1 << 18  # a file of 30 parameters has 10 kB
+MAX_PARAMETERS = 60
+MIN_EIGENVALUE = 1e-12  # of a correlation matrix; smaller ones are not positive definite
+ADDRESS = re.compile(r"[A-Za-z]\w*(?::\d+)?\.[A-Za-z]\w*", re.ASCII)
+HEAD_KEYS = ("format", "study", "model", "load")
+PARAMETER_KEYS = ("name", "value", "std", "unit", "scales_with", "correlation")
+SCALES = ("nothing", "load")
+COMMENT = """A friction law as a prior for another set-up; written by `frictrack export STUDY --to prior`.
+Use it there with prior = "this file" in [study]. Values that scale with the load belong to the load below."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of parameters before a fit: a multivariate normal distribution.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Addresses of the K parameters, such as "coulomb.F_c".
+    values : tuple of float
+        Means, in SI units.
+    covariance : tuple of tuple of float
+        Covariance (K, K).
+    units : tuple of str
+        SI units.
+    loaded : tuple of bool
+        Whether a value is proportional to the normal load.
+    load : float or None
+        Normal load to which these values belong, N; None if it is not known.
+    study : str
+        Name of the study on which the law was identified.
+    model : tuple of str
+        Effects of that law.
+    left_out : tuple of (str, str)
+        Parameters of the law that are not in the prior, each with the reason.
+
+    Examples
+    --------
+    >>> prior = Prior(("coulomb.F_c",), (0.9,), ((0.0025,),), ("N",), (True,), load=3.0)
+    >>> print(prior)
+    coulomb.F_c = 0.9 +/- 0.05 N at a load of 3 N
+    >>> round(prior.at_load(6.0).values[0], 3), round(prior.inflated(scale=2.0).std[0], 3)
+    (1.8, 0.1)
+
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    units: tuple[str, ...]
+    loaded: tuple[bool, ...]
+    load: float | None = None
+    study: str = ""
+    model: tuple[str, ...] = ()
+    left_out: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        k, matrix = len(self.names), np.array(self.covariance, dtype=np.float64)
+        others = (self.values, self.units, self.loaded)
+        if k == 0 or any(len(one) != k for one in others) or matrix.shape != (k, k):
+            raise FrictrackError("expected one value, unit and row of the covariance for every parameter", usage=True)
+        std = np.sqrt(np.diag(matrix))
+        if not (np.all(np.isfinite(self.values)) and np.all(np.isfinite(matrix)) and np.all(std > 0)):
+            raise FrictrackError("expected finite values and standard deviations above 0", usage=True)
+        if np.min(np.linalg.eigvalsh(matrix / std / std[:, None])) < MIN_EIGENVALUE:
+            raise FrictrackError(
+                "expected correlations that can hold together (a positive definite matrix); export the law again",
+                usage=True,
+            )
+        if any(self.loaded) and self.load is not None and not 0 < self.load < math.inf:
+            raise FrictrackError(f"expected a load above 0 N but got {self.load:g}", usage=True)
+
+    def __str__(self) -> str:
+        rows = zip(self.names, self.values, self.std, self.units, strict=True)
+        text = ", ".join(f"{name} = {value:.4g} +/- {std:.2g} {unit}".strip() for name, value, std, unit in rows)
+        return text if self.load is None or not any(self.loaded) else f"{text} at a load of {self.load:.4g} N"
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Standard deviations."""
+        return tuple(map(float, np.sqrt(np.diag(np.array(self.covariance)))))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (K, K)."""
+        std = np.array(self.std)
+        return np.asarray(np.array(self.covariance) / std / std[:, None], dtype=np.float64)
+
+    def inflated(self, scale: float = 1.0, scatter: float = 0.0) -> Prior:
+        """Return the same means with larger standard deviations.
+
+        Parameters
+        ----------
+        scale
+            Factor on all standard deviations.
+        scatter
+            Relative standard deviation by which parameters differ between set-ups, independently of each other.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) If the factor is not positive or the scatter is negative.
+
+        """
+        if not (0 < scale < math.inf and 0 <= scatter < math.inf):
+            raise FrictrackError(
+                f"expected prior_scale above 0 and prior_scatter of at least 0 but got {scale:g} and {scatter:g}",
+                usage=True,
+            )
+        own = np.diag((scatter * np.array(self.values)) ** 2)
+        return replace(self, covariance=_rows(scale**2 * np.array(self.covariance) + own))
+
+    def at_load(self, load: float | None) -> Prior:
+        """Return the same law at another normal load.
+
+        Parameters
+        ----------
+        load
+            Normal load, N; None if it is not known.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) If values scale with the load and one of the loads is not known.
+
+        """
+        if not any(self.loaded) or load == self.load:
+            return replace(self, load=load)
+        if load is None or self.load is None or not math.isfinite(load):
+            which = "this study" if self.load is not None else f'the study of the prior ("{self.study}")'
+            raise FrictrackError(
+                f"expected a known normal load, with which {self.names[self.loaded.index(True)]} of the prior scales, "
+                f"but {which} has none; give mass or normal_load there",
+                usage=True,
+            )
+        factor = np.where(self.loaded, load / self.load, 1.0)
+        values = tuple(map(float, factor * np.array(self.values)))
+        covariance = _rows(factor[:, None] * np.array(self.covariance) * factor)
+        return replace(self, values=values, covariance=covariance, load=load)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON of a prior."""
+        rows = zip(self.names, self.values, self.std, self.units, self.loaded, strict=True)
+        parameters = {
+            name: {"value": value, "std": std, "unit": unit, "scales_with": SCALES[loaded]}
+            for name, value, std, unit, loaded in rows
+        }
+        r = self.correlation
+        pairs = [[a, b, float(r[i, j])] for i, a in enumerate(self.names) for j, b in enumerate(self.names) if i < j]
+        head = {"study": self.study, "model": list(self.model), "load": self.load}
+        return head | {"parameters": parameters, "correlations": pairs, "left_out": dict(self.left_out)}
+
+    def to_toml(self) -> str:
+        """Return the text of a prior file, which `from_toml` reads."""
+        import tomlkit  # noqa: PLC0415 - only to write
+
+        document, head, tables = tomlkit.document(), tomlkit.table(), tomlkit.aot()
+        for line in COMMENT.splitlines():
+            document.add(tomlkit.comment(line))
+        head["format"], head["study"], head["model"] = FORMAT, self.study, list(self.model)
+        if self.load is not None:
+            head["load"] = self.load
+        document["prior"] = head
+        for i, name in enumerate(self.names):
+            table = tomlkit.table()
+            table["name"], table["value"], table["std"] = name, self.values[i], self.std[i]
+            table["unit"], table["scales_with"] = self.units[i], SCALES[self.loaded[i]]
+            pairs = zip(self.names[:i], self.correlation[i, :i], strict=True)
+            others = {other: float(r) for other, r in pairs if r != 0.0}
+            if others:
+                table["correlation"] = tomlkit.inline_table()
+                table["correlation"].update(others)
+            tables.append(table)
+        document["parameter"] = tables
+        for name, reason in self.left_out:
+            document.add(tomlkit.comment(f"left out: {name}, {reason}".replace("\n", " ")))
+        return tomlkit.dumps(document)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the prior file and return its path."""
+        replace_text(Path(path), self.to_toml())
+        return Path(path)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Prior:
+        """Read a prior file.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) If the file cannot be read or is damaged.
+
+        """
+        path = Path(path)
+        try:
+            if (size := path.stat().st_size) > MAX_PRIOR_BYTES:
+                raise FrictrackError(
+                    f"{path.name}: expected a prior file of at most {MAX_PRIOR_BYTES >> 10} kB but got "
+                    f"{size / 1e3:.0f} kB",
+                    usage=True,
+                )
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError as e:
+            raise FrictrackError(f"{path.name}: expected a text in UTF-8; export the law again", usage=True) from e
+        except OSError as e:
+            raise FrictrackError(f"expected a prior file {path} but cannot read it", usage=True) from e
+        return cls.from_toml(text, path.name)
+
+    @classmethod
+    def from_toml(cls, text: str, name: str = "prior") -> Prior:
+        """Read the text of a prior file.
+
+        Parameters
+        ----------
+        text
+            The text.
+        name
+            Name of the file, for messages.
+
+        Raises
+        ------
+        FrictrackError
+            (usage) If the text is no prior; the message says what was expected.
+
+        """
+        try:
+            return _read(tomllib.loads(text))
+        except (ValueError, RecursionError) as e:
+            raise FrictrackError(f"{name} is not valid TOML: {e}; export the law again", usage=True) from e
+        except FrictrackError as e:
+            raise FrictrackError(f"{name}: {e}", usage=True) from e
+
+
+def _read(raw: Mapping[str, Any]) -> Prior:
+    """Return the prior of the tables of a file."""
+    head, tables = raw.get("prior"), raw.get("parameter")
+    if not isinstance(head, Mapping) or not isinstance(tables, list) or raw.keys() - {"prior", "parameter"}:
+        _refuse("expected a table [prior] and tables [[parameter]]; `frictrack export STUDY --to prior` writes them")
+    _check_keys(head, HEAD_KEYS, "[prior]")
+    if head.get("format") != FORMAT:
+        _refuse(f"expected format = {FORMAT} in [prior] but got {head.get('format')!r}")
+    model = head.get("model", [])
+    if not isinstance(model, list) or not all(isinstance(one, str) for one in model):
+        _refuse(f"expected model as a list of effects in [prior] but got {model!r}")
+    if not 0 < len(tables) <= MAX_PARAMETERS:
+        _refuse(f"expected 1 to {MAX_PARAMETERS} tables [[parameter]] but got {len(tables)}")
+    names = [_name(table, i) for i, table in enumerate(tables)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        _refuse(f"expected every parameter once but got {twice[0]} twice")
+    std = np.array([_number(t, "std", n) for t, n in zip(tables, names, strict=True)])
+    if np.any(std <= 0):
+        _refuse(f"expected a std above 0 of {names[int(np.argmax(std <= 0))]}")
+    load = None if "load" not in head else _number(head, "load", "[prior]")
+    return Prior(
+        names=tuple(names),
+        values=tuple(_number(t, "value", n) for t, n in zip(tables, names, strict=True)),
+        covariance=_rows(_correlation(tables, names) * std * std[:, None]),
+        units=tuple(str(_among(t, "unit", n, ())) for t, n in zip(tables, names, strict=True)),
+        loaded=tuple(_among(t, "scales_with", n, SCALES) == "load" for t, n in zip(tables, names, strict=True)),
+        load=load,
+        study=str(head.get("study", "")),
+        model=tuple(model),
+    )
+
+
+def _name(table: Any, number: int) -> str:
+    """Return the address of a parameter; its keys are checked."""
+    where = f"[[parameter]] number {number + 1}"
+    if not isinstance(table, Mapping):
+        _refuse(f"expected a table in {where} but got {table!r}")
+    _check_keys(table, PARAMETER_KEYS, where)
+    name = table.get("name")
+    if not isinstance(name, str) or not ADDRESS.fullmatch(name):
+        _refuse(f'expected a name such as "coulomb.F_c" in {where} but got {name!r}')
+    return str(name)
+
+
+def _correlation(tables: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Array:
+    """Return the correlation matrix (K, K)."""
+    matrix = np.eye(len(names))
+    for i, (table, name) in enumerate(zip(tables, names, strict=True)):
+        pairs = table.get("correlation", {})
+        if not isinstance(pairs, Mapping):
+            _refuse(f"expected correlation = {{other = number}} of {name} but got {pairs!r}")
+        for other in pairs:
+            if other not in names[:i]:
+                _refuse(f'expected correlations of {name} with parameters above it but got "{other}"')
+            matrix[i, names.index(other)] = matrix[names.index(other), i] = _number(pairs, other, name)
+    if np.any(np.abs(matrix) > 1):
+        _refuse("expected correlations between -1 and 1")
+    return matrix
+
+
+def _number(table: Mapping[str, Any], key: str, where: str) -> float:
+    value = table.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
+        _refuse(f"expected a finite number {key} of {where} but got {value!r}")
+    return float(value)
+
+
+def _among(table: Mapping[str, Any], key: str, where: str, known: Sequence[str]) -> str:
+    value = table.get(key)
+    if not isinstance(value, str) or (known and value not in known):
+        words = " or ".join(f'"{one}"' for one in known) or "a text"
+        _refuse(f"expected {words} as {key} of {where} but got {value!r}")
+    return str(value)
+
+
+def _check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    if unknown := [key for key in table if key not in known]:
+        _refuse(f'unknown key "{unknown[0]}" in {where}; known are {", ".join(known)}')
+
+
+def _refuse(what: str) -> NoReturn:
+    raise FrictrackError(what, usage=True)
+
+
+def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
+    """Return a symmetric matrix as tuples."""
+    even = (matrix + matrix.T) / 2
+    return tuple(tuple(map(float, row)) for row in even)

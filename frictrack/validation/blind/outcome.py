@@ -1,0 +1,244 @@
+"""Diagnose one blind study, add the named effects, and compare the result with the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import Effect
+from frictrack.fit import Fit
+from frictrack.flow import Session, open_study
+from frictrack.records import Mask
+from frictrack.simulate import Trajectory
+from frictrack.validation.blind.equivalents import equivalent_effects
+from frictrack.validation.blind.ideal_detector import MIN_SPEED, limits_over_ideal
+from frictrack.validation.blind.truth import RunTruth, Truth, effect_named, lists_as_tuples
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of one study, with the truth.
+
+    Attributes
+    ----------
+    name, kind, hidden, size, film
+        Study: its name, kind, hidden effects, their sizes over the ideal limit, and whether it has films.
+    verdict
+        Verdict of the diagnosis; "failed" if it raised an error.
+    named
+        Effects named as missing, in order.
+    group
+        The first named effect and those that the diagnosis cannot distinguish from it.
+    sets
+        Sets of effects that the diagnosis says explain the runs equally: those named first.
+    equivalents
+        For each hidden effect those that fit as well; "alike" in JSON.
+    noted
+        Faults that tracking or calibration found and corrected.
+    reduced_chi2, heldout
+        After adding the named effects: reduced chi-squared, and held-out error over the true noise.
+    z
+        (Estimate - truth) / stated standard deviation, where exactly the hidden effects were named.
+    overlap
+        F1 score of the frames where the model fails.
+    limits
+        Detection limits over those of the ideal detector, where nothing is hidden.
+    seconds
+        CPU time of the diagnosis, s.
+    fault
+        Error message of a failed study.
+
+    """
+
+    name: str
+    kind: str
+    hidden: tuple[str, ...]
+    size: tuple[float, ...]
+    film: bool = False
+    verdict: str = ""
+    named: tuple[str, ...] = ()
+    group: tuple[str, ...] = ()
+    sets: tuple[tuple[str, ...], ...] = ()
+    equivalents: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    noted: tuple[str, ...] = ()
+    reduced_chi2: float | None = None
+    heldout: float | None = None
+    z: dict[str, float] = field(default_factory=dict)
+    overlap: float | None = None
+    limits: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    fault: str = ""
+
+
+def read_outcome(raw: dict[str, Any]) -> Outcome:
+    """Read an outcome from its JSON."""
+    return Outcome(**lists_as_tuples({"equivalents" if key == "alike" else key: value for key, value in raw.items()}))
+
+
+def judge_study(name: str, truth: Truth, folder: Path, seed: int = 0) -> Outcome:
+    """Diagnose a study, add the named effects, and compare with the truth.
+
+    Returns the result; an error becomes an outcome with the verdict "failed".
+    """
+    blank = Outcome(name, truth.kind, truth.hidden, truth.size, truth.film)
+    try:
+        return _diagnose(truth, folder, seed, blank)
+    except FrictrackError as e:
+        return replace(blank, verdict="failed", fault=str(e))
+    except Exception as e:  # noqa: BLE001 - an internal error fails this study only
+        return replace(blank, verdict="failed", fault=f"{type(e).__name__}: {e}")
+
+
+def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
+    session = Session(open_study(folder / "study.toml"))
+    session.fit()
+    begin = time.process_time()
+    diagnosis = session.diagnose(seed)
+    seconds = time.process_time() - begin
+    named = tuple(diagnosis["missing"])
+    fit: Fit = session.models.fit(session.models.current()[0])
+    low_pass_half_width = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
+    out = replace(
+        blank,
+        verdict=diagnosis["verdict"],
+        named=named,
+        group=_first_group(diagnosis),
+        sets=_stated_sets(diagnosis),
+        equivalents=_equivalents(truth, fit, named),
+        noted=_faults_in_notes(session),
+        overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
+        limits=limits_over_ideal(truth, diagnosis["detection_limits"]) if truth.kind == "none" and not named else {},
+        seconds=seconds,
+    )
+    noise = (_tracking_error(session, truth) or diagnosis["noise_um"]) if truth.film else 1e6 * truth.noise
+    for name in named:
+        after = session.add(name)
+    errors = after["error_after"] if named else session.fit()["errors"]
+    return replace(
+        out,
+        reduced_chi2=errors["reduced_chi2"],
+        heldout=errors["heldout_rms_um"] / noise,
+        z=parameter_deviations(truth, named, after["parameters"]) if named else {},
+    )
+
+
+def _tracking_error(session: Session, truth: Truth) -> float | None:
+    """True rms error of the tracked displacement in the fitted frames, um, without a straight line per film.
+
+    A camera shake is removed by the fixed reference. None if frames are lost, because frames no longer correspond.
+    """
+    squares = []
+    for run, work in zip(truth.runs, session.runs, strict=True):
+        trajectory, displacement = truth.trajectory(run), work.get("displacement")
+        if len(displacement.x) != len(trajectory.x):
+            return None
+        drawn = trajectory.x if "camera_shake" in run.values else trajectory.x + trajectory.shift
+        kept = displacement.valid & work.get("friction").free
+        off, t = (displacement.x - drawn)[kept], trajectory.t[kept] - trajectory.t[kept].mean()
+        off = off - off.mean()
+        squares.append((off - t * (t @ off) / (t @ t)) ** 2)
+    return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
+    """The first named effect, and those that the diagnosis cannot distinguish from it."""
+    if not diagnosis["missing"]:
+        return ()
+    first = diagnosis["missing"][0]
+    rivals = [c["indistinguishable_from"] for c in diagnosis["candidates"] if c["effect"] == first]
+    return (first, *(rivals[0] if rivals else ()))
+
+
+def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """The effects named, these with one of them exchanged for a rival, and the alternative sets."""
+    named = diagnosis["missing"]
+    if not named:
+        return ()
+    rivals = {c["effect"]: c["indistinguishable_from"] for c in diagnosis["candidates"]}
+    exchanged = [[rival if n == name else n for n in named] for name in named for rival in rivals.get(name) or []]
+    others = [one["effects"] for one in diagnosis["alternatives"]]
+    return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
+
+
+def _equivalents(truth: Truth, fit: Fit, named: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Equivalents of the hidden effects; none where a law without one of these cannot be followed from the truth."""
+    retimed = truth.film and "dropped_frame" in truth.hidden  # frames do not correspond to the truth
+    found = len(truth.hidden) > 1 and set(named) == set(truth.hidden)  # they decide nothing
+    if truth.hidden and truth.kind != "foreign" and not retimed and not found:
+        with suppress(FrictrackError):
+            return equivalent_effects(truth, fit.solution)
+    return {}
+
+
+def _faults_in_notes(session: Session) -> tuple[str, ...]:
+    """Faults that notes of tracking and calibration report."""
+    stages = [(work, name) for work in session.runs for name in ("track", "displacement") if name in work.stages]
+    words = " ".join(note for work, name in stages for note in work.get(name).notes)
+    return tuple(name for name, e in effects.LIBRARY.items() if any(phrase in words for phrase in e.noted_as))
+
+
+def parameter_deviations(truth: Truth, named: tuple[str, ...], parameters: dict[str, Any]) -> dict[str, float]:
+    """(Estimate - truth) / stated standard deviation of all parameters that the runs share.
+
+    `parameters`: JSON `parameters` of the fit: value and std by address ("effect.parameter"). Returns the deviation by
+    address; empty unless exactly the hidden effects were named.
+    """
+    if set(named) != set(truth.hidden):
+        return {}
+    own = {name: next(r.values[name] for r in truth.runs if name in r.values) for name in truth.hidden}
+    law = truth.law | own
+    quoted = {f"{name}.{key}": value for name, values in law.items() for key, value in values.items()}
+    out = {}
+    for name, values in law.items():
+        effect = effect_named(name)
+        true = values | (effect.quote(values, quoted) if effect.quote else {})
+        for p in effect.parameters:
+            estimate = parameters.get(f"{name}.{p.name}")
+            if estimate is None or p.per_run or not estimate["std"] or estimate["value"] is None:
+                continue
+            error = estimate["value"] - true[p.name]
+            if p.role == "phase":
+                error = float(np.angle(np.exp(1j * error)))
+            out[f"{name}.{p.name}"] = error / estimate["std"]
+    return out
+
+
+def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapping[str, float]) -> float | None:
+    """F1 score over all frames of where the hidden effect acts and where the model is said to fail.
+
+    `spans`: `fails_at` of the diagnosis: run and first and last time t (s) of each span; `low_pass_half_width`: half
+    width of the low-pass of each run, s: it widens a collision by that much. Returns 0 to 1; None unless exactly one
+    local effect, such as a patch or a collision, is hidden.
+    """
+    if len(truth.hidden) != 1 or effect_named(truth.hidden[0]).acts_within is None:
+        return None
+    effect = effect_named(truth.hidden[0])
+    n_both = n_reported = n_true = 0
+    for run in truth.runs:
+        trajectory = truth.trajectory(run)
+        t, acts = trajectory.t, acting(effect, run, trajectory, low_pass_half_width.get(run.name, 0.0))
+        within = [
+            (t >= first - 1e-9) & (t <= last + 1e-9) for first, last in (s["t"] for s in spans if s["run"] == run.name)
+        ]
+        reported = np.any([np.zeros(len(t), np.bool_), *within], axis=0)
+        n_both += int((acts & reported).sum())
+        n_reported += int(reported.sum())
+        n_true += int(acts.sum())
+    return 2 * n_both / max(n_reported + n_true, 1)
+
+
+def acting(effect: Effect, run: RunTruth, trajectory: Trajectory, low_pass_half_width: float) -> Mask:
+    """Frames (n,) of a run in which a local effect acts while the mass moves."""
+    values = run.values.get(effect.name)
+    if values is None or effect.acts_within is None:
+        return np.zeros(len(trajectory.t), dtype=bool)
+    acts = effect.acts_within(trajectory.t, trajectory.x, values, low_pass_half_width)
+    return np.asarray(acts & (np.abs(trajectory.v) > MIN_SPEED))

@@ -1,0 +1,404 @@
+"""The truth of one blind study: law, runs, camera and hidden effects, and the motion that follows from them.
+
+Hidden effects may be foreign to the library: a diagnosis must call them unexplained, or reproduce them by others. The
+motion under friction with memory is integrated here, independently of the library.
+
+Its state is integrated together with the motion by `DOP853` (Hairer, Norsett & Wanner 1993, Solving Ordinary
+Differential Equations I), from rest, in one direction, up to the stop:
+
+    friction lag   du/dt = (c(v) - u)/tau,                 dry friction s u instead of s c(v)
+    presliding     dw/dt = (v/length)(1 - w s),            dry friction w c(v)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import DOP853, cumulative_trapezoid
+from scipy.optimize import brentq
+
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.effects import Effect, Parameter, Path, Span, models
+from frictrack.effects.models import Model, Values
+from frictrack.records import Array, EarlierRuns
+from frictrack.simulate import Conditions, Trajectory, image_shift, push_force, simulate
+from frictrack.simulate.rendering import Oscillation
+
+Shape = Callable[[Path, dict[str, float]], Array]
+RESONANCE_WIDTH = 0.15  # width of a resonance in speed, over that speed
+N_HARMONICS = 5  # one more than the harmonics of a sawtooth
+UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
+RTOL, ATOL = 1e-10, 1e-12
+START_X_M = 0.05  # start of runs toward +x; runs toward -x start at the other end of the course
+EffectValues = dict[str, dict[str, float]]  # effect -> parameter -> value (SI)
+
+
+def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
+    """The mounting resonates and takes energy at one sliding speed."""
+    return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (RESONANCE_WIDTH * q["speed"])) ** 2) / 2)
+
+
+def _joint(path: Path, q: dict[str, float]) -> Array:
+    """Two halves of the course consist of different materials."""
+    return path.load * path.s * np.tanh((path.x - q["place"]) / 2e-3)
+
+
+def _saw(path: Path, q: dict[str, float]) -> Array:
+    """Overlapping plates of equal length: a sawtooth in place, with edges rounded by the length of the slider."""
+    turns = 2 * np.pi * path.x / q["length"]
+    return path.load * path.s * np.sum([np.sin(k * turns) / k for k in range(1, N_HARMONICS)], axis=0)
+
+
+def _magnet(path: Path, q: dict[str, float]) -> Array:
+    """A magnet next to the course attracts the mass; the force does not depend on the direction of motion."""
+    u = (path.x - q["place"]) / q["length"]
+    return np.asarray(u / (1 + u**2) ** 2)
+
+
+def _chirp(path: Path, q: dict[str, float]) -> Array:
+    """A nearby machine runs up: a force with rising frequency."""
+    return np.sin(2 * np.pi * q["frequency"] * (1 + 4 * path.t) * path.t)
+
+
+def _gust(path: Path, q: dict[str, float]) -> Array:
+    """A constant force begins at some time after release."""
+    return (1 + np.tanh((path.t - q["time"]) / 2e-3)) / 2
+
+
+def _breakdown(path: Path, q: dict[str, float]) -> Array:
+    """The lubricant film is used up after some sliding distance, at any place."""
+    return path.load * path.s * (1 + np.tanh((path.distance - q["length"]) / 3e-3)) / 2
+
+
+def _heat(path: Path, q: dict[str, float]) -> Array:
+    """Friction falls with a temperature that follows the dissipated power with a delay: a memory of the speed."""
+    t, v = path.t, path.v
+    if path.before is not None:
+        t, v = np.append(path.before[0], t), np.append(path.before[2], v)
+    growth = np.exp((t - t[-1]) / q["time"])
+    temperature = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / q["time"]
+    return -path.load * path.s * temperature[-len(path.t) :]
+
+
+FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
+    "speed_resonance": (_speed_resonance, ("speed",)),
+    "joint": (_joint, ("place",)),
+    "saw": (_saw, ("length",)),
+    "magnet": (_magnet, ("place", "length")),
+    "chirp": (_chirp, ("frequency",)),
+    "gust": (_gust, ("time",)),
+    "breakdown": (_breakdown, ("length",)),
+    "heat": (_heat, ("time",)),
+}  # name: shape, and the non-linear parameters that it needs
+
+
+def foreign_effect(name: str) -> Effect:
+    """Build an effect that is not in the library.
+
+    Returns the force effect with one coefficient, the amplitude in N.
+    """
+    shape, needs = FOREIGN[name]
+    return Effect(
+        name=name,
+        acts_on="force",
+        equation=f"amplitude {name}",
+        parameters=(
+            Parameter("amplitude", "N", linear=True),
+            *(Parameter(n, UNITS[n], signed=True) for n in needs),
+        ),
+        columns=lambda path, nonlinear: np.asarray(shape(path, dict(nonlinear)))[:, None],
+        scales_with="load",
+    )
+
+
+def parameter_range(name: str, span: Span) -> tuple[float, float]:
+    """Range from which a non-linear parameter of a foreign effect is drawn.
+
+    `name`: "place", "length" (m), "speed" (m/s), "frequency" (Hz) or "time" (s); `span`: range of place, speed and time
+    that the runs cover. Returns the lowest and highest value.
+    """
+    travel = span.x_max - span.x_min
+    return {
+        "place": (span.x_min + 0.3 * travel, span.x_max - 0.3 * travel),
+        "length": (0.06 * travel, 0.4 * travel),
+        "speed": (max(0.15 * span.v_max, span.v_min), 0.8 * span.v_max),
+        "frequency": (15.0, 60.0),
+        "time": (0.1 * span.duration, 0.4 * span.duration),
+    }[name]
+
+
+def simulate_memory(
+    model: Model, values: Values, conditions: Conditions, t: Array, start: tuple[float, float]
+) -> Trajectory:
+    """Simulate a run under a model with one effect with memory, friction_lag or presliding.
+
+    `t`: times of the frames, s, shape (n,); `start`: position (m) and velocity (m/s) at t[0]. Returns the motion at the
+    frames. Raises FrictrackError if the mass does not start, or the integration fails.
+    """
+    lag = "friction_lag" in model
+    name = "friction_lag" if lag else "presliding"
+    scale = float(values[name]["tau" if lag else "stiffness"])
+    push = conditions.drive or np.zeros_like
+    s = float(np.sign(start[1] or push(t[:: len(t) // 50])[np.argmax(np.abs(push(t[:: len(t) // 50])))]))
+    way = _WaySoFar(conditions, start, s)
+    parts_along = _friction_parts(model - name, values)
+
+    def friction_parts(x: float, v: float, now: float) -> tuple[float, float]:
+        size, rest = parts_along(way.path(x, v, now))
+        return float(s * size[0]), float(rest[0])
+
+    def motion(now: float, y: Array) -> Array:
+        size, rest = friction_parts(y[0], y[1], now)
+        a = (float(push(np.array([now]))[0]) - (s * y[2] if lag else y[2] * size) - rest) / conditions.mass
+        return np.array([y[1], a, (size - y[2]) / scale if lag else y[1] / scale * (1 - s * y[2])])
+
+    size = friction_parts(start[0], start[1], float(t[0]))[0]
+    state = np.array([*start, size if lag else s * float(start[1] != 0)])
+    departure = float(t[0]) if start[1] or not lag else _departure_time(t, lambda now: s * push(now) - size)
+    first_moving = int(np.searchsorted(t, departure))
+    moving = _followed(motion, departure, state, t[first_moving:], way)
+    y = np.hstack([np.tile(state[:, None], first_moving), moving])
+    stopped = np.flatnonzero((s * y[1] <= 0) & (np.arange(len(t)) > first_moving + 1))
+    if len(stopped):  # at rest from here on
+        y[:, stopped[0] :] = y[:, stopped[:1]]
+        y[1, stopped[0] :] = 0.0
+    path = conditions.path(y[0], y[1], t, s)
+    size_along, rest_along = parts_along(path)
+    force = (s * y[2] if lag else y[2] * s * size_along) + rest_along
+    return Trajectory(t, y[0], y[1], (push(t) - force) / conditions.mass, force, image_shift(model, values, path))
+
+
+class _WaySoFar:
+    """The motion from release to the last step of the integration, for effects that depend on it."""
+
+    def __init__(self, conditions: Conditions, start: tuple[float, float], s: float) -> None:
+        self._conditions, self._start_x, self._s = conditions, start[0], s
+        self._before: Array | None = None  # (3, k)
+
+    def add(self, t: float, x: float, v: float) -> None:
+        """Append a step."""
+        step = np.array([[t], [x], [v]])
+        self._before = step if self._before is None else np.hstack([self._before, step])
+
+    def path(self, x: float, v: float, t: float) -> Path:
+        """The path that consists of the present moment, with the way before it."""
+        path = self._conditions.path(np.array([x]), np.array([v]), np.array([t]), self._s)
+        return replace(path, begins=self._start_x, before=self._before)
+
+
+def _followed(motion: Callable[[float, Array], Array], begin: float, state: Array, t: Array, way: _WaySoFar) -> Array:
+    """States (3, n) at times t (n,) of a motion that begins at time `begin` in `state`."""
+    solver = DOP853(motion, begin, state, float(t[-1]), rtol=RTOL, atol=ATOL)
+    out, done = np.empty((3, len(t))), int(np.searchsorted(t, begin, side="right"))
+    out[:, :done] = state[:, None]
+    while done < len(t):
+        way.add(solver.t, solver.y[0], solver.y[1])
+        message = solver.step()
+        if message is not None:
+            raise FrictrackError(f"expected a motion that can be followed but got none: {message}")
+        reached = int(np.searchsorted(t, solver.t, side="right"))
+        out[:, done:reached] = solver.dense_output()(t[done:reached])
+        done = reached
+    return out
+
+
+def _departure_time(t: Array, excess: Callable[[Array], Array]) -> float:
+    """Time at which the drive overcomes friction at rest, s."""
+    over = np.flatnonzero(excess(t) > 0)
+    if not len(over):
+        raise FrictrackError("expected a drive that overcomes friction but got a weaker one")
+    first = int(over[0])
+    if first == 0:
+        return float(t[0])
+    return float(brentq(lambda now: float(excess(np.array([now]))[0]), float(t[first - 1]), float(t[first])))
+
+
+def _friction_parts(model: Model, values: Values) -> Callable[[Path], tuple[Array, Array]]:
+    """Function of a path that returns dry friction and all other force along it, (n,) each, N."""
+
+    def parts(path: Path) -> tuple[Array, Array]:
+        zero = np.zeros(len(path.t))
+        dry, rest = [zero], [zero]
+        for name, block in model.force_columns(path, values).items():
+            (dry if name in ("coulomb", "stribeck") else rest).append(block @ model.coefficients(name, values))
+        return np.sum(dry, axis=0), np.sum(rest, axis=0)
+
+    return parts
+
+
+@dataclass(frozen=True)
+class RunTruth:
+    """Truth of one run.
+
+    Attributes
+    ----------
+    name
+        Name of the run.
+    speed
+        Start speed, m/s; negative toward -x.
+    mass_ratio
+        Mass over the reference mass.
+    level
+        Dry friction over its mean.
+    frames
+        Number of frames.
+    phase
+        Phase of the vertical motion or rotation at release, rad.
+    values
+        Parameter values of the hidden effects that act in this run.
+    earlier
+        What was slid before, as in `Run`, where the study tells it.
+
+    """
+
+    name: str
+    speed: float
+    mass_ratio: float
+    level: float
+    frames: int
+    phase: float = 0.0
+    values: EffectValues = field(default_factory=dict)
+    earlier: EarlierRuns | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Truth of one study, in SI units; its fields are keys of the sealed file.
+
+    Attributes
+    ----------
+    seed, kind
+        Seed of the draw; "one", "none", "two", "foreign" or "fault".
+    model, law
+        Effects of the base law, and their values as effects use them (F_s above F_c).
+    mass, fps, pitch, noise
+        Reference mass (kg), frame rate (1/s), pixel pitch (m) and standard deviation of a position (m).
+    scatter
+        Relative standard deviation of dry friction from run to run.
+    course
+        Length of the course, m.
+    hidden
+        Names of the hidden effects.
+    push
+        Duration of the measured push at the start, s; 0 where runs start in motion.
+    lift
+        Measured vertical motion: amplitude (m) and frequency (Hz).
+    clamp
+        Place of the beam's clamp, m.
+    turn
+        Rotation of the target that a film shows: amplitude (rad) and frequency (Hz).
+    stated
+        Whether the tables state the noise.
+    film
+        Whether the study consists of films.
+    paused
+        Whether the pauses between the runs are told.
+    runs
+        Truth of the runs.
+    size, rise
+        For each hidden effect its size over what the ideal detector sees in 95 of 100 repeats, and its expected rise of
+        chi-squared.
+
+    """
+
+    seed: int
+    kind: str
+    model: tuple[str, ...]
+    law: EffectValues
+    mass: float
+    fps: float
+    pitch: float
+    noise: float
+    scatter: float
+    course: float
+    hidden: tuple[str, ...] = ()
+    push: float = 0.0
+    lift: tuple[float, float] | None = None
+    clamp: float | None = None
+    turn: tuple[float, float] | None = None
+    stated: bool = True
+    film: bool = False
+    paused: bool = False
+    runs: tuple[RunTruth, ...] = ()
+    size: tuple[float, ...] = ()
+    rise: tuple[float, ...] = ()
+
+    @property
+    def base(self) -> Model:
+        """The base law, without hidden effects."""
+        return models.of(self.model)
+
+    def conditions(self, run: RunTruth) -> Conditions:
+        """Conditions of one run."""
+        return Conditions(
+            mass=self.mass * run.mass_ratio,
+            load=run.mass_ratio * run.level,
+            mass_ratio=run.mass_ratio,
+            pixel_pitch=self.pitch,
+            drive=self.drive(run) if self.push else None,
+            lift=None if self.lift is None else Oscillation(*self.lift, run.phase).second_derivative(),
+            angle=None if self.turn is None else Oscillation(*self.turn, run.phase),
+            clamp_x=self.clamp,
+            earlier=run.earlier,
+        )
+
+    def drive(self, run: RunTruth) -> Callable[[Array], Array]:
+        """Drive force of the push of a run as a function of time, N."""
+        return push_force(self.mass * run.mass_ratio, run.speed, self.push)
+
+    def start(self, run: RunTruth) -> tuple[float, float]:
+        """Position (m) and velocity (m/s) in the first frame; a pushed run starts at rest."""
+        return (START_X_M if run.speed > 0 else self.course + START_X_M), (0.0 if self.push else run.speed)
+
+    def trajectory(self, run: RunTruth, *, hidden: bool = True) -> Trajectory:
+        """Simulate the true motion of one run, with or without the hidden effects."""
+        model, values = self.base, dict(self.law)
+        for name in run.values if hidden else ():
+            model = model + effect_named(name)
+            values[name] = run.values[name]
+        t = np.arange(run.frames) / self.fps
+        if model.memory:
+            return simulate_memory(model, values, self.conditions(run), t, self.start(run))
+        return simulate(model, values, self.conditions(run), t, self.start(run))
+
+    def span(self, trajectories: list[Trajectory]) -> Span:
+        """Range of time, place and speed that motions cover."""
+        return Span(
+            duration=max(float(s.t[-1]) for s in trajectories),
+            x_min=min(float(s.x.min()) for s in trajectories),
+            x_max=max(float(s.x.max()) for s in trajectories),
+            v_min=min(float(np.abs(s.v).min()) for s in trajectories),
+            v_max=max(float(np.abs(s.v).max()) for s in trajectories),
+            fps=self.fps,
+            clamp_x=self.clamp,
+            earlier=max((run.earlier or () for run in self.runs), key=len),
+        )
+
+
+def effect_named(name: str) -> Effect:
+    """Get an effect of the library or a foreign effect by name.
+
+    Examples
+    --------
+    >>> effect_named("drag").acts_on, effect_named("magnet").acts_on
+    ('force', 'force')
+
+    """
+    return foreign_effect(name) if name in FOREIGN else effects.get(name)
+
+
+def read_truth(raw: dict[str, Any]) -> Truth:
+    """Read a truth from its JSON."""
+    known = lists_as_tuples(raw)
+    return Truth(**known | {"runs": tuple(RunTruth(**run) for run in known["runs"])})
+
+
+def lists_as_tuples(value: Any) -> Any:
+    """The same JSON value with tuples in place of its lists, as the frozen records have them."""
+    if isinstance(value, dict):
+        return {key: lists_as_tuples(one) for key, one in value.items()}
+    return tuple(map(lists_as_tuples, value)) if isinstance(value, list | tuple) else value
