@@ -184,7 +184,7 @@ def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repe
 
 
 def test_a_constant_force_does_not_take_the_place_of_scattering_levels():
-    """In one direction Coulomb friction and a spring's constant force are nearly one; the levels scatter all the same."""
+    """In one direction Coulomb friction and a spring's constant force are nearly one; the levels scatter anyway."""
     values = {
         "coulomb": {"F_c": 1.0},
         "stribeck": {"F_s": 0.35, "v_s": 0.3, "delta": 1.0},
