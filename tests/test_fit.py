@@ -183,6 +183,24 @@ def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repe
     assert np.std(levels) < 1e-3  # each run's own level, which its parabola gives to 4e-4
 
 
+def test_a_constant_force_does_not_take_the_place_of_scattering_levels():
+    """In one direction Coulomb friction and a spring's constant force are nearly one; the levels scatter anyway."""
+    values = {
+        "coulomb": {"F_c": 1.0},
+        "stribeck": {"F_s": 0.35, "v_s": 0.3, "delta": 1.0},
+        "viscous": {"F_v": 0.05},
+        "spring": {"k": 0.6, "x_0": 0.0},
+    }
+    specs = tuple(Spec(speed, 1, 0.5 / speed) for speed in (2.0, 3.0, 4.0, 5.0, 6.5, 8.0))
+    runs, levels = study("tustin,spring", values, specs, sigma=3e-6, scatter=0.01, rng=np.random.default_rng(1))
+    found = fit("tustin,spring", runs)
+    force = found.parameters["coulomb.F_c"].value
+    assert 0.0 < force < 10.0  # it was 871 N, the levels equal
+    scatter = found.solution.tau * (force + 0.35)
+    assert scatter == pytest.approx(1.35 * np.std(levels, ddof=1), rel=0.5)
+    assert found.reduced_chi2 < 1.1
+
+
 def test_four_runs_make_the_level_a_random_effect_and_three_leave_it_free():
     runs = [parabola(i, level=1 + 0.05 * (i - 1), name=f"r{i}", duration=0.04) for i in range(3)]
     three = fit("coulomb", runs)

@@ -212,6 +212,33 @@ def test_a_measured_force_in_another_unit_is_named(factor, unit):
     assert finding.correction == f'columns = {{friction = "friction_N ({unit})"}}'
 
 
+def swung_force() -> tuple[Array, Array, Array]:
+    """Times, places and dry friction of a mass that is driven to and fro."""
+    t = np.arange(600) / FPS
+    return t, 0.01 * np.sin(2 * np.pi * 3.0 * t), 2.0 * np.sign(np.cos(2 * np.pi * 3.0 * t))
+
+
+def test_a_friction_with_the_sign_of_the_force_on_the_mass_is_refused_with_its_remedy():
+    t, x, force = swung_force()
+    (finding,) = implausible_slide(run_of(t, x, friction_N=-force, mass=None), film=False)
+    assert finding.grade == ERROR
+    assert finding.correction == 'columns = {friction = "-friction_N"}'
+    spring = 400.0 * x  # gives back what it takes
+    assert implausible_slide(run_of(t, x, friction_N=spring + 0.2 * force, mass=None), film=False) == ()
+
+
+def test_a_start_and_an_end_without_contact_are_said_with_the_line_to_write():
+    t = np.arange(2000) / FPS
+    x = 0.05 * t
+    rising = np.clip((t - 0.4) / 0.04, 0.0, 1.0) * np.clip((t[-1] - 0.3 - t) / 0.01, 0.0, 1.0)
+    (finding,) = implausible_slide(run_of(t, x, friction_N=2.0 * rising, mass=None), film=False)
+    begin, end = (float(word) for word in finding.correction.removeprefix("free = [").removesuffix("]").split(","))
+    assert 0.43 < begin < 0.45
+    assert t[-1] - 0.32 < end < t[-1] - 0.3
+    assert implausible_slide(run_of(t, x, friction_N=2.0 * rising, free=(begin, end), mass=None), film=False) == ()
+    assert implausible_slide(run_of(t, x, friction_N=2.0 + 0.1 * t, mass=None), film=False) == ()
+
+
 # --- one run: incline
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from frictrack import samples
 from frictrack.diagnose import diagnose
+from frictrack.diagnose.examination import list_candidates
 from frictrack.fit import fit
 from frictrack.fit.observations import weight_by_noise
 from frictrack.measure.motion import differentiate, low_pass
@@ -40,6 +41,12 @@ def test_the_tribometer_names_memory_and_no_velocity_term(strokes):
     assert best.p == 0.001
     assert best.heldout_after < 0.3 * best.heldout_before
     assert any("that does not repeat between" in remark for remark in found.remarks)
+
+
+def test_effects_of_reversals_are_tried_where_a_load_cell_sees_reversals(strokes):
+    found, excluded = list_candidates(fit("coulomb,viscous", [strokes]).solution)
+    assert "bouc_wen" not in excluded
+    assert "bouc_wen" in {e.name for e in found}
 
 
 def test_the_noise_of_the_tribometer_is_what_differs_from_stroke_to_stroke(strokes):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import takewhile
 from typing import Any
 
 from frictrack.base.distributions import RNG, accepts_seed
@@ -35,7 +36,7 @@ from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
 from frictrack.diagnose.search import Progress, SearchSettings, search_effects
 from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
-from frictrack.diagnose.verdict import NOTHING_TO_EXPLAIN, Grounds, judge
+from frictrack.diagnose.verdict import MAX_ERROR_RATIO, NOTHING_TO_EXPLAIN, Grounds, judge
 from frictrack.effects import Effect
 from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution
@@ -187,7 +188,7 @@ class Conclusion:
             model=self.fit.model.names,
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
-            leads=named if verdict == "unexplained" else [],
+            leads=self._leads if verdict == "unexplained" and not is_formula else [],
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
@@ -258,6 +259,14 @@ class Conclusion:
     @property
     def _plausible_names(self) -> list[str]:
         return [t.effect.title for t in self._named if not t.objection]
+
+    @property
+    def _leads(self) -> list[str]:
+        """The plausible effects found, up to the first that does not lower the error of what was held out."""
+        errors = [self._heldout(t.law)[1] for t in self._named]
+        lowest = [self._heldout(self._named[0].law)[0], *errors] if errors else []
+        lowering = takewhile(lambda t: t[1] < MAX_ERROR_RATIO * t[2], zip(self._named, errors, lowest, strict=False))
+        return [found.effect.title for found, _, _ in lowering if not found.objection]
 
     @cached_property
     def _formulas(self) -> UnexplainedForce | None:

@@ -334,8 +334,13 @@ def _needs_reversal(effect: Effect, solution: Solution) -> str:
     """Why an effect with memory is not identifiable: in one direction it equals a spring or running-in; "" if it is."""
     if effect.modifies or not (effect.memory and effect.turns):
         return ""
-    pieces = solution.problem.pieces
-    directions = {(p.run, float(s)) for p in pieces for s in np.sign(p.v_hat if p.turns else p.path.s[-1:])}
+    problem = solution.problem
+    one_way = [problem.simulates and not p.turns for p in problem.pieces]  # cut at every reversal
+    directions = {
+        (p.run, float(s))
+        for p, is_one_way in zip(problem.pieces, one_way, strict=True)
+        for s in np.sign(p.path.s[-1:] if is_one_way else p.v_hat)
+    }
     if len({w for w in directions if w[1]}) > len({run for run, s in directions if s}):
         return ""
     return f"{effect.name} needs a run that reverses; let the mass swing to and fro"

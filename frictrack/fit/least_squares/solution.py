@@ -174,10 +174,25 @@ class Solution:
         return np.concatenate([r.r + r.jac @ departure[r.active] for r in self.responses])
 
     def level_scatter(self) -> float:
-        """Estimate tau, the relative standard deviation of the friction levels."""
+        """Estimate tau, the relative standard deviation of the friction levels.
+
+        The other unknowns enter as they do at level one. At the fitted levels l, more Coulomb friction and less of a
+        constant force is the pattern l - 1 itself, which would leave no scatter.
+        """
         rows, residual = self.few_rows_and_residual
-        basis, data = self._basis_of(rows), residual + rows @ self._departure()
+        data = residual + rows @ self._departure()
+        basis = self._basis_of(self._rows_at_level_one(rows))
         return basis.spread(basis.u.T @ data, float(data @ data))
+
+    def _rows_at_level_one(self, rows: Array) -> Array:
+        """Few rows (M, P) of all pieces, with the sensitivities to what carries the load divided by the level."""
+        layout = self.problem.layout
+        if not layout.levels:
+            return rows
+        level = np.concatenate(
+            [np.full(min(len(r.r), r.jac.shape[1] + 1), layout.values(self.p, r.piece.run)[1]) for r in self.responses]
+        )
+        return np.where(layout.loaded, rows / level[:, None], rows)
 
     def scatter_penalty(self, tau: float) -> float:
         """Compute what integrating out levels of scatter tau adds to minus twice the log-likelihood."""

@@ -158,6 +158,12 @@ class ParameterLayout:
         return [i for i, s in enumerate(self.slots) if s.effect == LEVEL]
 
     @property
+    def loaded(self) -> Mask:
+        """Which unknowns are coefficients that carry the load, and so the friction level of the run, (P,)."""
+        loaded = {(e.name, q.name) for e in self.model.effects for q in e.parameters if q.loaded}
+        return np.array([(s.effect, s.parameter) in loaded for s in self.slots], dtype=bool)
+
+    @property
     def coefficients(self) -> Mask:
         """Which unknowns the motion depends on nearly linearly: coefficients and friction levels, (P,)."""
         return np.array([s.linear or s.effect == LEVEL for s in self.slots], dtype=bool)
@@ -364,8 +370,7 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
         return p
     too_few = len(levels) < MIN_RUNS_FOR_SCATTER
     factor = float(np.mean(p[levels])) if too_few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
-    loaded = {(e.name, q.name) for e in layout.model.effects for q in e.parameters if q.loaded}
     p = np.array(p)
     p[levels] /= factor
-    p[[i for i, s in enumerate(layout.slots) if (s.effect, s.parameter) in loaded]] *= factor
+    p[layout.loaded] *= factor
     return p

@@ -36,6 +36,8 @@ CORRELATION_FACTOR = 3.0  # on standard deviations, for errors that neighbours s
 MIN_SIGMAS = 5.0  # of an acceleration that differs from 0
 # Share of its way that a speeding leg may be followed by a smooth slowing down: more is a push, or a spring.
 MAX_PARTNER_SHARE = 0.25
+IDLE_SHARE = 0.05  # of the median force: below it nothing rubs; dry friction has no such speeds
+MIN_IDLE_SHARE = 0.02  # of the moving frames; a reversal passes through zero in fewer
 MIN_SHARE_EACH_WAY = 0.2  # of the distance, for a direction to count
 FILM_UNITS = (  # what a number of a film may have been mistyped by: length, time, and how to say it
     (1e-3, 1.0, "the scale is a thousand times too large (mm taken for m?)"),
@@ -230,11 +232,9 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
     explains.
     """
     slide = estimate_slide(run)
-    if slide is None:
-        return ()
     # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
     check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
-    found = [*_check_measured_friction(run), *_check_slide(run, slide, film=film)]
+    found = [*_check_measured_friction(run), *([] if slide is None else _check_slide(run, slide, film=film))]
     return tuple(replace(one, run=run.name, check=check) for one in found)
 
 
@@ -267,8 +267,15 @@ def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
 
 
 def _check_measured_friction(run: Run) -> Iterator[Finding]:
-    """Check a measured friction force against the stated load."""
-    if run.friction_N is None or run.normal_load is None:
+    """Check a measured friction force: its sign, where it is idle, and its size against the stated load."""
+    if run.friction_N is None:
+        return
+    moving = np.flatnonzero(is_moving(run) & np.isfinite(run.friction_N))
+    if len(moving) >= MIN_FRAMES:
+        yield from _check_sign(np.asarray(run.friction_N)[moving], run.motion.v[moving])
+        if run.free is None:
+            yield from _check_idle_ends(np.asarray(run.friction_N)[moving], run.motion.t[moving])
+    if run.normal_load is None:
         return
     ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
     if ratio not in FRICTION and ratio != 0.0:
@@ -276,6 +283,40 @@ def _check_measured_friction(run: Run) -> Iterator[Finding]:
         line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
         likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
         words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
+        yield Finding("friction", words, line)
+
+
+def _check_sign(force: Array, v: Array) -> Iterator[Finding]:
+    """Check that friction takes energy from the motion: over all frames, the sum of F v is positive.
+
+    Elastic energy that comes back, as after every reversal of a compliant set-up, cancels over a cycle.
+    """
+    power, exchanged = float(force @ v), float(np.abs(force) @ np.abs(v))
+    if power < -MIN_SHARE_EACH_WAY * exchanged:
+        words = (
+            f"the measured friction drives the mass (its power is negative, {100 * power / exchanged:.0f} % of what "
+            "|F||v| gives), so it has the sign of the force on the mass; frictrack takes the force against the motion: "
+            "write a minus before the header of its column"
+        )
+        yield Finding("friction", words, 'columns = {friction = "-friction_N"}', grade=ERROR)
+
+
+def _check_idle_ends(force: Array, t: Array) -> Iterator[Finding]:
+    """Find a start or an end where the mass moves and nothing rubs yet, or any more."""
+    usual = float(np.median(np.abs(force)))
+    rubs = np.flatnonzero(np.abs(force) > IDLE_SHARE * usual)
+    half = np.flatnonzero(np.abs(force) > 0.5 * usual)
+    if not len(half):
+        return
+    ends = np.array([t[0], t[-1]])
+    # the force rises from nothing to its half as long as it then takes to its whole
+    begin = 2 * t[half[0]] - t[rubs[0]] if rubs[0] >= MIN_IDLE_SHARE * len(t) else ends[0]
+    stop = 2 * t[half[-1]] - t[rubs[-1]] if len(t) - 1 - rubs[-1] >= MIN_IDLE_SHARE * len(t) else ends[1]
+    if ends[0] < begin < stop or begin < stop < ends[1]:
+        idle = [f"{ends[0]:.3g} to {t[rubs[0]]:.3g} s"] if begin > ends[0] else []
+        idle += [f"{t[rubs[-1]]:.3g} to {ends[1]:.3g} s"] if stop < ends[1] else []
+        line = f"free = [{begin:.4g}, {stop:.4g}]"
+        words = f"it moves without friction from {' and '.join(idle)} (no contact, or slack?); leave that out: {line}"
         yield Finding("friction", words, line)
 
 
