@@ -318,6 +318,17 @@ def effects(out: Console, result: dict[str, Any]) -> None:
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
 
 
+def explain(out: Console, result: dict[str, Any]) -> None:
+    """Print the meaning of a word, and the effect of this name."""
+    for term in result["terms"]:
+        word, *others = term["words"]
+        also = f" ({', '.join(others)})" if others else ""
+        out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
+    described_effects(out, result)
+    for e in result["effects"]:
+        out.print(f"the same: `frictrack effects {e['name']}`; all effects: `frictrack effects`", markup=False)
+
+
 def described_effects(out: Console, result: dict[str, Any]) -> None:
     """Print what each effect adds, looks like, and is confused with."""
     for e in result["effects"]:

@@ -69,7 +69,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
     if same_p:
         handles.append(Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search"))
     if handles:
-        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+        style.legend_below(figure, handles)
     return figure
 
 

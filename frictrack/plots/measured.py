@@ -103,13 +103,13 @@ def motion(run: AnyRun) -> Figure:
     figure.align_ylabels(panels)
     panels[-1].set_xlabel(axis_label("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
-    figure.legend(handles=_section_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
+    style.legend_below(figure, _section_handles(run), columnspacing=1.2)
     return figure
 
 
 @styled
 def motions(runs: Sequence[AnyRun]) -> Figure:
-    """Draw displacement, velocity and acceleration of several runs as small multiples with shared axes.
+    """Draw displacement, velocity and acceleration of several runs as small multiples.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ def motions(runs: Sequence[AnyRun]) -> Figure:
     able = as_runs(runs)
     shown = able[:MAX_MOTIONS]
     labels = (axis_label("time t", "ms"), *SHORT_LABELS)
-    figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex=True)
+    figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex="cell")
     for cell, run in zip(cells, shown, strict=True):
         _draw_motion(cell, run)
+        cell[-1].set_xlim(1e3 * run.motion.t[0], 1e3 * run.motion.t[-1])
         cell[0].set_title(run.name, fontweight="normal")
-    handles = {handle.get_label(): handle for run in shown for handle in _section_handles(run)}
-    figure.legend(handles=list(handles.values()), loc="outside lower left", ncols=4)
+    style.legend_below(figure, [handle for run in shown for handle in _section_handles(run)])
     return figure
 
 
@@ -164,8 +164,10 @@ def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
     for k, (at, kind) in enumerate(named[:MAX_NAMED_EVENTS]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
+        late = at > 1e3 * float(run.motion.t[-1]) - NAME_WIDTH * reach  # its name stands before its line
         panels[0].annotate(
-            kind, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9 - 10 * (crowded and k % 2)),
+            kind, (at, 1.0), xycoords=("data", "axes fraction"), ha="right" if late else "left",
+            xytext=(-2 if late else 2, -9 - 10 * (crowded and k % 2)),
             textcoords="offset points", fontsize=8, color=style.PURPLE,
         )  # fmt: skip
 
@@ -267,8 +269,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
     right.axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(able) <= 18:
-        handles, names = left.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower left", ncols=min(len(able), 8))
+        style.legend_below(figure, left.get_legend_handles_labels()[0])
     return figure
 
 

@@ -60,9 +60,7 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
     for cell, name in zip(cells, shown, strict=True):
         _draw_run(cell, own[name], by_name[name], _impulses(model, name))
-    figure.legend(
-        handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
-    )
+    style.legend_below(figure, _handles(any(np.any(motion.blow) for motion in own.values())))
     return figure
 
 
@@ -155,9 +153,9 @@ def _impulses(model: ModelResults, run: str) -> str:
 def _handles(blow: bool) -> list[Any]:
     handles: list[Any] = [
         Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="smoothed"),
-        Patch(label=f"± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
+        Patch(label=f"smoothed, ± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
         Line2D([], [], label="model", **MODEL_STYLE),
-        Patch(label=f"± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
+        Patch(label=f"model, ± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
     ]
     if blow:
         handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to resolve"))

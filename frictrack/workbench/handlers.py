@@ -218,6 +218,16 @@ class EffectsHandler(Api):
         self.answer({"effects": await self.live.read(list_effects, self.live.snapshot)})
 
 
+class GlossaryHandler(Api):
+    """The words that the page explains where they stand."""
+
+    def get(self) -> None:
+        """Answer with words and meanings, and the pattern that finds them in a text."""
+        from frictrack.glossary import hover_pattern, hover_words  # noqa: PLC0415
+
+        self.answer({"meanings": hover_words(), "pattern": hover_pattern().pattern})
+
+
 class CheckHandler(Api):
     """Numbers as they are being typed."""
 

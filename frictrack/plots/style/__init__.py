@@ -357,6 +357,34 @@ def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figur
     return figure
 
 
+HANDLE_IN, LETTER_IN = 0.62, 0.082  # inches of a legend: a sample with its gaps, a letter of the mean width
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], **look: Any) -> None:
+    """Draw the legend below the panels, in as many columns as fit into the width of the figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    handles : sequence of artist
+        What is explained, with its label; of equal labels the first counts.
+    **look
+        For `Figure.legend`.
+
+    """
+    by_label = {str(h.get_label()): h for h in reversed(handles)}
+    labels = [label for label in dict.fromkeys(str(h.get_label()) for h in handles)]
+    widths = [HANDLE_IN + LETTER_IN * len(label) for label in labels]
+
+    def fits(n: int) -> bool:
+        rows = -(-len(labels) // n)
+        return sum(max(widths[k : k + rows]) for k in range(0, len(labels), rows)) < figure.get_figwidth()
+
+    columns = next((n for n in range(len(labels), 1, -1) if fits(n)), 1)
+    figure.legend([by_label[label] for label in labels], labels, loc="outside lower left", ncols=columns, **look)
+
+
 def panel_grid(
     n: int, size: tuple[float, float], title: str, labels: tuple[str, ...], **subplots: Any
 ) -> tuple[Figure, list[Any]]:
@@ -373,7 +401,7 @@ def panel_grid(
     labels : tuple of str
         Label of the x axis, then of the y axis of each panel of a cell.
     **subplots
-        For `Figure.subplots`; `height_ratios` of one cell.
+        For `Figure.subplots`; `height_ratios` of one cell; `sharex` = "cell": the panels of a cell share their x axis.
 
     Returns
     -------
@@ -386,6 +414,7 @@ def panel_grid(
     rows = -(-n // columns)
     if "height_ratios" in subplots:
         subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
+    in_cells = subplots.get("sharex") == "cell" and subplots.pop("sharex")
     figure = new_figure(size[0] * rows + size[1], title)
     panels: Any = figure.subplots(each * rows, columns, squeeze=False, **subplots)
     cells = [panels[each * (k // columns) : each * (k // columns + 1), k % columns] for k in range(rows * columns)]
@@ -394,6 +423,9 @@ def panel_grid(
             ax.set_ylabel(label if k % columns == 0 else "")
             if k >= n:
                 ax.set_axis_off()
+        for ax in cell[:-1] if in_cells else ():
+            ax.sharex(cell[-1])
+            ax.tick_params(labelbottom=False)
         if k + columns >= n:
             cell[-1].set_xlabel(x_label)
             cell[-1].tick_params(labelbottom=True)

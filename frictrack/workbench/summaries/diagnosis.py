@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, TypedDict
 
@@ -200,8 +200,9 @@ class DiagnosisSummary(TypedDict):
 
     Attributes
     ----------
-    verdict, title, words
-        The kind of verdict, the headline, and the verdict as one sentence that names the effects.
+    verdict, title, brief, words
+        The kind of verdict, the headline, its beginning for the bar, and the verdict as one sentence that names the
+        effects.
     sentences, numbers
         The paragraph of the report, and the statistics, as sentences.
     complete
@@ -223,6 +224,7 @@ class DiagnosisSummary(TypedDict):
 
     verdict: str
     title: str
+    brief: str
     words: str
     sentences: list[str]
     numbers: list[str]
@@ -250,18 +252,11 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
     if results is None or results.diagnosis is None or study is None:
         return None
     found = results.diagnosis
-    verdict = study_verdict(results)
     left = force_without_effect(found) or {}
     summary: DiagnosisSummary = to_builtins(
         DiagnosisSummary(
-            verdict=found["verdict"],
-            title=verdict.headline,
+            **_verdict(results, found),
             words=_capitalised(describe_verdict(found)),
-            sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
-            numbers=_numbers(found),
-            complete=found.get("complete", True),
-            rests_on_repairs=found.get("rests_on_repairs") or None,
-            plot=_failing_plot(found),
             candidates=_candidates(results, found, snapshot.attempted),
             formulas=[_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
             unexplained=_unexplained(left),
@@ -271,6 +266,29 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
         )
     )
     return summary
+
+
+def verdict_of(results: Results, model: ModelResults) -> dict[str, Any] | None:
+    """Describe the verdict on a model that was tried; None if it was not diagnosed."""
+    if model.diagnosis is None:
+        return None
+    models = tuple(replace(one, current=one is model) for one in results.models)
+    return _verdict(replace(results, models=models, diagnosis=model.diagnosis), model.diagnosis)
+
+
+def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Describe the verdict on the current model of `results`: the keys that `DiagnosisSummary` begins with."""
+    verdict = study_verdict(results)
+    return {
+        "verdict": found["verdict"],
+        "title": verdict.headline,
+        "brief": verdict.headline.partition(": these runs cannot")[0],
+        "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
+        "numbers": _numbers(found),
+        "complete": found.get("complete", True),
+        "rests_on_repairs": found.get("rests_on_repairs") or None,
+        "plot": _failing_plot(found),
+    }
 
 
 def _capitalised(text: str) -> str:
