@@ -48,7 +48,9 @@ def test_the_terminal_explains_words_and_effects_and_offers_near_ones(capsys):
 
 
 def test_a_word_is_explained_once_in_a_section_and_never_in_a_figure_or_a_tag():
-    html = '<h1>misfit</h1><p title="a misfit">misfit, misfit</p><svg><text>misfit</text></svg><section>misfit</section>'
+    html = (
+        '<h1>misfit</h1><p title="a misfit">misfit, misfit</p><svg><text>misfit</text></svg><section>misfit</section>'
+    )
     told = explain_words(html)
     assert told.count("<abbr") == 2
     assert re.sub(r"<abbr[^>]*>|</abbr>", "", told) == html
