@@ -13,7 +13,7 @@ MAX_NEAR = 5  # words that are offered for an unknown one
 
 
 @dataclass(frozen=True)
-class Term:
+class GlossaryEntry:
     """One line of the glossary.
 
     Attributes
@@ -33,7 +33,7 @@ class Term:
 
 
 @cache
-def terms() -> tuple[Term, ...]:
+def terms() -> tuple[GlossaryEntry, ...]:
     """Read all words.
 
     Examples
@@ -45,13 +45,15 @@ def terms() -> tuple[Term, ...]:
     text = files("frictrack").joinpath("glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (.+?) \| (.+) \|$", text, re.MULTILINE)
     return tuple(
-        Term(tuple(word.replace("*", "").split(", ")), re.sub(r"\[(.+?)\]\(.+?\)|`", r"\1", meaning), "**" in word)
+        GlossaryEntry(
+            tuple(word.replace("*", "").split(", ")), re.sub(r"\[(.+?)\]\(.+?\)|`", r"\1", meaning), "**" in word
+        )
         for word, meaning in rows
         if word != "word" and not word.startswith("---")
     )
 
 
-def find_terms(word: str) -> list[Term]:
+def find_terms(word: str) -> list[GlossaryEntry]:
     """Find the lines of the glossary with a word; case, hyphens and a plural do not matter."""
     asked = _plain(word)
     return [term for term in terms() if asked in map(_plain, term.words)]
@@ -62,7 +64,7 @@ def near_words(word: str, others: Iterable[str] = ()) -> list[str]:
 
     Examples
     --------
-    >>> near_words("chi-square")[0], near_words("locking"), near_words("pach", ["patch"])
+    >>> near_words("chi-square")[0], near_words("locking"), near_words("patsh", ["patch"])
     ('reduced chi-squared', ['peak locking'], ['patch'])
 
     """

@@ -42,7 +42,7 @@ def test_the_terminal_explains_words_and_effects_and_offers_near_ones(capsys):
     told = capsys.readouterr().out
     assert "held-out error" in told
     assert "frictrack effects patch" in told
-    assert near_words("pach", ["patch"]) == ["patch"]
+    assert near_words("patsh", ["patch"]) == ["patch"]
     assert near_words("locking") == ["peak locking"]
     assert near_words("") == near_words("?!") == []
 

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from browser import CHROMIUM, Open, Server
+from test_plots import results
 
+from frictrack.results import OutdatedPart
 from frictrack.workbench.job_process import ProgressFile
 from frictrack.workbench.jobs import Job
+from frictrack.workbench.plot_data import comparison_plots
+from frictrack.workbench.summaries.diagnosis import verdict_of
+from frictrack.workbench.summaries.models import value_text
 
 browsed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 
@@ -22,6 +30,37 @@ def test_progress_names_its_step_and_leaves_counts_of_runs_to_the_page(tmp_path)
     progress(0, 0, "diagnosing 1_tustin")
     progress(1, 3, "refining every effect that may explain the misfit")
     assert Job(tmp_path).summary["step"] == "Find what is missing"
+
+
+def test_the_force_of_an_old_model_is_not_drawn_over_runs_that_were_measured_again():
+    study = results()
+    old = (
+        OutdatedPart("model", "2_tustin+texture", "the scale is another", "fit"),
+        OutdatedPart("motion", "v2", "", "measure"),
+    )
+    assert study.current is not None
+    before = comparison_plots(study, study.current).columns
+    after = comparison_plots(replace(study, outdated_parts=old), study.current).columns
+    first = np.arange(len(before["t"])) < len(study.runs[0].motion)  # of v1, which has the new scale already
+    assert np.isfinite(before["F_model"][first]).any()
+    assert np.isnan(after["F_model"][first]).all()
+    np.testing.assert_array_equal(after["F_model"][~first], before["F_model"][~first])
+    np.testing.assert_array_equal(after["F"], before["F"])
+
+
+def test_every_model_has_its_own_verdict():
+    study = results()
+    told = [verdict_of(study, model) for model in study.models]
+    assert [one and one["verdict"] for one in told] == ["missing", "complete"]
+    assert told[0] is not None
+    assert told[0]["title"] == "Tustin lacks texture"
+    assert verdict_of(study, replace(study.models[0], diagnosis=None)) is None
+
+
+def test_a_friction_parameter_has_its_coefficient():
+    value = {"value": 1.2, "std": 0.1, "unit": "N", "mu": {"value": 0.35, "std": 0.03}}
+    assert value_text(value).replace("\N{NO-BREAK SPACE}", " ") == "1.20 ± 0.10 N, µ = 0.35 ± 0.03"
+    assert value_text(value | {"std_misfit": 0.3}).startswith("1.2 ± 0.3 N †, ")
 
 
 @browsed
@@ -104,3 +143,23 @@ def test_every_axis_has_two_ticks_at_least(sample: Server, tab: Open) -> None:
         }"""
     )
     assert worst >= 2
+
+
+@browsed
+def test_keys_of_the_study_and_settings_of_a_search_are_typed_on_the_page(tables: Server, tab: Open) -> None:
+    page, asked = tab(), []
+    page.page.route(
+        "**/api/job", lambda route: (asked.append(route.request.post_data_json), route.fulfill(json={"job": None}))
+    )
+    page.open(tables).to("Model")
+    page.fill("Functions of z for an unexplained force", "z^2*exp(-z); tanh(z)").hears("functions set.")
+    assert 'functions = ["z^2*exp(-z)", "tanh(z)"]' in tables.study_text
+    page.fill("Conditions, compared by frictrack batch", "temperature = 20 degC, oil = 3").hears("conditions set.")
+    assert 'temperature = "20 degC"' in tables.study_text
+    page.page.get_by_label("Search", exact=True).select_option("ga")
+    page.fill("Population", "40").fill("Other settings", "crossover = 0.8")
+    page.fill("Generations", "25").click("Fit")
+    page.until(lambda: len(asked) == 1)
+    assert asked[0]["arguments"]["settings"] == {"population": 40, "generations": 25, "crossover": 0.8}
+    page.fill("Conditions, compared by frictrack batch", "nonsense").hears("Expected settings like")
+    page.faults.clear()

@@ -195,14 +195,13 @@ def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> _Binne
 MAX_FORMULAS = 3
 
 
-class DiagnosisSummary(TypedDict):
-    """The diagnosis of the current model.
+class VerdictSummary(TypedDict):
+    """The verdict on one model.
 
     Attributes
     ----------
-    verdict, title, brief, words
-        The kind of verdict, the headline, its beginning for the bar, and the verdict as one sentence that names the
-        effects.
+    verdict, title, brief
+        The kind of verdict, the headline, and its beginning for the bar.
     sentences, numbers
         The paragraph of the report, and the statistics, as sentences.
     complete
@@ -211,6 +210,26 @@ class DiagnosisSummary(TypedDict):
         How far the verdict rests on repaired frames; None if it does not.
     plot
         Title of the plot in which the model fails most.
+
+    """
+
+    verdict: str
+    title: str
+    brief: str
+    sentences: list[str]
+    numbers: list[str]
+    complete: bool
+    rests_on_repairs: str | None
+    plot: str
+
+
+class DiagnosisSummary(VerdictSummary):
+    """The diagnosis of the current model.
+
+    Attributes
+    ----------
+    words
+        The verdict as one sentence that names the effects.
     candidates, formulas
         Candidate effects as cards; formulas for a force that no effect explains.
     unexplained
@@ -222,15 +241,7 @@ class DiagnosisSummary(TypedDict):
 
     """
 
-    verdict: str
-    title: str
-    brief: str
     words: str
-    sentences: list[str]
-    numbers: list[str]
-    complete: bool
-    rests_on_repairs: str | None
-    plot: str
     candidates: list[dict[str, Any]]
     formulas: list[dict[str, Any]]
     unexplained: str | None
@@ -268,7 +279,7 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
     return summary
 
 
-def verdict_of(results: Results, model: ModelResults) -> dict[str, Any] | None:
+def verdict_of(results: Results, model: ModelResults) -> VerdictSummary | None:
     """Describe the verdict on a model that was tried; None if it was not diagnosed."""
     if model.diagnosis is None:
         return None
@@ -276,19 +287,19 @@ def verdict_of(results: Results, model: ModelResults) -> dict[str, Any] | None:
     return _verdict(replace(results, models=models, diagnosis=model.diagnosis), model.diagnosis)
 
 
-def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe the verdict on the current model of `results`: the keys that `DiagnosisSummary` begins with."""
+def _verdict(results: Results, found: Mapping[str, Any]) -> VerdictSummary:
+    """Describe the verdict on the current model of `results`."""
     verdict = study_verdict(results)
-    return {
-        "verdict": found["verdict"],
-        "title": verdict.headline,
-        "brief": verdict.headline.partition(": these runs cannot")[0],
-        "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
-        "numbers": _numbers(found),
-        "complete": found.get("complete", True),
-        "rests_on_repairs": found.get("rests_on_repairs") or None,
-        "plot": _failing_plot(found),
-    }
+    return VerdictSummary(
+        verdict=found["verdict"],
+        title=verdict.headline,
+        brief=verdict.headline.partition(": these runs cannot")[0],
+        sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
+        numbers=_numbers(found),
+        complete=found.get("complete", True),
+        rests_on_repairs=found.get("rests_on_repairs") or None,
+        plot=_failing_plot(found),
+    )
 
 
 def _capitalised(text: str) -> str:

@@ -123,7 +123,7 @@ class ModelEntry(TypedDict):
     has_law
         Whether its law can be drawn over the speed.
     diagnosis
-        Its verdict, as in `DiagnosisSummary` up to "plot"; None if it was not diagnosed.
+        Its verdict, a `VerdictSummary`; None if it was not diagnosed.
 
     """
 
@@ -138,11 +138,11 @@ class ModelEntry(TypedDict):
     diagnosis: dict[str, Any] | None
 
 
-def list_models(
-    snapshot: Snapshot, verdict_of: Callable[[Results, ModelResults], dict[str, Any] | None]
-) -> list[ModelEntry]:
+def list_models(snapshot: Snapshot, verdict_of: Callable[[Results, ModelResults], Any]) -> list[ModelEntry]:
     """List the models in the order in which they were tried, each with its verdict."""
     results = snapshot.results
+    if results is None:
+        return []
     return [
         ModelEntry(
             group=model.name,
@@ -155,7 +155,7 @@ def list_models(
             has_law=has_law(model),
             diagnosis=verdict_of(results, model),
         )
-        for model in (results.models if results else ())
+        for model in results.models
     ]
 
 
@@ -312,5 +312,6 @@ def value_text(value: Mapping[str, Any]) -> str:
     if value["value"] is None:
         return f"not determined{reason}"
     std, mark = (value.get("std"), "") if value.get("std_misfit") is None else (value["std_misfit"], " †")
-    mu = f", µ = {format_quantity(value['mu']['value'], value['mu']['std'], '1')}" if value.get("mu") else ""
-    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{mu}{reason}"
+    found = value.get("mu")  # it has no line break inside
+    mu = f"µ = {format_quantity(found['value'], found['std'], '1')}".replace(" ", "\N{NO-BREAK SPACE}") if found else ""
+    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{', ' * bool(mu)}{mu}{reason}"

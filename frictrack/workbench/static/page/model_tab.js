@@ -94,8 +94,7 @@ function Fit({ why }) {
       </div>
       ${search !== "varpro" && html`<div class="ui-row">${box("population", "Population", "automatic")}${box("generations", "Generations", "automatic")}</div>${box("other", "Other settings", "crossover = 0.8, restarts = 3")}`}
       <${Button} icon="run" kind="primary" label="Fit" why=${why} onClick=${fit} />
-      <${Convergence} />
-      ${searched && !job && html`<${Figure} title=${`Search of ${group}`} alt="Lowest misfit, diversity and best parameters over the generations of the search"
+      ${job || !searched ? html`<${Convergence} />` : html`<${Figure} title=${`Search of ${group}`} alt="Lowest misfit, diversity and best parameters over the generations of the search"
         src=${address("/api/figure", { name: `search:${group}`, v: version })} />`}
     <//>`;
 }
