@@ -13,7 +13,7 @@ from frictrack.motion import FilteredMotion, compare_filters
 from frictrack.number_format import format_number, format_unit
 from frictrack.plots import style
 from frictrack.plots.inputs import AnyRun, as_run
-from frictrack.plots.measured import SHORT_LABELS, unsmeared
+from frictrack.plots.measured import SHORT_LABELS
 from frictrack.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff
 from frictrack.results import RunResults
@@ -130,7 +130,7 @@ def filters(run: AnyRun) -> Figure:
     run = as_run(run)
     found = compare_filters(run.displacement, run.filtered, run.motion)
     t = 1e3 * run.motion.t
-    inside = unsmeared(run.motion)
+    inside = style.unsmeared(run.motion)
     if run.friction is not None and np.any(run.friction.free & inside):
         inside &= run.friction.free  # a push would hide all else
     errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]

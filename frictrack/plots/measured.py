@@ -17,7 +17,7 @@ from frictrack.plots import style
 from frictrack.plots.inputs import AnyRun, as_run, as_runs
 from frictrack.plots.style import axis_label, axis_scale, draw_band, new_figure, panel_grid, styled
 from frictrack.polygons import polygon
-from frictrack.records import Array, FrameTable, Mask, Motion, stretches
+from frictrack.records import Array, FrameTable, stretches
 from frictrack.results import RunResults
 
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
@@ -140,7 +140,7 @@ def motions_title(runs: Sequence[RunResults]) -> str:
 def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
     """Draw x, v and a of one run in three panels, with its sections and events."""
     m = run.motion
-    inside = unsmeared(m)
+    inside = style.unsmeared(m)
     moved = inside if run.friction is None else inside | run.friction.free
     columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, inside))
     for ax, (values, sigma, shown) in zip(panels, columns, strict=True):
@@ -200,14 +200,6 @@ def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
     room = float(np.ptp(a)) + 0.5 * float(np.max(np.abs(a)))
     if high - low > MAX_PUSH_RATIO * room:
         ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
-
-
-def unsmeared(m: Motion) -> Mask:
-    """Frames away from the smeared ends (n,); all frames of a very short record."""
-    out = np.ones(len(m), dtype=bool)
-    if len(m) > 2 * m.guard + 2:
-        out[: m.guard] = out[len(m) - m.guard :] = False
-    return out
 
 
 def _shade_sections(ax: Axes, run: RunResults) -> None:

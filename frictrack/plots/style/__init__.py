@@ -34,7 +34,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.number_format import format_unit
 from frictrack.plots.style.tick_rows import collection_paused, ticks_in_rows
-from frictrack.records import Array, Friction, Mask, away_from_ends
+from frictrack.records import Array, Friction, Mask, Motion, away_from_ends
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
@@ -221,6 +221,11 @@ def unsmeared_frames(friction: Friction, guard: int) -> Mask:
 
     """
     return away_from_ends(friction.free, guard)
+
+
+def unsmeared(motion: Motion) -> Mask:
+    """Find the frames (n,) away from the ends that the low-pass filter smears; all frames of a very short record."""
+    return away_from_ends(np.ones(len(motion), dtype=bool), motion.guard)
 
 
 def panel_columns(n: int) -> int:

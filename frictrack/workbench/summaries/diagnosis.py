@@ -14,7 +14,7 @@ from frictrack import plots
 from frictrack.candidates import CandidateRow, candidate_rows
 from frictrack.flow import AttemptsReader, effect_of_formula
 from frictrack.motion_axes import AXES
-from frictrack.number_format import describe_change, format_change, format_interval, format_number, format_share
+from frictrack.number_format import describe_change, format_change, format_number
 from frictrack.plots.style import BAND_SIGMAS
 from frictrack.records import Array
 from frictrack.report import (
@@ -27,7 +27,7 @@ from frictrack.report import (
 )
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import Study
-from frictrack.verdicts import describe_formula, describe_verdict, force_without_effect
+from frictrack.verdicts import describe_formula, force_without_effect
 from frictrack.workbench.plot_data import (
     FORCE_TITLES,
     RESIDUAL_TITLES,
@@ -228,26 +228,20 @@ class DiagnosisSummary(VerdictSummary):
 
     Attributes
     ----------
-    words
-        The verdict as one sentence that names the effects.
     candidates, formulas
         Candidate effects as cards; formulas for a force that no effect explains.
     unexplained
         A sentence on that force; None if everything is explained.
     next, next_words
         Experiments that would settle it; sentences on effects that no experiment separates.
-    fails_at
-        Spans of time in which the model fails.
 
     """
 
-    words: str
     candidates: list[dict[str, Any]]
     formulas: list[dict[str, Any]]
     unexplained: str | None
     next: list[dict[str, Any]]
     next_words: list[str]
-    fails_at: list[dict[str, Any]]
 
 
 def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
@@ -267,13 +261,11 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
     summary: DiagnosisSummary = to_builtins(
         DiagnosisSummary(
             **_verdict(results, found),
-            words=_capitalised(describe_verdict(found)),
             candidates=_candidates(results, found, snapshot.attempted),
             formulas=[_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
             unexplained=_unexplained(left),
             next=[_experiment(step) for step in separating_experiments(found)],
             next_words=[_plain(line) for line in inseparable(found)],
-            fails_at=[_span(span) for span in found.get("fails_at") or [] if span.get("t")],
         )
     )
     return summary
@@ -333,13 +325,10 @@ def _card(card: CandidateCard, results: Results, *, tried: ModelResults | None) 
         "name": row.effect,
         "rank": row.standing,
         "passes": row.passes,
-        "acts_on": card.acts_on,
         **{key: str(text.striptags()) for key, text in card.words.items()},
         "rivals": list(card.rivals),
         "numbers": list(card.numbers),
         "fitted": tried is not None,
-        "delta_bic": row.delta_bic,
-        "p": row.source["p"],
         "error_with": row.held_out or None,
         "errors": _errors(row, results, tried),
         "has_scan": bool(plots.has_scan(results.figures.get(row.effect, {}))),
@@ -384,7 +373,7 @@ def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}
 
 
-# --- next experiments, and where the model fails
+# --- next experiments
 
 
 def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
@@ -393,20 +382,4 @@ def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "title": _plain(step["what"]),
         "words": f"Distinguishes {_plain(step['tells'])}{expected}.",
-        "separates": list(step["separates"]),
-        "kind": step["kind"],
-    }
-
-
-def _span(span: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe one span of time in which the model fails."""
-    x = span.get("x")
-    where = f", x = {format_interval(x, 1e3)} mm" if x else ""
-    share = format_share(span["share_of_error"])
-    return {
-        "run": span["run"],
-        "t_ms": [1e3 * end for end in span["t"]],
-        "x_mm": [1e3 * end for end in x] if x else None,
-        "share": span["share_of_error"],
-        "words": f"{span['run']}, {format_interval(span['t'], 1e3)} ms{where}: {share} of the misfit",
     }

@@ -12,7 +12,6 @@ from frictrack.flow import user_effects
 from frictrack.glossary import symbols_in
 from frictrack.number_format import format_quantity
 from frictrack.plots import has_law, numbered_name, residual_unit
-from frictrack.report import mark_equation
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
@@ -114,8 +113,8 @@ class ModelEntry(TypedDict):
     effects
         Names of its effects.
     errors
-        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs), heldout_unit and
-        heldout_by ("frames" or "run"); None where not computed.
+        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs) and heldout_unit;
+        None where not computed.
     equation
         The fitted equation as plain text.
     outdated
@@ -178,7 +177,6 @@ def model_errors(model: ModelResults) -> dict[str, Any]:
             "rms_unit": unit,
             "heldout": heldout,
             "heldout_unit": heldout_unit,
-            "heldout_by": errors.get("heldout"),
         }
     )
     return found
@@ -198,7 +196,7 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        group, label, equation and equation_html, symbols (what else stands in it), remarks, has_search (whether a
+        group, label, equation, symbols (what else stands in it), remarks, has_search (whether a
         global search can be drawn), and effects: name, equation, what, and parameters with name, unit, values (text by
         run, "" for all runs), settings (fix, low, high, prior, tie, per_run) and bounds.
 
@@ -211,7 +209,6 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
         "group": model.name,
         "label": numbered_name(model.name),
         "equation": model.equation,
-        "equation_html": str(mark_equation(model.equation)),
         "symbols": symbols_in(model.equation),
         "remarks": [*model.summary.get("remarks", []), *([f"† {misfit['words']}."] if misfit else [])],
         "has_search": bool(model.convergence),
@@ -251,7 +248,6 @@ def _effect(name: str, library: Mapping[str, Any], model: ModelResults, study: S
     return {
         "name": name,
         "equation": entry.get("equation", ""),
-        "equation_html": str(mark_equation(entry.get("equation", ""))),
         "what": entry.get("what", ""),
         "parameters": [
             _parameter(parameter, given.get(parameter), values.get(parameter, {}), settings)
