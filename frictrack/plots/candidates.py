@@ -222,8 +222,7 @@ def _unit(effect: str, name: str) -> str:
 def _set_x_axis(ax: Axes, name: str, written: str) -> None:
     """Set up the axis of a setting; frequencies and periods are logarithmic, with plain numbers at the ticks."""
     if name in ("frequency", "period"):
-        low, high = ax.dataLim.intervalx
-        style.log_axis(ax, "x", (1, 2, 5) if high < 200 * low else (1,))
+        style.log_axis(ax, "x")
     ax.set_xlabel(axis_label(_setting_name(name), written))
     ax.margins(x=0.01)
 

@@ -79,7 +79,7 @@ def _draw(column: Sequence[Axes], one: Convergence) -> None:
         style.log_axis(above, "y")
         top = HEADROOM * max(one.best[0], float(np.min(one.mean)))
         above.set_ylim(top=min(top, 1.2 * float(np.max(one.mean))))
-    above.legend(loc="upper right", ncols=2)
+    above.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     middle.plot(generation, one.diversity, color=style.BLUE, label="diversity")
     middle.set_ylim(0, max(1.05, float(one.diversity.max())))
     low, high = one.bounds.T

@@ -158,6 +158,7 @@ def numbered_name(group: str) -> str:
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
+MAX_FINE_RATIO = 200.0  # of the ends of a logarithmic axis with ticks at 1, 2 and 5
 PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
 
 
@@ -241,10 +242,12 @@ def panel_columns(n: int) -> int:
     return -(-n // rows) if n else 1
 
 
-def log_axis(ax: Axes, which: str, subs: Sequence[float] = (1, 2, 5)) -> None:
-    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks."""
+def log_axis(ax: Axes, which: str) -> None:
+    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks; over many decades only at powers."""
+    low, high = getattr(ax.dataLim, f"interval{which}")
     getattr(ax, f"set_{which}scale")("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
+    subs = (1, 2, 5) if high < MAX_FINE_RATIO * low else (1,)
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())

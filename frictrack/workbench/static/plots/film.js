@@ -58,7 +58,7 @@ export class FilmView {
       this.path = !this.path;
       node.setAttribute("aria-pressed", String(this.path));
     });
-    const full = on(button("\u26f6", "Show the film on the whole screen (Escape ends)"), () => (document.fullscreenElement ? document.exitFullscreen() : this.root.requestFullscreen()));
+    const full = on(button("\u2922", "Show the film on the whole screen (Escape ends)"), () => (document.fullscreenElement ? document.exitFullscreen() : this.root.requestFullscreen()));
     const zoom = (name, title, factor) => on(button(name, title), () => this.film && this.zoomAt(factor, [this.film.width / 2, this.film.height / 2]));
     return [path, zoom("\u2212", "Zoom out", 0.8), zoom("+", "Zoom in (Ctrl and the wheel)", 1.25), slider("Brightness"), slider("Contrast"), full];
   }

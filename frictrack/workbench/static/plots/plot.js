@@ -337,7 +337,7 @@ export class Plot {
     const free = w - pen.measureText(spec.title).width - 12;
     pen.font = colours.small;
     Object.assign(pen, { textAlign: "right", fillStyle: colours.ink });
-    if (free > 90) pen.fillText(text.filter(Boolean).map((one) => one.trim()).join(" \u00b7 "), x + w, 16, free);
+    if (free > 90) pen.fillText(text.filter(Boolean).map((one) => one.trim()).join(" \u00b7 "), x + w - 14, 16, free - 14);
     if (!(px >= x && px <= x + w)) return;
     Object.assign(pen, { strokeStyle: colours.cursor, lineWidth: view.pinned ? 1.5 : 1 });
     pen.beginPath(); pen.moveTo(px, y); pen.lineTo(px, y + h); pen.stroke();
