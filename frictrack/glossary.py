@@ -39,7 +39,7 @@ def terms() -> tuple[GlossaryEntry, ...]:
     Examples
     --------
     >>> next(term.words for term in terms() if term.on_hover)
-    ('normal load',)
+    ('free section',)
 
     """
     text = files("frictrack").joinpath("glossary.md").read_text(encoding="utf-8")
@@ -91,8 +91,8 @@ def symbols_in(equation: str) -> str:
 
 @cache
 def hover_words() -> dict[str, str]:
-    """Return the words that are explained where they stand, with their meanings, the longest first."""
-    found = {word: term.meaning for term in terms() if term.on_hover for word in term.words}
+    """Return the words, in lower case, that are explained where they stand, with their meanings; the longest first."""
+    found = {word.lower(): term.meaning for term in terms() if term.on_hover for word in term.words}
     return dict(sorted(found.items(), key=lambda pair: -len(pair[0])))
 
 
@@ -104,8 +104,8 @@ def hover_pattern() -> re.Pattern[str]:
 
 def meaning_of(found: str) -> str:
     """Return the meaning of a match of `hover_pattern`."""
-    low = {word.lower(): meaning for word, meaning in hover_words().items()}
-    return low.get(found.lower()) or low[found.lower().removesuffix("s")]
+    word = found.lower()
+    return hover_words().get(word) or hover_words()[word.removesuffix("s")]
 
 
 def _plain(word: str) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import replace
 from typing import Any, TypedDict
 
 import numpy as np
@@ -109,7 +108,7 @@ def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[st
     """Find the plot in which a candidate changes the picture most.
 
     The change is averaged over bins of the plot's horizontal axis, run by run, in units of the noise of one frame. What
-    counts is the part that the runs have in common: the mean product of the averages of two runs in the same bin. A
+    counts is the part that the runs have in common: the mean product of the sums of two runs in the same bin. A
     change that belongs to places is common to all runs over the place, and cancels over the time. If no axis has such
     a part, or there is one run, the largest change of the averages counts.
 
@@ -139,9 +138,9 @@ def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[st
         for titles, change in in_noise.items()
         for title in titles
     }
-    for measure in (lambda change: change.common, lambda change: change.power):
-        best = max(changes, key=lambda title: measure(changes[title]))
-        if measure(changes[best]) > MIN_COMMON_POWER:
+    for k in (0, 1):
+        best = max(changes, key=lambda title: changes[title][k])
+        if changes[best][k] > MIN_COMMON_POWER:
             return best
     return RESIDUAL_TITLES[0]
 
@@ -155,41 +154,22 @@ def _force_noise(results: Results, model: ModelResults) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-@dataclass(frozen=True)
-class _BinnedChange:
-    """Mean square of a change in units of the noise, averaged over bins: of each run, and common to two runs."""
+def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> tuple[float, float]:
+    """Average a change in units of the noise (rows,) over bins of an axis: the power that runs share, and that of each.
 
-    power: float
-    common: float
-
-
-def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> _BinnedChange:
-    """Average a change over bins of an axis and runs.
-
-    Parameters
-    ----------
-    axis, change
-        Place on the axis and change in units of the noise (rows,).
-    run
-        Number of the run (rows,).
-
+    With the sum s of a run in a bin and the count n of all runs there, sum_ij s_i s_j = (sum s)^2 - sum s^2 for i != j.
     """
     known = np.isfinite(axis) & np.isfinite(change)
     if not known.any():
-        return _BinnedChange(0.0, 0.0)
+        return 0.0, 0.0
     axis, change, run = axis[known], change[known], run[known]
-    span = float(np.ptp(axis)) or 1.0
-    bins = np.minimum((BINS * (axis - axis.min()) / span).astype(np.int64), BINS - 1)
-    shape = (int(run.max()) + 1, BINS)
-    count, total = np.zeros(shape), np.zeros(shape)
-    np.add.at(count, (run, bins), 1.0)
-    np.add.at(total, (run, bins), change)
-    mean = total / np.maximum(count, 1.0)
-    power = float(np.sum(count * mean**2) / len(change))
-    # products of two runs, weighted by the smaller number of their rows in that bin
-    pairs = combinations(range(shape[0]), 2)
-    common = 2 * sum(float(np.sum(np.minimum(count[i], count[j]) * mean[i] * mean[j])) for i, j in pairs)
-    return _BinnedChange(power, common / len(change))
+    bins = np.minimum((BINS * (axis - axis.min()) / (np.ptp(axis) or 1.0)).astype(np.int64), BINS - 1)
+    sums, counts = np.zeros((2, int(run.max()) + 1, BINS))
+    np.add.at(sums, (run, bins), change)
+    np.add.at(counts, (run, bins), 1.0)
+    pairs = np.sum(sums, axis=0) ** 2 - np.sum(sums**2, axis=0)
+    common = np.sum(pairs / np.maximum(np.sum(counts, axis=0), 1.0))
+    return float(common / len(change)), float(np.sum(sums**2 / np.maximum(counts, 1.0)) / len(change))
 
 
 MAX_FORMULAS = 3

@@ -8,8 +8,7 @@ import { update, useStore } from "./store.js";
 /** Read the glossary once; without it the texts stay plain. */
 export async function readGlossary() {
   const { pattern, meanings } = await getJSON("/api/glossary");
-  const byWord = new Map(Object.entries(meanings).map(([word, meaning]) => [word.toLowerCase(), meaning]));
-  update({ glossary: { pattern: new RegExp(pattern, "gi"), meaning: (word) => byWord.get(word) ?? byWord.get(word.replace(/s$/, "")) } });
+  update({ glossary: { pattern: new RegExp(pattern, "gi"), meaning: (word) => meanings[word] ?? meanings[word.replace(/s$/, "")] } });
 }
 
 export function Words({ text }) {
