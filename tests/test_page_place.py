@@ -32,20 +32,25 @@ def test_progress_names_its_step_and_leaves_counts_of_runs_to_the_page(tmp_path)
     assert Job(tmp_path).summary["step"] == "Find what is missing"
 
 
-def test_the_force_of_an_old_model_is_not_drawn_over_runs_that_were_measured_again():
+def test_an_old_model_is_not_drawn_over_runs_that_were_measured_again():
     study = results()
-    old = (
-        OutdatedPart("model", "2_tustin+texture", "the scale is another", "fit"),
-        OutdatedPart("motion", "v2", "", "measure"),
-    )
     assert study.current is not None
     before = comparison_plots(study, study.current).columns
-    after = comparison_plots(replace(study, outdated_parts=old), study.current).columns
     first = np.arange(len(before["t"])) < len(study.runs[0].motion)  # of v1, which has the new scale already
-    assert np.isfinite(before["F_model"][first]).any()
-    assert np.isnan(after["F_model"][first]).all()
-    np.testing.assert_array_equal(after["F_model"][~first], before["F_model"][~first])
+    new = replace(study.runs[0], displacement=replace(study.runs[0].displacement, x=10 * study.runs[0].displacement.x))
+    old = (
+        OutdatedPart("model", "2_tustin+texture", "scale was changed", "fit"),
+        OutdatedPart("motion", "v2", "", "run"),
+    )
+    changed = replace(study, runs=(new, study.runs[1]), outdated_parts=old)
+    after = comparison_plots(changed, study.current).columns
+    for key in ("F_model", "left"):
+        assert np.isfinite(before[key][first]).any()
+        assert np.isnan(after[key][first]).all()
+        np.testing.assert_array_equal(after[key][~first], before[key][~first])
     np.testing.assert_array_equal(after["F"], before["F"])
+    only_model = replace(study, outdated_parts=old[:1])  # a bound was changed: nothing was measured again
+    np.testing.assert_array_equal(comparison_plots(only_model, study.current).columns["F_model"], before["F_model"])
 
 
 def test_every_model_has_its_own_verdict():

@@ -17,6 +17,7 @@ from frictrack.results import ModelResults, Results, RunResults
 
 HEADER_BYTES = 4  # the length of the scene, uint32
 ALIGNMENT = 4  # bytes of a Float32
+MODEL_COLUMNS = ("left", "other", "noise_low", "noise_high", "F_model", "F_other")  # what a model gives
 
 
 @dataclass
@@ -400,11 +401,17 @@ def comparison_plots(results: Results, model: ModelResults, other: ModelResults 
 
 
 def _measured_again(results: Results, model: ModelResults) -> set[str]:
-    """Runs that were measured again after a model was fitted: its force belongs to another scale or mass."""
-    outdated = {part.name: part.what for part in results.outdated_parts if part.what in ("track", "motion", "model")}
-    if outdated.get(model.name) != "model":
-        return set()
-    return {run.name for run in results.runs if run.name not in outdated}
+    """Runs that were measured again after a model was fitted: its curves belong to another scale or mass."""
+    reasons = [part.reason for part in results.outdated_parts if (part.what, part.name) == ("model", model.name)]
+    waiting = {part.name for part in results.outdated_parts if part.what in ("track", "motion")}
+    current = [run for run in results.runs if reasons and run.name not in waiting]
+    return {run.name for run in current if "mass was changed" in reasons[0] or not _is_fitted_to(model, run)}
+
+
+def _is_fitted_to(model: ModelResults, run: RunResults) -> bool:
+    """Whether a model was fitted to the displacement that a run has now."""
+    x, t = run.displacement.x, run.displacement.t
+    return all(np.allclose(c.x, x[_row_indices(t, c.t)], equal_nan=True) for c in model.curves if c.run == run.name)
 
 
 def model_plots(
@@ -425,14 +432,14 @@ def model_plots(
     failing : sequence of dict
         Spans where the model fails: `run` and `t` (start and end, s).
     measured_again : collection of str
-        Runs whose measured force is newer than the model; the force of the model is not drawn over it.
+        Runs whose measured motion is newer than the model, which is not drawn over it.
 
     """
     runs = compared_runs(all_runs, model)
     parts = [_run_columns(run, model, other) for run in runs]
     for run, part in zip(runs, parts, strict=True):
         if run.name in measured_again:
-            part |= {key: np.full(len(run.motion), np.nan) for key in ("F_model", "F_other") if key in part}
+            part |= {key: np.full(len(run.motion), np.nan) for key in MODEL_COLUMNS if key in part}
     columns = {key: np.concatenate([part[key] for part in parts]) for key in (parts[0] if parts else {})}
     columns |= {key: place for run in runs for key, place in target_positions(run).items()}
     entries, first = [], 0

@@ -11,7 +11,7 @@ import { spaced } from "./format.js";
 import { Spinner } from "./icons.js";
 import { Linked } from "./linked.js";
 import { NextExperiments } from "./next_experiment.js";
-import { filmOf, foreground, outdatedWords, shownModel, stateOf } from "./selectors.js";
+import { filmOf, foreground, outdatedWords, shownModel, stateOf, STEPS_OF_RUN } from "./selectors.js";
 import { selectedRun, update, useStore } from "./store.js";
 import { Verdict } from "./verdict.js";
 
@@ -41,7 +41,7 @@ function Progress({ job }) {
   return html`
     <div class="ui-nothing" role="status">
       <h2><${Spinner} /> ${job.step || job.words}</h2>
-      <p>${spaced(job.what)}</p>
+      ${job.step === STEPS_OF_RUN[0] && html`<p>${spaced(job.what)}</p>`}
       <ul class="ui-reached">
         ${runs.map(([name, state], k) => html`<li class=${state}><span class="ui-dot" style=${{ background: `var(--ft-run-${k % 8})` }}></span>${name}<span class="ui-note">${STEPS[state]}</span></li>`)}
       </ul>
