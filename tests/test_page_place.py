@@ -99,6 +99,17 @@ def test_a_link_opens_the_same_run_frame_and_selection(sample: Server, tab: Open
 
 
 @browsed
+def test_a_link_of_nonsense_opens_the_page_and_starts_nothing(sample: Server, tab: Open) -> None:
+    page = tab()
+    page.page.goto(f"{sample.address}#tab=no&run=zz&frame=a%40b&select=%40%40&shown=9_no&background=8_no&tried=patch")
+    page.page.get_by_role("tab", name="Film", selected=True).wait_for()
+    page.to("Compare")
+    page.page.locator(".ui-verdict-title").wait_for()
+    page.until(lambda: page.page.locator(".fp-plot").count() > 3)
+    assert page.page.evaluate("fetch('/api/state').then((r) => r.json()).then((s) => s.job)") is None
+
+
+@browsed
 def test_a_plot_and_a_figure_are_shown_large_and_words_are_explained(sample: Server, tab: Open) -> None:
     page = tab().open(sample).to("Compare")
     page.page.locator(".fp-plot").first.hover()

@@ -11,7 +11,7 @@ import { spaced } from "./format.js";
 import { Spinner } from "./icons.js";
 import { Linked } from "./linked.js";
 import { NextExperiments } from "./next_experiment.js";
-import { filmOf, foreground, outdatedWords, shownModel, stateOf, STEPS_OF_RUN } from "./selectors.js";
+import { backgroundModel, filmOf, foreground, outdatedWords, shownModel, stateOf, STEPS_OF_RUN } from "./selectors.js";
 import { selectedRun, update, useStore } from "./store.js";
 import { Verdict } from "./verdict.js";
 
@@ -22,7 +22,7 @@ const plotOfMisfit = (diagnosis) => diagnosis?.plot || "Residual against time";
 const otherModel = (s) => (shownModel(s)?.current === false ? shownModel(s) : null);
 
 function Models() {
-  const [models, shown, background] = [useStore((s) => s.study?.models || []), useStore((s) => shownModel(s)?.group || ""), useStore((s) => s.background)];
+  const [models, shown, background] = [useStore((s) => s.study?.models || []), useStore((s) => shownModel(s)?.group || ""), useStore(backgroundModel)];
   if (models.length < 2) return null;
   const options = models.map((one) => [one.group, one.label]);
   return html`
@@ -76,7 +76,7 @@ export function CompareTab() {
     useStore((s) => Boolean(s.study?.model)),
     useStore((s) => plotOfMisfit(shownModel(s)?.diagnosis)),
     useStore((s) => otherModel(s)?.group || ""),
-    useStore((s) => s.background),
+    useStore(backgroundModel),
   ];
   const stale = useStore((s) => outdatedWords(s, "model", "motion", "track"));
   const candidate = useCandidateCurve(parts), other = useStore(otherModel), current = useStore((s) => s.study?.model?.label);

@@ -2,9 +2,10 @@
 // that a link opens the same view.
 
 import { store, update, watch } from "./store.js";
+import { TABS } from "./tabs.js";
 
 const WRITE_MS = 300; // after the last change: browsers limit how often an address may be written
-const KEYS = ["tab", "run", "shown", "background", "tried"];
+const KEYS = ["tab", "run", "shown", "background"]; // nothing that starts work
 const place = { at: null, spans: {} }; // frame of a film {run, frame}; selected frames by run: [[from, to], ...]
 let timer = null, written = "";
 
@@ -37,6 +38,7 @@ function read() {
     const ends = spans.split(",").map((one) => one.split("-").map(Number)).filter(([from, to]) => to >= from);
     if (ends.length) place.spans[name] = ends;
   }
+  if (!TABS.some(({ name }) => name === query.get("tab"))) query.delete("tab");
   update({ ...Object.fromEntries(KEYS.filter((key) => query.get(key)).map((key) => [key, query.get(key)])), jumps: (store.jumps || 0) + 1 });
 }
 

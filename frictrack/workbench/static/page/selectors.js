@@ -13,6 +13,9 @@ export const foreground = (s) => {
 /** The model that Compare shows: the chosen one, else the current one. */
 export const shownModel = (s) => s.study?.models?.find((one) => (s.shown ? one.group === s.shown : one.current)) || s.study?.models?.find((one) => one.current) || null;
 
+/** The model in the background, if it still exists. */
+export const backgroundModel = (s) => (s.study?.models?.some((one) => one.group === s.background) ? s.background : "");
+
 const MEASURE = "Measure the runs";
 export const STEPS_OF_RUN = [MEASURE, "Fit the model", "Find what is missing"];
 
