@@ -70,9 +70,17 @@ def test_every_surface_shows_the_same_order_and_words(found):
     out = Console(file=io.StringIO(), width=200)
     verdict(out, found)
     text = out.file.getvalue()
-    at = [text.index(f"\n{name} ") for name in names[:4]]
+    at = [text.index(f"\n{name}: ") for name in names[:4]]
     assert at == sorted(at)
     for row in rows[:4]:
         assert row.standing in text
     assert not_passing(rows) == "Of the others with some evidence, 1 does not pass and 1 is not plausible."
     assert not_passing(rows) in text
+
+
+def test_no_standing_is_broken_on_a_narrow_terminal(found):
+    out = Console(file=io.StringIO(), width=60)
+    verdict(out, found)
+    lines = out.file.getvalue().splitlines()
+    assert "asymmetry: found in addition to patch" in lines
+    assert max(map(len, lines)) <= 60

@@ -139,30 +139,39 @@ def test_the_printed_model_takes_its_numbers():
     told["vibration:2.frequency"] = SimpleNamespace(value=122.6, std=0.01)
     told["vibration.phase[v3]"] = SimpleNamespace(value=1.0, std=0.1)
     assert law.equation(told) == (
-        "F = 8.01(2) L s + (12.1 - 8.01(2)) L s exp(-(|v|/v_s)^1) + (-1.23(11)) v"
-        " + 0.5(1.2) sin(2 pi frequency t + phase) + amplitude_2 sin(2 pi 122.600(10) t + phase_2)"
+        "F = (8.012 ± 0.021) L s + (12.1 - (8.012 ± 0.021)) L s exp(-(|v|/v_s)^1) + (-1.23 ± 0.11) v"
+        " + (0.5 ± 1.2) sin(2 pi frequency t + phase) + amplitude_2 sin(2 pi (122.600 ± 0.010) t + phase_2)"
     )
 
 
 @pytest.mark.parametrize(
     ("value", "std", "text"),
     [
-        (8.0123, 0.0213, "8.01(2)"),
-        (8.0123, 0.0013, "8.0123(13)"),
-        (0.35, 0.002, "0.350(2)"),
-        (1234.5, 3.2, "1234(3)"),
-        (120.4, 12.0, "120(12)"),
-        (1.1e-5, 2.6e-7, "1.10(3)e-5"),
-        (2.5e7, 4e5, "2.50(4)e7"),
-        (0.0, 0.3, "0.0(3)"),
+        (8.0123, 0.0213, "(8.012 ± 0.021)"),
+        (8.0123, 0.0013, "(8.0123 ± 0.0013)"),
+        (0.35, 0.002, "(0.3500 ± 0.0020)"),
+        (1234.5, 3.2, "(1234.5 ± 3.2)"),
+        (120.4, 12.0, "(120 ± 12)"),
+        (1.1e-5, 2.6e-7, "(1.1e-05 ± 2.6e-07)"),
+        (2.5e7, 4e5, "(2.5e+07 ± 4e+05)"),
+        (0.0, 0.3, "(0.00 ± 0.30)"),
         (8.0, 0.0, "8"),
         (8.0, None, "8"),
         (8.0, np.inf, "8"),
     ],
 )
-def test_a_number_carries_its_deviation_in_its_last_digit(value, std, text):
+def test_a_number_stands_with_its_deviation_in_brackets(value, std, text):
     printed = models.of(["coulomb"]).equation(known(coulomb__F_c=(value, std)))
     assert printed == f"F = {text} L s"
+
+
+def test_no_symbol_of_an_equation_means_two_things():
+    text = str(models.parse("coulomb,patch,drift,spring,stribeck,hydrodynamic_hump,vibration,vibration:2"))
+    assert "F_patch L s exp(" in text  # F is the whole force
+    assert "k_drift L s t + k_spring (x + x_0)" in text
+    assert "(|v|/v_s,stribeck)^delta" in text
+    assert "F_hydrodynamic_hump L s (|v|/v_s,hydrodynamic_hump)" in text
+    assert "+ amplitude sin(2 pi frequency t + phase) + amplitude_2 sin(2 pi frequency_2 t + phase_2)" in text
 
 
 # --- equality, settings in words, TOML

@@ -246,7 +246,6 @@ def test_the_verdict_is_told_as_in_the_report(diagnosed: Path) -> None:
     assert sum(candidate["fitted"] for candidate in diagnosis["candidates"]) <= 6
     assert "<" not in "".join(diagnosis["sentences"])
     assert best["errors"]["with"] < 0.2 * best["errors"]["now"]
-    assert diagnosis["fails_at"]
     assert diagnosis["plot"] == "Residual against place"
     assert (found["outdated"], found["report"]) == ([], {"exists": True, "outdated": None})
 

@@ -357,7 +357,6 @@ def test_candidates_that_pass_are_filled():
     shown = bars(figure)
     assert [name for name, bar in shown.items() if not bar.get_hatch()] == ["texture"]
     assert shown["texture"].get_width() == pytest.approx(812.0)
-    assert "cannot be\ndistinguished" not in drawn(figure)
     assert figure.get_suptitle() == "texture explains most"
     assert figure.axes[0].get_xscale() == "linear"
 
@@ -384,16 +383,12 @@ def test_candidates_far_apart_get_a_logarithmic_axis():
     assert plots.candidates(diagnosis("missing", found, ["texture"])).axes[0].get_xscale() == "log"
 
 
-def test_rivals_are_joined_once():
+def test_rivals_are_named_in_the_title_and_have_their_colour():
     found = [candidate("a", 0.001, 90.0, ["b"]), candidate("b", 0.001, 89.0, ["a"]), candidate("c", 0.3, 2.0, ["a"])]
     figure = plots.candidates(diagnosis("ambiguous", found, ["a"]))
-    assert drawn(figure).count("cannot be\ndistinguished") == 1
     assert figure.get_suptitle() == "a explains most, but b cannot be distinguished from it"
-
-
-def test_a_weaker_candidate_does_not_draw_the_best_into_its_group():
-    found = [candidate("a", 0.001, 90.0), candidate("b", 0.001, 40.0, ["a"])]
-    assert "cannot be\ndistinguished" not in drawn(plots.candidates(diagnosis("missing", found, ["a"])))
+    assert bars(figure)["b"].get_facecolor() == mpl.colors.to_rgba(style.ORANGE)
+    assert "predicts the same data" in drawn(figure)
 
 
 def test_no_candidate_passes():
@@ -468,3 +463,38 @@ def test_ticks_drawn_in_rows_look_as_matplotlib_draws_them():
         with mpl.rc_context(RC_PARAMS):
             again[name].savefig(usual, format="png", dpi=90)
         assert np.array_equal(fast, decoded(usual.getvalue())), name
+
+
+# --- legends, limits and shared axes
+
+
+@pytest.mark.parametrize("count", [1, 5, 12])
+def test_a_legend_is_as_wide_as_its_figure_at_most(count):
+    figure = style.new_figure(3.0, "", width=6.0)
+    figure.subplots()
+    style.legend_below(figure, [mpl.lines.Line2D([], [], label=f"a curve with a long name {k}") for k in range(count)])
+    plots.png(figure, dpi=72)
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.x1
+    assert len(figure.legends[0].get_texts()) == count
+
+
+def test_runs_of_different_lengths_have_their_own_time_axes():
+    long, short = run_results("long", 1.0), run_results("short", 1.0)
+    short = replace(short, motion=replace(short.motion, t=short.motion.t / 4), friction=None)
+    figure = plots.motions([long, short])
+    ends = {
+        ax.get_title(loc="left") or ax.get_title(): ax.get_xlim()[1] for ax in figure.axes if ax.get_title(loc="left")
+    }
+    assert ends["long"] == pytest.approx(1e3 * long.motion.t[-1])
+    assert ends["short"] == pytest.approx(1e3 * short.motion.t[-1])
+
+
+def test_the_force_of_the_model_is_left_out_where_the_filter_smears_it():
+    run = run_results("v1", 1.0)
+    one = replace(curve(run, 1e-6), F_filtered=np.where(np.arange(len(curve(run, 1e-6).t)) < 10, 50.0, 1.0))
+    tried = replace(model("1_tustin", 10.0, [run]), curves=(one,))
+    force = plots.modelled_force(tried, one, run)
+    assert np.nanmax(force) == 1.0
+    assert np.nanmax(plots.modelled_force(tried, one)) == 50.0

@@ -166,34 +166,6 @@ def format_plus_minus(value: float | None, std: float | None) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
-def format_concise(value: float, std: float | None) -> str:
-    """Format a value with its standard deviation in units of the last digit; negative values in brackets.
-
-    References
-    ----------
-    JCGM 100:2008 (GUM), 7.2.2: the concise form of a value and its standard uncertainty.
-
-    Examples
-    --------
-    >>> format_concise(8.0123, 0.021), format_concise(-0.5, 0.013), format_concise(0.25, None)
-    ('8.01(2)', '(-0.500(13))', '0.25')
-    >>> format_concise(0.65, 2.8)
-    '0.7(2.8)'
-
-    """
-    if not std or not math.isfinite(std):
-        text = f"{value:.4g}"
-        return f"({text})" if value < 0 else text
-    shift = _exponent_outside(max(abs(value), std), -4, 6)
-    value, std = value / 10.0**shift, std / 10.0**shift
-    places = _decimal_places(std)
-    if 0 < abs(value) < std:  # a value below its deviation keeps a digit: 0.7(2.8), not 1(3)
-        places = min(_decimal_places(abs(value)), places + 2)
-    last_digits = f"{std:.{places}f}" if std >= 1 else f"{std * 10.0**places:.0f}"
-    text = f"{value:.{places}f}({last_digits})" + (f"e{shift}" if shift else "")
-    return f"({text})" if value < 0 else text
-
-
 def format_size(value: float, unit: str) -> str:
     """Format a rough size with its unit: two significant digits.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from frictrack.base.number_format import format_plain
 from frictrack.cli.fit_output import fails_at
-from frictrack.cli.tables import filled_columns, table
+from frictrack.cli.tables import table
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import (
@@ -179,10 +179,10 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
     rows = candidate_rows(result)
-    if any(row.passes for row in rows):
-        out.print(candidates([row for row in rows if row.passes or row.kind == "rival"]))
-    for row in (one for one in rows if one.kind in MAIN_KINDS and one.parameters):
-        out.print(escape(f"{row.effect}: {', '.join(row.parameters)}"))
+    for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
+        out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
+        for line in textwrap.wrap(evidence_of(row), out.width - 2):
+            out.print(f"  {escape(line)}")
     if others := not_passing(rows):
         out.print(others)
 
@@ -214,18 +214,10 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(VERDICT_ONLY)
 
 
-def candidates(rows: Sequence[CandidateRow]) -> Table:
-    """Return a table with one row per candidate.
-
-    Parameters
-    ----------
-    rows
-        From `candidate_rows`.
-
-    """
-    heads = ("candidate", "", "p", "delta BIC", "held-out error")
-    cells = [(r.effect, r.standing, r.p, format_plain(r.delta_bic, 3), r.held_out) for r in rows]
-    return filled_columns(heads, cells)
+def evidence_of(row: CandidateRow) -> str:
+    """Return parameters, evidence and held-out error of a candidate in one line."""
+    error = f"held-out error {row.held_out}" if row.held_out else ""
+    return "; ".join(filter(None, (", ".join(row.parameters), row.evidence, error)))
 
 
 def findings(out: Console, found: list[dict[str, Any]]) -> None:

@@ -33,6 +33,7 @@ EXAMPLES = {
     "batch": ("frictrack batch campaign", 'frictrack batch "campaign/*/study.toml" -o all --workers 8'),
     "verify": ("frictrack verify study.toml", "frictrack verify campaign"),
     "demo": ("frictrack demo", "frictrack demo --json > demo.json"),
+    "explain": ('frictrack explain "held out"', "frictrack explain patch"),
     "docs": ("frictrack docs", "frictrack docs --path"),
     "reproduce": ("frictrack reproduce study.crate.zip --recordings films", "frictrack reproduce --quick -o papers"),
     "make": ("frictrack blind make trial --n 40", "frictrack blind make trial --film --seed 7"),

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from frictrack.base.number_format import format_plain, format_plus_minus
-from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, plan, verdict  # noqa: F401
+from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, evidence_of, plan, verdict  # noqa: F401
 from frictrack.cli.fit_output import compare, edit, fit, history, parameters  # noqa: F401 - `print_result` looks the function up here
 from frictrack.cli.measurement_output import stages, track  # noqa: F401
 from frictrack.cli.tables import cell, table
@@ -254,8 +254,7 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
         out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
     out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
     for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
-        error = [f"held-out error {row.held_out}"] if row.held_out else []
-        out.print(escape(f"{row.effect}: {'; '.join([', '.join(row.parameters), row.evidence, *error])}"))
+        out.print(escape(f"{row.effect}: {evidence_of(row)}"))
     if (left := force_without_effect(found)) and left.get("words"):
         out.print(escape(left["words"]))
 
@@ -316,6 +315,17 @@ def effects(out: Console, result: dict[str, Any]) -> None:
         rows.add_row(escape(e["name"]), escape(e["what"]))
     out.print(rows)
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
+
+
+def explain(out: Console, result: dict[str, Any]) -> None:
+    """Print the meaning of a word, and the effect of this name."""
+    for term in result["terms"]:
+        word, *others = term["words"]
+        also = f" ({', '.join(others)})" if others else ""
+        out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
+    described_effects(out, result)
+    for e in result["effects"]:
+        out.print(f"the same: `frictrack effects {e['name']}`; all effects: `frictrack effects`", markup=False)
 
 
 def described_effects(out: Console, result: dict[str, Any]) -> None:

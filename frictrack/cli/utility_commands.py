@@ -44,6 +44,28 @@ def effects(
     print_result({"effects": found}, as_json, "described_effects" if names else "effects")
 
 
+@command()
+def explain(
+    word: Annotated[str, typer.Argument(metavar="WORD", help='a word that frictrack prints, such as "held out"')],
+    as_json: Json = False,
+) -> None:
+    """Explain a word that frictrack prints; an effect is described as by `frictrack effects`.
+
+    The same words are explained on the page and in the report where the pointer rests on them. Writes nothing.
+    """
+    from frictrack.base.glossary import find_terms, near_words  # noqa: PLC0415
+    from frictrack.effects import catalogue  # noqa: PLC0415
+
+    library = catalogue()
+    found = [{"words": list(term.words), "meaning": term.meaning} for term in find_terms(word)]
+    same = [e for e in library if e["name"].replace("_", " ") == word.strip().lower().replace("_", " ")]
+    if not found and not same:
+        near = near_words(word, (e["name"] for e in library))
+        advice = f"did you mean {', '.join(near)}?" if near else "`frictrack docs` has the glossary"
+        raise FrictrackError(f'expected a word of the glossary or an effect but got "{word}"; {advice}')
+    print_result({"terms": found, "effects": same}, as_json, "explain")
+
+
 def _own_effects(study: Path) -> list[Any]:
     """Return the effects that a study file defines."""
     from frictrack.flow import open_study, user_effects  # noqa: PLC0415

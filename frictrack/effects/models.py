@@ -7,6 +7,7 @@ settings: fixed values, bounds, priors, ties. `Model.to_toml` writes a model wit
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,10 +20,11 @@ import numpy as np
 
 from frictrack import effects
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_concise
+from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Effect, EffectSettings, Path
 from frictrack.records import Array
 
+COMMON_SYMBOLS = frozenset("FLsxvtDmyS")  # of all equations: the whole force, load and level, direction, motion ...
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value, for one run
 
 
@@ -131,7 +133,8 @@ class Model:
         Returns
         -------
         str
-            The friction force F as a sum, then the measurement effects after semicolons.
+            The friction force F as a sum, then the measurement effects after semicolons. A symbol that two effects
+            have, or that stands for the whole force, ends with the name of its effect.
 
         """
         texts = [(e.acts_on, self._effect_equation(e, estimates or {})) for e in self.effects]
@@ -139,17 +142,23 @@ class Model:
         return "; ".join([f"F = {force}", *(text for on, text in texts if on == "measurement")])
 
     def _effect_equation(self, effect: Effect, estimates: Mapping[str, Any]) -> str:
-        """Equation of one effect; the symbols of a second instance end with its number."""
-        number = effect.name.partition(":")[2] if effect.kind != effect.name else ""
+        """Equation of one effect with its numbers, and its symbols where there are none."""
         text, others = effect.equation, [e for e in self.effects if e is not effect]
         owner = {p.name: e for e in (*others, effect) for p in e.parameters}
         for name, of in owner.items():
             found = estimates.get(f"{of.name}.{name}")
-            symbol = f"{name}_{number}" if number and of is effect else name
-            if found is not None and found.value is not None:
-                symbol = format_concise(found.value, found.std)
-            text = re.sub(rf"\b{name}\b", symbol, text)
+            known = found is not None and found.value is not None
+            symbol = _number(found.value, found.std) if known and found else self._symbol(of, name)
+            text = re.sub(rf"(?<![\w,]){name}(?!\w)", symbol, text)
         return text
+
+    def _symbol(self, effect: Effect, name: str) -> str:
+        """Symbol of a parameter: its name, with its effect or the number of its instance where two would agree."""
+        kind, _, number = effect.name.partition(":")
+        kinds = {e.name.partition(":")[0] for e in self.effects if any(p.name == name for p in e.parameters)}
+        if name in COMMON_SYMBOLS or len(kinds) > 1:
+            name = f"{name}{',' if '_' in name else '_'}{kind}"
+        return f"{name}_{number}" if number and effect.kind != effect.name else name
 
     def base(self, effect: Effect) -> Effect:
         """An effect without settings: from the library, its formula, or its declaration.
@@ -389,6 +398,13 @@ _SETTING_TEXTS = {
     "tie": lambda p, v: f"{p.name} = {v}",
     "per_run": lambda p, v: f"{p.name} {'per run' if v else 'shared'}",
 }
+
+
+def _number(value: float, std: float | None) -> str:
+    """A number of an equation, in brackets where it has a standard deviation or a sign."""
+    known = bool(std) and math.isfinite(std or 0.0)
+    text = format_plus_minus(value, std) if known else f"{value:.4g}"
+    return f"({text})" if known or value < 0 else text
 
 
 def _setting_text(effect: Effect, name: str, key: str, value: Any) -> str:

@@ -199,7 +199,7 @@ class Fit(FittedRuns, StorableFit):
 
     @property
     def equation(self) -> str:
-        """The equation with its numbers: ``F = 8.01(2) L s + 1.20(1) v``."""
+        """The equation with its numbers: ``F = (8.01 ± 0.02) L s + (1.20 ± 0.01) v``."""
         return self.model.equation({name: replace(e, std=e.reported_std) for name, e in self.parameters.items()})
 
     @cached_property

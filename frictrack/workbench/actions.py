@@ -18,7 +18,7 @@ CHANGES = ("edit", "take_in", "leave_out", "define", "use", "undo", "redo")
 JOBS: dict[str, tuple[str, ...]] = {  # with the arguments that the page may give
     "run": ("seed",),
     "measure": ("stage", "overlay"),
-    "fit": ("model", "search", "over", "seed", "domain", "per", "profiles", "draws"),
+    "fit": ("model", "search", "over", "seed", "settings", "domain", "per", "profiles", "draws"),
     "add": ("effect", "seed"),
     "remove": ("effect", "seed"),
     "add_and_diagnose": ("effect", "seed"),

@@ -166,7 +166,7 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     Parameters
     ----------
     name : str
-        "law", "cutoff:RUN", "filters:RUN", "scan:EFFECT", "unexplained" or "history".
+        "law:MODEL", "search:MODEL", "cutoff:RUN", "filters:RUN", or "scan:EFFECT".
     snapshot : Snapshot
         The study and its results as they were read last.
 
@@ -192,19 +192,17 @@ def _draw(name: str, results: Results) -> Figure | None:
     from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    model, unexplained = results.current, (results.diagnosis or {}).get("unexplained")
+    model = next((one for one in results.models if one.name == which), None) if which else results.current
     run = next((one for one in results.runs if one.name == which), None)
     drawn: Figure | None = None
     if kind == "law" and model is not None and plots.has_law(model):
         drawn = plots.law(model, results.runs, title=False, width=4.8)
+    elif kind == "search" and model is not None and model.convergence:
+        drawn = plots.convergence(model)
     elif kind == "cutoff" and run is not None and run.cutoff is not None:
         drawn = plots.cutoff(run.name, run.cutoff, run.mass)
     elif kind == "filters" and run is not None:
         drawn = plots.filters(run)
     elif kind == "scan" and plots.has_scan(results.figures.get(which, {})):
         drawn = plots.scan(which, results.figures[which], width=5.0)
-    elif kind == "unexplained" and unexplained:
-        drawn = plots.unexplained(unexplained)
-    elif kind == "history" and results.models:
-        drawn = plots.history(results.models)
     return drawn

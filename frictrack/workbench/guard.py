@@ -22,6 +22,7 @@ from tornado.web import Application, RequestHandler
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 WILDCARD_HOSTS = ("0.0.0.0", "::", "")  # addresses that stand for all of this machine's
+KEEP_PLACE = '<script>location.replace("./" + location.hash)</script>'  # a refresh alone would lose what stands after #
 REDIRECT_PAGE = '<!doctype html><meta http-equiv="refresh" content="0;url={}"><title>frictrack</title>'
 
 
@@ -153,7 +154,7 @@ class TokenHandler(RequestHandler):
         self.set_cookie(name, self.guard.secret, path="/", httponly=True, samesite="Strict")
         self.set_header("Referrer-Policy", "no-referrer")
         self.set_header("Cache-Control", "no-store")
-        self.finish(REDIRECT_PAGE.format("./"))
+        self.finish(KEEP_PLACE + REDIRECT_PAGE.format("./"))
 
 
 def protect(application: Application, guard: RequestGuard) -> None:

@@ -9,7 +9,7 @@ import asyncio
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,7 @@ from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from frictrack.base.errors import FrictrackError
-from frictrack.workbench.actions import (
-    cancel,
-    change,
-    check,
-    copy_sample,
-    list_effects,
-    need_plain_name,
-    start_job,
-    take_in,
-    try_effect,
-)
+from frictrack.workbench.actions import check, list_effects, need_plain_name, try_effect
 from frictrack.workbench.downloads import CONTENT_TYPES, make_download, page_figure
 from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.films import FilmFile, film_file
@@ -78,9 +68,9 @@ class PageFiles(StaticFileHandler):
 class Api(RequestHandler):
     """A request with an answer in JSON; an error is one sentence under `error`."""
 
-    def initialize(self, live: LiveStudy) -> None:
-        """Store the study."""
-        self.live = live
+    def initialize(self, live: LiveStudy, act: Callable[..., Any] | None = None, keys: Sequence[str] = ()) -> None:
+        """Store the study, and of an `ActionHandler` what acts and the keys of the request that are its arguments."""
+        self.live, self.act, self.keys = live, act, keys
 
     def set_default_headers(self) -> None:
         """Set the headers of every answer."""
@@ -218,6 +208,16 @@ class EffectsHandler(Api):
         self.answer({"effects": await self.live.read(list_effects, self.live.snapshot)})
 
 
+class GlossaryHandler(Api):
+    """The words that the page explains where they stand."""
+
+    def get(self) -> None:
+        """Answer with words and meanings, and the pattern that finds them in a text."""
+        from frictrack.base.glossary import hover_pattern, hover_words  # noqa: PLC0415
+
+        self.answer({"meanings": hover_words(), "pattern": hover_pattern().pattern})
+
+
 class CheckHandler(Api):
     """Numbers as they are being typed."""
 
@@ -227,47 +227,14 @@ class CheckHandler(Api):
         self.answer({"fields": await self.live.read(check, self.live.snapshot, given.get("fields"), given.get("run"))})
 
 
-class NewStudyHandler(Api):
-    """Recordings for the study; without a study file, it is written."""
+class ActionHandler(Api):
+    """What changes the study or its work: recordings, the sample, a quick change, a long job, its end."""
 
     async def post(self) -> None:
-        """Take recordings into the study."""
+        """Act, and answer with what it returns."""
         given = self.body()
-        self.answer(await self.live.write(take_in, given.get("recordings"), given.get("fields")))
-
-
-class SampleHandler(Api):
-    """The sample study."""
-
-    async def post(self) -> None:
-        """Copy the sample films and their study file into the folder."""
-        self.answer(await self.live.write(copy_sample))
-
-
-class ChangeHandler(Api):
-    """A quick change of the study."""
-
-    async def post(self) -> None:
-        """Make the change; work that it makes useless is cancelled."""
-        given = self.body()
-        self.answer(await self.live.write(change, given.get("do"), given.get("arguments"), given.get("seen")))
-
-
-class StartJobHandler(Api):
-    """A long job."""
-
-    async def post(self) -> None:
-        """Start it; a running job that it makes useless is cancelled."""
-        given = self.body()
-        self.answer(await self.live.write(start_job, given.get("do"), given.get("arguments"), given.get("seen")))
-
-
-class CancelHandler(Api):
-    """The running job."""
-
-    async def post(self) -> None:
-        """Cancel it; finished steps are kept."""
-        self.answer(await self.live.write(cancel))
+        assert self.act is not None
+        self.answer(await self.live.write(self.act, *(given.get(key) for key in self.keys)))
 
 
 YEAR_S = 31_536_000

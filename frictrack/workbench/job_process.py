@@ -29,7 +29,7 @@ class ProgressFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.phase = ""
+        self.phase, self.step = "", ""
         self._last, self._what = 0.0, ""
 
     def background(self, *found: Any) -> None:
@@ -48,6 +48,9 @@ class ProgressFile:
             The current step.
 
         """
+        self.step = what if total == 0 else self.step  # 0 of 0 announces a new step
+        if total and " " not in what:  # "runs", or the name of a search at its end: the page counts runs itself
+            return
         now = time.monotonic()
         if what == self._what and done < total and now - self._last < MIN_WRITE_INTERVAL_S:
             return
@@ -55,7 +58,7 @@ class ProgressFile:
         self._write({"done": done, "total": total, "what": what})
 
     def _write(self, line: dict[str, Any]) -> None:
-        more = {"phase": self.phase} if self.phase else {}
+        more = {"step": self.step} | ({"phase": self.phase} if self.phase else {})
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({**line, **more}) + "\n")
 

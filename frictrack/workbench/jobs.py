@@ -50,6 +50,12 @@ WORDS = {
     "report": "Write the report",
     "background": "Complete the diagnosis and the report",
 }
+STEPS = {  # first word of what a step says when it begins
+    "measuring": "Measure the runs",
+    "fitting": "Fit the model",
+    "diagnosing": "Find what is missing",
+    "writing": "Write the report",
+}
 POLL_S = 0.01  # between two looks at a job that is to end
 BACKGROUND = "background"  # phase of a job whose result is stored already
 RUNNING, DONE, FAILED, CANCELLED, INTERRUPTED = "running", "done", "failed", "cancelled", "interrupted"
@@ -94,8 +100,9 @@ class Job:
         Returns
         -------
         dict
-            Steps ``done`` of ``total``, the text ``what``, and ``phase``, which is "background" once the result that
-            the user waits for is stored. Empty before the first line; an incomplete last line is ignored.
+            ``done`` of ``total``, the text ``what``, the ``step`` that it belongs to, and ``phase``, which is
+            "background" once the result that the user waits for is stored. Empty before the first line; an incomplete
+            last line is ignored.
 
         """
         try:
@@ -115,7 +122,7 @@ class Job:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The job as the page shows it: id, do, words, progress, state, error and warnings."""
+        """The job as the page shows it: id, do, words, step, progress, state, error and warnings."""
         spec, state, progress = self.spec, self.state, self.progress
         result = self.result if state in (DONE, FAILED) else {}
         made = result.get("done")
@@ -128,6 +135,7 @@ class Job:
             "done": progress.get("done", 0),
             "total": progress.get("total", 0),
             "what": progress.get("what", "starts"),
+            "step": STEPS.get(progress.get("step", "").partition(" ")[0], ""),
             "background": progress.get("phase") == BACKGROUND,
             "state": state,
             "error": result.get("error"),

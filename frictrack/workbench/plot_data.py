@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
-from frictrack.present.plots.style import BAND_SIGMAS
-from frictrack.records import Array, Track
+from frictrack.present.plots.style import BAND_SIGMAS, unsmeared_frames
+from frictrack.records import Array, Friction, Track
 from frictrack.results import ModelResults, Results, RunResults
 
 HEADER_BYTES = 4  # the length of the scene, uint32
 ALIGNMENT = 4  # bytes of a Float32
+MODEL_COLUMNS = ("left", "other", "noise_low", "noise_high", "F_model", "F_other")  # what a model gives
 
 
 @dataclass
@@ -339,9 +340,10 @@ def motion_plots(run: RunResults, other: Array | None = None, label: str = "", i
         previews = {
             q: [line(f"{q}_other", "candidate", "preview", label, dash=[6, 3], width=2, loose=True)] for q in previews
         }
-    free = _free(run)
+    free = _span_of(f)
     shade = [span(*free, "free", "free section")] if free else []
-    near: dict[str, Any] = {"focus": list(free)} if free else {}  # the push is much larger than what follows
+    clean = _span_of(f, run.motion.guard)
+    near: dict[str, Any] = {"focus": list(clean)} if clean else {}  # the push, and what the filter smears, are larger
     grip: dict[str, Any] = {"handles": [{"name": "free", "span": list(free)}]} if free else {}
 
     def measured(y: str) -> dict[str, Any]:
@@ -369,11 +371,11 @@ def motion_plots(run: RunResults, other: Array | None = None, label: str = "", i
     return PlotData(len(m), columns, shown, [_run_entry(run, 0, len(m), index, first_frame(run))], {"view": "motion"})
 
 
-def _free(run: RunResults) -> tuple[float, float] | None:
-    """Start and end of the free section, ms."""
-    if run.friction is None or not run.friction.free.any():
+def _span_of(friction: Friction | None, guard: int = 0) -> tuple[float, float] | None:
+    """Start and end of the free section without the frames that a filter smears, ms."""
+    if friction is None or not friction.free.any():
         return None
-    t = 1e3 * run.friction.t[run.friction.free]
+    t = 1e3 * friction.t[unsmeared_frames(friction, guard)]
     return float(t[0]), float(t[-1])
 
 
@@ -395,7 +397,21 @@ def comparison_plots(results: Results, model: ModelResults, other: ModelResults 
         Another model, drawn in the background.
 
     """
-    return model_plots(results.runs, model, other, _failing_spans(results, model))
+    return model_plots(results.runs, model, other, _failing_spans(results, model), _measured_again(results, model))
+
+
+def _measured_again(results: Results, model: ModelResults) -> set[str]:
+    """Runs that were measured again after a model was fitted: its curves belong to another scale or mass."""
+    reasons = [part.reason for part in results.outdated_parts if (part.what, part.name) == ("model", model.name)]
+    waiting = {part.name for part in results.outdated_parts if part.what in ("track", "motion")}
+    current = [run for run in results.runs if reasons and run.name not in waiting]
+    return {run.name for run in current if "mass was changed" in reasons[0] or not _is_fitted_to(model, run)}
+
+
+def _is_fitted_to(model: ModelResults, run: RunResults) -> bool:
+    """Whether a model was fitted to the displacement that a run has now."""
+    x, t = run.displacement.x, run.displacement.t
+    return all(np.allclose(c.x, x[_row_indices(t, c.t)], equal_nan=True) for c in model.curves if c.run == run.name)
 
 
 def model_plots(
@@ -403,6 +419,7 @@ def model_plots(
     model: ModelResults,
     other: ModelResults | None = None,
     failing: Sequence[Mapping[str, Any]] = (),
+    measured_again: Collection[str] = (),
 ) -> PlotData:
     """Prepare the same plots as `comparison_plots` from runs and a model.
 
@@ -414,10 +431,15 @@ def model_plots(
         As of `comparison_plots`.
     failing : sequence of dict
         Spans where the model fails: `run` and `t` (start and end, s).
+    measured_again : collection of str
+        Runs whose measured motion is newer than the model, which is not drawn over it.
 
     """
     runs = compared_runs(all_runs, model)
     parts = [_run_columns(run, model, other) for run in runs]
+    for run, part in zip(runs, parts, strict=True):
+        if run.name in measured_again:
+            part |= {key: np.full(len(run.motion), np.nan) for key in MODEL_COLUMNS if key in part}
     columns = {key: np.concatenate([part[key] for part in parts]) for key in (parts[0] if parts else {})}
     columns |= {key: place for run in runs for key, place in target_positions(run).items()}
     entries, first = [], 0
@@ -529,8 +551,9 @@ def _run_columns(run: RunResults, model: ModelResults, other: ModelResults | Non
     """Columns of one run, one row per frame, NaN where nothing was fitted."""
     m, f = run.motion, run.friction
     rows: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v}
-    rows["F"] = np.full(len(m), np.nan) if f is None else np.where(f.free, f.F, np.nan)
-    rows["a"] = m.a if f is None else np.where(f.free, m.a, np.nan)  # the push is much larger than what follows
+    clean = None if f is None else unsmeared_frames(f, m.guard)  # the push is much larger than what follows
+    rows["F"] = np.full(len(m), np.nan) if f is None or clean is None else np.where(clean, f.F, np.nan)
+    rows["a"] = m.a if clean is None else np.where(clean, m.a, np.nan)
     rows["left"], rows["F_model"], noise = _model_curves(run, model)
     if other is not None:
         rows["other"], rows["F_other"], _ = _model_curves(run, other)
@@ -547,6 +570,8 @@ def _model_curves(run: RunResults, model: ModelResults) -> tuple[Array, Array, A
     for curve in model.curves:
         if curve.run == run.name:
             modelled[_row_indices(run.motion.t, curve.t)] = modelled_force(model, curve)
+    if run.friction is not None:
+        modelled[run.friction.free & ~unsmeared_frames(run.friction, run.motion.guard)] = np.nan
     return left, modelled, noise
 
 

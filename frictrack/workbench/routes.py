@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
+from frictrack.workbench.actions import cancel, change, copy_sample, start_job, take_in
 from frictrack.workbench.handlers import (
     STATIC,
-    CancelHandler,
+    ActionHandler,
     CandidateHandler,
-    ChangeHandler,
     CheckHandler,
     DownloadHandler,
     EffectsHandler,
     EventsHandler,
     FilmHandler,
     FrameHandler,
-    NewStudyHandler,
+    GlossaryHandler,
     PageFiles,
     PictureHandler,
     PlotsHandler,
-    SampleHandler,
-    StartJobHandler,
     StateHandler,
     UnknownHandler,
 )
@@ -37,17 +35,18 @@ def routes(live: LiveStudy) -> list[Any]:
         The study.
 
     """
-    more = {"live": live}
+    more: dict[str, Any] = {"live": live}
     return [
         (r"/api/state", StateHandler, more),
         (r"/api/events", EventsHandler, more),
         (r"/api/effects", EffectsHandler, more),
+        (r"/api/glossary", GlossaryHandler, more),
         (r"/api/check", CheckHandler, more),
-        (r"/api/study", NewStudyHandler, more),
-        (r"/api/sample", SampleHandler, more),
-        (r"/api/do", ChangeHandler, more),
-        (r"/api/job", StartJobHandler, more),
-        (r"/api/cancel", CancelHandler, more),
+        (r"/api/study", ActionHandler, more | {"act": take_in, "keys": ("recordings", "fields")}),
+        (r"/api/sample", ActionHandler, more | {"act": copy_sample}),
+        (r"/api/do", ActionHandler, more | {"act": change, "keys": ("do", "arguments", "seen")}),
+        (r"/api/job", ActionHandler, more | {"act": start_job, "keys": ("do", "arguments", "seen")}),
+        (r"/api/cancel", ActionHandler, more | {"act": cancel}),
         (r"/api/upload", UploadHandler, more),
         (r"/api/film", FilmHandler, more),
         (r"/api/frame", FrameHandler, more),

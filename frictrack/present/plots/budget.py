@@ -70,7 +70,7 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left.tick_params(axis="y", length=0)
     if len(found) <= len(RUN_STYLES):
         handles = [Line2D([], [], label=name, **_mark(k)) for k, name in enumerate(found)]
-        figure.legend(handles=handles, loc="outside lower left", ncols=9)
+        style.legend_below(figure, handles)
     return figure
 
 
@@ -91,6 +91,7 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
             ax.annotate(
                 words, (0.0, place), xycoords=("axes fraction", "data"), xytext=(6, 0),
                 textcoords="offset points", va="center", fontsize=8.5, style="italic", color="#666666",
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
             )  # fmt: skip
 
 

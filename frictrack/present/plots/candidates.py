@@ -37,8 +37,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
     """Draw delta BIC of the candidates as bars, in the order of the list of candidates.
 
     The colour says what a candidate means: found, not distinguishable from what was found, passing with less evidence,
-    or failing (hatched). At most `MAX_CANDIDATES` are drawn. A bracket joins candidates that these runs cannot
-    distinguish.
+    or failing (hatched). At most `MAX_CANDIDATES` are drawn.
 
     Parameters
     ----------
@@ -64,12 +63,11 @@ def candidates(diagnosis: AnySummary) -> Figure:
     ax.set_yticks(range(len(shown)), [row.effect for row in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
-    _draw_brackets(ax, shown)
     handles = [Patch(label=name, **look) for name, look in dict(LOOKS[row.kind] for row in shown).items()]
     if same_p:
         handles.append(Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search"))
     if handles:
-        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+        style.legend_below(figure, handles)
     return figure
 
 
@@ -92,31 +90,6 @@ def _candidates_title(rows: Sequence[CandidateRow]) -> str:
     if rivals:
         return f"{good[0].effect} explains most, but {join_words(rivals)} cannot be distinguished from it"
     return f"{good[0].effect} explains most" + (f"; {len(good) - 1} more pass" if len(good) > 1 else "")
-
-
-def _draw_brackets(ax: Axes, rows: Sequence[CandidateRow]) -> None:
-    """Draw a bracket at the right of each group whose members predict the same data: an effect and its rivals."""
-    groups = {_group(rows, y) for y, row in enumerate(rows) if row.passes}
-    largest = [group for group in groups if len(group) > 1 and not any(group < other for other in groups)]
-    for k, group in enumerate(sorted(largest, key=min)):
-        x, across = 0.985 - 0.03 * k, ax.get_yaxis_transform()
-        ax.plot([x, x], [min(group), max(group)], transform=across, color="black", lw=1.5)
-        for y in group:
-            ax.plot([x - 0.012, x], [y, y], transform=across, color="black", lw=1.5)
-        ax.text(
-            x - 0.018, (min(group) + max(group)) / 2, "cannot be\ndistinguished",
-            transform=across, ha="right", va="center", fontsize=8.5, style="italic",
-        )  # fmt: skip
-
-
-def _group(rows: Sequence[CandidateRow], y: int) -> frozenset[int]:
-    """Rows of a candidate and of its rivals; a better rival counts only if it names this one too."""
-    named = rows[y].source["indistinguishable_from"]
-    return frozenset(
-        k
-        for k, row in enumerate(rows)
-        if k == y or (row.effect in named and (k > y or rows[y].effect in row.source["indistinguishable_from"]))
-    )
 
 
 RESULT_CURVES = ("limit", "rise")  # curves of a candidate; the other curves are its settings
@@ -222,8 +195,7 @@ def _unit(effect: str, name: str) -> str:
 def _set_x_axis(ax: Axes, name: str, written: str) -> None:
     """Set up the axis of a setting; frequencies and periods are logarithmic, with plain numbers at the ticks."""
     if name in ("frequency", "period"):
-        low, high = ax.dataLim.intervalx
-        style.log_axis(ax, "x", (1, 2, 5) if high < 200 * low else (1,))
+        style.log_axis(ax, "x")
     ax.set_xlabel(axis_label(_setting_name(name), written))
     ax.margins(x=0.01)
 

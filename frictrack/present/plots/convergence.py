@@ -76,10 +76,10 @@ def _draw(column: Sequence[Axes], one: Convergence) -> None:
     above.plot(generation, one.mean, color=style.MEASURED_COLOUR, lw=1.0, label="mean of the population")
     above.plot(generation, one.best, color=style.VERMILION, label="best so far")
     if one.best[-1] > 0:
-        above.set_yscale("log")
+        style.log_axis(above, "y")
         top = HEADROOM * max(one.best[0], float(np.min(one.mean)))
         above.set_ylim(top=min(top, 1.2 * float(np.max(one.mean))))
-    above.legend(loc="upper right", ncols=2)
+    above.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     middle.plot(generation, one.diversity, color=style.BLUE, label="diversity")
     middle.set_ylim(0, max(1.05, float(one.diversity.max())))
     low, high = one.bounds.T

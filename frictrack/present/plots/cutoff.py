@@ -13,7 +13,7 @@ from frictrack.base.number_format import format_number, format_unit
 from frictrack.measure.motion import FilteredMotion, compare_filters
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run
-from frictrack.present.plots.measured import SHORT_LABELS, unsmeared
+from frictrack.present.plots.measured import SHORT_LABELS
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff
 from frictrack.results import RunResults
@@ -82,11 +82,13 @@ def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
     error = axis_label("error of m a", "N") if in_newtons else axis_label("error of a", "m/s^2")
     title, labels = f"Error over the cut-off frequency{drawn}", (axis_label("cut-off frequency", "Hz"), error)
     figure, cells = panel_grid(len(shown), (2.3, 1.0), title, labels, sharex=True, sharey=True)
+    limits: list[float] = []
     for (ax,), (name, (one, mass)) in zip(cells, shown, strict=True):
         _draw_errors(ax, one, mass if in_newtons and mass is not None else 1.0)
         ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
-    handles, names = cells[0][0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower left", ncols=len(names))
+        limits += ax.get_ylim()
+    cells[0][0].set_ylim(min(limits), max(limits))  # shared by all panels
+    style.legend_below(figure, cells[0][0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -128,7 +130,7 @@ def filters(run: AnyRun) -> Figure:
     run = as_run(run)
     found = compare_filters(run.displacement, run.filtered, run.motion)
     t = 1e3 * run.motion.t
-    inside = unsmeared(run.motion)
+    inside = style.unsmeared(run.motion)
     if run.friction is not None and np.any(run.friction.free & inside):
         inside &= run.friction.free  # a push would hide all else
     errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]
@@ -150,7 +152,7 @@ def filters(run: AnyRun) -> Figure:
         ax.set_ylabel(quantity)
     panels[-1].set_xlabel(axis_label("time t", "ms"))
     figure.align_ylabels(panels)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left")
+    style.legend_below(figure, panels[0].get_legend_handles_labels()[0])
     return figure
 
 

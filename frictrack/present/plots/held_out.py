@@ -91,7 +91,7 @@ def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None,
         ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
         if is_named or k in (0, len(errors) - 1):
             ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
-                        fontweight="bold")  # fmt: skip
+                        fontweight="bold", bbox={"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85})  # fmt: skip
     known = values
     if noise is not None and noise > MIN_NOISE_SHOWN * values.min(initial=np.inf):
         known = np.append(values, noise)

@@ -66,12 +66,12 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
             ax.set_title(DIRECTIONS[direction], fontweight="normal")
     panels[0].set_ylabel(axis_label("friction force F", "N"))
     _limit_force(panels[0], branches)
+    _name_wide_band(panels[0], branches)
     load = branches[0]["load_N"]
     if load:
         right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
         right.set_ylabel("coefficient of friction µ")
-    handles = {text: handle for ax in panels for handle, text in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=3, markerscale=3)
+    style.legend_below(figure, [h for ax in panels for h in ax.get_legend_handles_labels()[0]], markerscale=3)
     return figure
 
 
@@ -129,6 +129,17 @@ def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     style.set_y_limits(ax, [values])
 
 
+def _name_wide_band(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
+    """Say in the legend where the band fills the panel from edge to edge: these runs do not determine the law."""
+    low, high = ax.get_ylim()
+    ends = [
+        np.array(b["F"]) + k * np.array(b["sigma_F"]) for b in branches for k in (-style.BAND_SIGMAS, style.BAND_SIGMAS)
+    ]
+    if np.median(np.concatenate(ends[::2])) < low and np.median(np.concatenate(ends[1::2])) > high:
+        for band in ax.collections:
+            band.set_label(f"{band.get_label()}, beyond this panel")
+
+
 MAX_PANELS = 4  # runs drawn; of more runs, those that fit worst
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 
@@ -165,7 +176,7 @@ def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
         Line2D([], [], color=style.MODEL_COLOUR, lw=1.8, ls=(0, (4, 1.2)), label="model"),
     ]
-    figure.legend(handles=handles, loc="outside lower left", ncols=2)
+    style.legend_below(figure, handles)
     return figure
 
 

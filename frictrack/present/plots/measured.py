@@ -17,7 +17,7 @@ from frictrack.base.polygons import polygon
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run, as_runs
 from frictrack.present.plots.style import axis_label, axis_scale, draw_band, new_figure, panel_grid, styled
-from frictrack.records import Array, FrameTable, Mask, Motion, stretches
+from frictrack.records import Array, FrameTable, stretches
 from frictrack.results import RunResults
 
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
@@ -103,13 +103,13 @@ def motion(run: AnyRun) -> Figure:
     figure.align_ylabels(panels)
     panels[-1].set_xlabel(axis_label("time t", "ms"))
     panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
-    figure.legend(handles=_section_handles(run), loc="outside lower left", ncols=3, columnspacing=1.2)
+    style.legend_below(figure, _section_handles(run), columnspacing=1.2)
     return figure
 
 
 @styled
 def motions(runs: Sequence[AnyRun]) -> Figure:
-    """Draw displacement, velocity and acceleration of several runs as small multiples with shared axes.
+    """Draw displacement, velocity and acceleration of several runs as small multiples.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ def motions(runs: Sequence[AnyRun]) -> Figure:
     able = as_runs(runs)
     shown = able[:MAX_MOTIONS]
     labels = (axis_label("time t", "ms"), *SHORT_LABELS)
-    figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex=True)
+    figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex="cell")
     for cell, run in zip(cells, shown, strict=True):
         _draw_motion(cell, run)
+        cell[-1].set_xlim(1e3 * run.motion.t[0], 1e3 * run.motion.t[-1])
         cell[0].set_title(run.name, fontweight="normal")
-    handles = {handle.get_label(): handle for run in shown for handle in _section_handles(run)}
-    figure.legend(handles=list(handles.values()), loc="outside lower left", ncols=4)
+    style.legend_below(figure, [handle for run in shown for handle in _section_handles(run)])
     return figure
 
 
@@ -140,7 +140,7 @@ def motions_title(runs: Sequence[RunResults]) -> str:
 def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
     """Draw x, v and a of one run in three panels, with its sections and events."""
     m = run.motion
-    inside = unsmeared(m)
+    inside = style.unsmeared(m)
     moved = inside if run.friction is None else inside | run.friction.free
     columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, inside))
     for ax, (values, sigma, shown) in zip(panels, columns, strict=True):
@@ -164,8 +164,10 @@ def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
     for k, (at, kind) in enumerate(named[:MAX_NAMED_EVENTS]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
+        late = at > 1e3 * float(run.motion.t[-1]) - NAME_WIDTH * reach  # its name stands before its line
         panels[0].annotate(
-            kind, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9 - 10 * (crowded and k % 2)),
+            kind, (at, 1.0), xycoords=("data", "axes fraction"), ha="right" if late else "left",
+            xytext=(-2 if late else 2, -9 - 10 * (crowded and k % 2)),
             textcoords="offset points", fontsize=8, color=style.PURPLE,
         )  # fmt: skip
 
@@ -198,14 +200,6 @@ def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
     room = float(np.ptp(a)) + 0.5 * float(np.max(np.abs(a)))
     if high - low > MAX_PUSH_RATIO * room:
         ax.set_ylim(min(a.min(), 0.0) - room, max(a.max(), 0.0) + room)
-
-
-def unsmeared(m: Motion) -> Mask:
-    """Frames away from the smeared ends (n,); all frames of a very short record."""
-    out = np.ones(len(m), dtype=bool)
-    if len(m) > 2 * m.guard + 2:
-        out[: m.guard] = out[len(m) - m.guard :] = False
-    return out
 
 
 def _shade_sections(ax: Axes, run: RunResults) -> None:
@@ -267,8 +261,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
     right.axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
     if len(able) <= 18:
-        handles, names = left.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower left", ncols=min(len(able), 8))
+        style.legend_below(figure, left.get_legend_handles_labels()[0])
     return figure
 
 

@@ -80,6 +80,7 @@ def missing_force(
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
         foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
         ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
+        ax.locator_params(axis="x", nbins=6)
         ax.set_xlabel(_label(name, whole))
         ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
     for ax in panels[:, 0]:
@@ -212,7 +213,7 @@ def _legend(figure: Figure, ax: Axes | None, styles: Mapping[str, Mapping[str, A
     if spans:
         handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
     if ax is None:
-        figure.legend(handles=handles, loc="outside lower left", ncols=6)
+        style.legend_below(figure, handles)
     else:
         ax.legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)
 
@@ -272,5 +273,5 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
     ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
     ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
     ax.margins(x=0)
-    figure.legend(loc="outside lower left", ncols=2)
+    style.legend_below(figure, ax.get_legend_handles_labels()[0])
     return figure

@@ -70,14 +70,12 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     shown = worst_runs(model, runs)
     labels = (axis_label("time t", "ms"), "friction force F / N", axis_label("residual", residual_unit(model)))
     title = fit_title(model) + _how_many(model, shown)
-    figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1))
+    figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1), sharex="cell")
     by_name = {run.name: run for run in runs}
     for (above, left), name in zip(cells, shown, strict=True):
         _draw_force(above, model, by_name[name])
         _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
-        above.sharex(left)
-        above.tick_params(labelbottom=False)
     _share_y([left for _, left in cells])
     handles: list[Any] = [
         Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
@@ -85,7 +83,7 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
         Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
     ]
-    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
+    style.legend_below(figure, [*handles, *_repaired_handles(model)])
     return figure
 
 
@@ -129,7 +127,7 @@ def failing(
     handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
     if spans:
         handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
-    figure.legend(handles=[*handles, *_repaired_handles(model)], loc="outside lower left", ncols=4)
+    style.legend_below(figure, [*handles, *_repaired_handles(model)])
     return figure
 
 
@@ -154,9 +152,11 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
         (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
     ):
         for k, curve in enumerate(c for c in model.curves if c.run == run.name):
-            ax.plot(1e3 * curve.t, modelled_force(model, curve), lw=2.0, **(look if k == 0 else look | {"label": None}))
+            ax.plot(
+                1e3 * curve.t, modelled_force(model, curve, run), lw=2.0, **(look if k == 0 else look | {"label": None})
+            )
     ax.set(xlabel=axis_label("time t", "ms"), ylabel="friction force F / N")
-    figure.legend(loc="outside lower left", ncols=3)
+    style.legend_below(figure, ax.get_legend_handles_labels()[0])
     return figure
 
 
@@ -287,7 +287,7 @@ def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
     _draw_measured_force(ax, run)
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(1e3 * c.t, modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
+            ax.plot(1e3 * c.t, modelled_force(model, c, run), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
 
 
 def _repaired_handles(model: ModelResults) -> list[Line2D]:
@@ -295,7 +295,7 @@ def _repaired_handles(model: ModelResults) -> list[Line2D]:
     return next((found for c in model.curves if (found := style.repaired_handles(c.repaired))), [])
 
 
-def modelled_force(model: ModelResults, curve: Curve) -> Array:
+def modelled_force(model: ModelResults, curve: Curve, run: RunResults | None = None) -> Array:
     """Friction force of the model on one fitted segment, through the filter that the measured force went through.
 
     Parameters
@@ -304,6 +304,8 @@ def modelled_force(model: ModelResults, curve: Curve) -> Array:
         The fitted model.
     curve : Curve
         One segment of the fit, n samples.
+    run : RunResults, optional
+        Its run: the force is NaN where the filter smears it.
 
     Returns
     -------
@@ -317,6 +319,9 @@ def modelled_force(model: ModelResults, curve: Curve) -> Array:
     own = next((motion for motion in model.motion if motion.run == curve.run), None)
     if curve.F_filtered is None and own is not None:
         known &= ~np.isin(curve.t, own.t[own.blow])
+    if curve.F_filtered is not None and run is not None and run.friction is not None:
+        clean = style.unsmeared_frames(run.friction, run.motion.guard)
+        known &= clean[np.clip(np.searchsorted(run.friction.t, curve.t - 1e-9), 0, len(clean) - 1)]
     return style.masked(curve.F_as_measured, known)
 
 

@@ -60,9 +60,7 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
     for cell, name in zip(cells, shown, strict=True):
         _draw_run(cell, own[name], by_name[name], _impulses(model, name))
-    figure.legend(
-        handles=_handles(any(np.any(motion.blow) for motion in own.values())), loc="outside lower left", ncols=5
-    )
+    style.legend_below(figure, _handles(any(np.any(motion.blow) for motion in own.values())))
     return figure
 
 
@@ -83,34 +81,29 @@ def _rms(values: Sequence[float | None]) -> float | None:
 
 def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, impulses: str) -> None:
     """Draw one run in its three panels."""
-    a, left, force = cell
-    m, rows = run.motion, np.searchsorted(run.motion.t, motion.t - 1e-9)
-    t, at = 1e3 * motion.t, 1e3 * m.t[rows]
-    unsmeared = _unsmeared(run, rows)
-    draw_band(a, at, m.a[rows], m.sigma_a[rows], **SMOOTHED_STYLE)
-    a.plot(at, m.a[rows], color=style.MEASURED_COLOUR, lw=1.0)
-    _draw_model(a, motion, motion.a, motion.sigma_a)
-    draw_band(left, at, m.a[rows] - motion.a, m.sigma_a[rows], **SMOOTHED_STYLE)
-    left.plot(at, m.a[rows] - motion.a, color=style.MEASURED_COLOUR, lw=1.0)
-    _draw_model(left, motion, np.zeros(len(motion)), motion.sigma_a)
-    if run.friction is not None:
-        f = run.friction
-        draw_band(force, at, f.F[rows], f.sigma_F[rows], **SMOOTHED_STYLE)
-        force.plot(at, f.F[rows], color=style.MEASURED_COLOUR, lw=1.0)
-    _draw_model(force, motion, motion.F, motion.sigma_F)
-    for ax, smooth, own, sigma in (
-        (a, m.a[rows], motion.a, motion.sigma_a),
-        (left, m.a[rows] - motion.a, np.zeros(len(motion)), np.hypot(motion.sigma_a, np.median(m.sigma_a[rows]))),
-        (force, motion.F, motion.F, motion.sigma_F),
-    ):
-        _set_limits(ax, smooth[unsmeared & ~motion.blow], (own[~motion.blow], sigma[~motion.blow]))
+    m, f, rows = run.motion, run.friction, np.searchsorted(run.motion.t, motion.t - 1e-9)
+    t, at, seen = 1e3 * motion.t, 1e3 * m.t[rows], ~motion.blow
+    clean = (style.unsmeared(m) if f is None else style.unsmeared_frames(f, m.guard))[rows]
+    clean = clean if np.any(clean) else ~clean  # of a very short run all frames
+    none = np.zeros(len(motion))
+    panels = (
+        (m.a[rows], m.sigma_a[rows], motion.a, motion.sigma_a),
+        (m.a[rows] - motion.a, m.sigma_a[rows], none, motion.sigma_a),
+        (motion.F if f is None else f.F[rows], none if f is None else f.sigma_F[rows], motion.F, motion.sigma_F),
+    )
+    for ax, (smooth, sigma, own, own_sigma) in zip(cell, panels, strict=True):
+        shown = style.masked(smooth, clean)
+        draw_band(ax, at, shown, sigma, **SMOOTHED_STYLE)
+        ax.plot(at, shown, color=style.MEASURED_COLOUR, lw=1.0)
+        _draw_model(ax, motion, own, own_sigma)
+        _set_limits(ax, smooth[clean & seen], (own[seen], own_sigma[seen]))
     for ax in cell:
         _hatch_blows(ax, t, motion.blow)
         ax.set_xlim(t[0], t[-1])
-    a.set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
+    cell[0].set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
     if impulses and np.any(motion.blow):
         middle = float(np.mean(t[motion.blow]))
-        a.text(middle, 0.04, impulses, transform=a.get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
+        cell[0].text(middle, 0.04, impulses, transform=cell[0].get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
             {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
         )
 
@@ -120,14 +113,6 @@ def _set_limits(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
     middle, sigma = own
     reach = np.quantile(smooth, [0.02, 0.98]), middle - 2 * sigma, middle + 2 * sigma
     style.set_y_limits(ax, reach)
-
-
-def _unsmeared(run: RunResults, rows: Any) -> Mask:
-    """Frames whose motion the filter does not smear; all frames if it smears every one."""
-    inside = np.zeros(len(run.motion), dtype=bool)
-    inside[run.motion.guard : len(run.motion) - run.motion.guard] = True
-    kept: Mask = inside[rows]
-    return kept if np.any(kept) else ~kept
 
 
 def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
@@ -155,9 +140,9 @@ def _impulses(model: ModelResults, run: str) -> str:
 def _handles(blow: bool) -> list[Any]:
     handles: list[Any] = [
         Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="smoothed"),
-        Patch(label=f"± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
+        Patch(label=f"smoothed, ± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
         Line2D([], [], label="model", **MODEL_STYLE),
-        Patch(label=f"± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
+        Patch(label=f"model, ± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
     ]
     if blow:
         handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to resolve"))

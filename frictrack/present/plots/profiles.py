@@ -58,7 +58,7 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     if summary.get("misfit"):
         label = "† standard deviation with the misfit"
         handles.append(Line2D([], [], color=style.MEASURED_COLOUR, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
-    figure.legend(handles=handles, loc="outside lower left", ncols=4)
+    style.legend_below(figure, handles)
     return figure
 
 

@@ -335,9 +335,7 @@ def verdict(found: Results | DiagnosisLike, better: AnyModel | None = None, *, t
         middle.set_xlim(left.get_xlim())
     _draw_errors(right, data)
     if handles:
-        figure.legend(
-            handles=handles, loc="outside lower left", ncols=len(handles), handlelength=1.8, columnspacing=1.4
-        )
+        style.legend_below(figure, handles, handlelength=1.8, columnspacing=1.4)
     return figure
 
 

@@ -11,12 +11,13 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Te
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from frictrack.base.glossary import hover_pattern, meaning_of
 from frictrack.base.number_format import MINUS
 from frictrack.present import plots
 
 GREEK = (("delta", "δ"), ("pi", "π"), ("omega", "ω"), ("tau", "τ"))
 TICKS = re.compile(r"`([^`]+)`")
-NAME = re.compile(r"(?<![A-Za-z_])([A-Za-z]+)_([A-Za-z0-9]+)")
+NAME = re.compile(r"(?<![A-Za-z_])([A-Za-z]+)_([A-Za-z0-9]+(?:[,_][A-Za-z0-9]+)*)")
 POWER = re.compile(r"\^([A-Za-z0-9]+)")
 
 
@@ -55,6 +56,39 @@ def mark_code(text: str) -> Markup:
 
     """
     return Markup(TICKS.sub(r"<code>\1</code>", str(escape(text))))
+
+
+UNEXPLAINED = re.compile(  # parts of a page in which no word is explained: figures, scripts, heads, links and tags
+    r"(<(head|svg|script|h1|nav|a|code|button)\b.*?</\2>|<[^>]*>)", re.DOTALL
+)
+
+
+def explain_words(html: str) -> str:
+    """Let the pointer explain the words of the glossary: each where it stands first in a section of a page.
+
+    Examples
+    --------
+    >>> explain_words("<p>a free run, a free run</p>")[:60]
+    '<p>a <abbr tabindex="0" title="one simulation over a whole r'
+
+    """
+    seen: set[str] = set()
+
+    def mark(found: re.Match[str]) -> str:
+        meaning = meaning_of(found[0])
+        if meaning in seen:
+            return found[0]
+        seen.add(meaning)
+        return f'<abbr tabindex="0" title="{escape(meaning)}">{found[0]}</abbr>'
+
+    parts: list[str] = []
+    at = 0
+    for skipped in UNEXPLAINED.finditer(html):
+        parts += (hover_pattern().sub(mark, html[at : skipped.start()]), skipped[0])
+        at = skipped.end()
+        if skipped[0].startswith(("<details", "<section")):
+            seen.clear()
+    return "".join((*parts, hover_pattern().sub(mark, html[at:])))
 
 
 ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')

@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.base.files import replace_text
+from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
 from frictrack.present.report import (
     failures,
@@ -20,7 +21,7 @@ from frictrack.present.report import (
     tables,
     verdict_text,
 )
-from frictrack.present.report.markup import SvgEmbedder, mark_equation, now, page_template
+from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
@@ -76,7 +77,7 @@ def render(results: Results, key: str = "") -> str:
     """
     page = page_template("page.html.j2")
     draw = SvgEmbedder()
-    return page.render(
+    html = page.render(
         results=results,
         key=key,
         check_first=CHECK_FIRST,
@@ -85,12 +86,14 @@ def render(results: Results, key: str = "") -> str:
         tables=tables,
         provenance=provenance,
         mark_equation=mark_equation,
+        symbols_in=symbols_in,
         scatter_words=fit_text.scatter_words,
         **_first_screen(results, draw),
         **_diagnosis_sections(results, draw),
         **_model_sections(results, draw),
         **_measurement_sections(results, draw),
     )
+    return explain_words(html)
 
 
 def _first_screen(results: Results, draw: SvgEmbedder) -> dict[str, Any]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import replace
 from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.number_format import describe_change, format_change, format_interval, format_number, format_share
+from frictrack.base.number_format import describe_change, format_change, format_number
 from frictrack.flow import AttemptsReader, effect_of_formula
 from frictrack.present import plots
 from frictrack.present.plots.style import BAND_SIGMAS
@@ -26,7 +25,7 @@ from frictrack.records import Array
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.results.candidates import CandidateRow, candidate_rows
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import describe_formula, describe_verdict, force_without_effect
+from frictrack.results.verdicts import describe_formula, force_without_effect
 from frictrack.study import Study
 from frictrack.workbench.plot_data import (
     FORCE_TITLES,
@@ -109,7 +108,7 @@ def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[st
     """Find the plot in which a candidate changes the picture most.
 
     The change is averaged over bins of the plot's horizontal axis, run by run, in units of the noise of one frame. What
-    counts is the part that the runs have in common: the mean product of the averages of two runs in the same bin. A
+    counts is the part that the runs have in common: the mean product of the sums of two runs in the same bin. A
     change that belongs to places is common to all runs over the place, and cancels over the time. If no axis has such
     a part, or there is one run, the largest change of the averages counts.
 
@@ -139,9 +138,9 @@ def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[st
         for titles, change in in_noise.items()
         for title in titles
     }
-    for measure in (lambda change: change.common, lambda change: change.power):
-        best = max(changes, key=lambda title: measure(changes[title]))
-        if measure(changes[best]) > MIN_COMMON_POWER:
+    for k in (0, 1):
+        best = max(changes, key=lambda title: changes[title][k])
+        if changes[best][k] > MIN_COMMON_POWER:
             return best
     return RESIDUAL_TITLES[0]
 
@@ -155,53 +154,34 @@ def _force_noise(results: Results, model: ModelResults) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-@dataclass(frozen=True)
-class _BinnedChange:
-    """Mean square of a change in units of the noise, averaged over bins: of each run, and common to two runs."""
+def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> tuple[float, float]:
+    """Average a change in units of the noise (rows,) over bins of an axis: the power that runs share, and that of each.
 
-    power: float
-    common: float
-
-
-def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> _BinnedChange:
-    """Average a change over bins of an axis and runs.
-
-    Parameters
-    ----------
-    axis, change
-        Place on the axis and change in units of the noise (rows,).
-    run
-        Number of the run (rows,).
-
+    With the sum s of a run in a bin and the count n of all runs there, sum_ij s_i s_j = (sum s)^2 - sum s^2 for i != j.
     """
     known = np.isfinite(axis) & np.isfinite(change)
     if not known.any():
-        return _BinnedChange(0.0, 0.0)
+        return 0.0, 0.0
     axis, change, run = axis[known], change[known], run[known]
-    span = float(np.ptp(axis)) or 1.0
-    bins = np.minimum((BINS * (axis - axis.min()) / span).astype(np.int64), BINS - 1)
-    shape = (int(run.max()) + 1, BINS)
-    count, total = np.zeros(shape), np.zeros(shape)
-    np.add.at(count, (run, bins), 1.0)
-    np.add.at(total, (run, bins), change)
-    mean = total / np.maximum(count, 1.0)
-    power = float(np.sum(count * mean**2) / len(change))
-    # products of two runs, weighted by the smaller number of their rows in that bin
-    pairs = combinations(range(shape[0]), 2)
-    common = 2 * sum(float(np.sum(np.minimum(count[i], count[j]) * mean[i] * mean[j])) for i, j in pairs)
-    return _BinnedChange(power, common / len(change))
+    bins = np.minimum((BINS * (axis - axis.min()) / (np.ptp(axis) or 1.0)).astype(np.int64), BINS - 1)
+    sums, counts = np.zeros((2, int(run.max()) + 1, BINS))
+    np.add.at(sums, (run, bins), change)
+    np.add.at(counts, (run, bins), 1.0)
+    pairs = np.sum(sums, axis=0) ** 2 - np.sum(sums**2, axis=0)
+    common = np.sum(pairs / np.maximum(np.sum(counts, axis=0), 1.0))
+    return float(common / len(change)), float(np.sum(sums**2 / np.maximum(counts, 1.0)) / len(change))
 
 
 MAX_FORMULAS = 3
 
 
-class DiagnosisSummary(TypedDict):
-    """The diagnosis of the current model.
+class VerdictSummary(TypedDict):
+    """The verdict on one model.
 
     Attributes
     ----------
-    verdict, title, words
-        The kind of verdict, the headline, and the verdict as one sentence that names the effects.
+    verdict, title, brief
+        The kind of verdict, the headline, and its beginning for the bar.
     sentences, numbers
         The paragraph of the report, and the statistics, as sentences.
     complete
@@ -210,31 +190,38 @@ class DiagnosisSummary(TypedDict):
         How far the verdict rests on repaired frames; None if it does not.
     plot
         Title of the plot in which the model fails most.
+
+    """
+
+    verdict: str
+    title: str
+    brief: str
+    sentences: list[str]
+    numbers: list[str]
+    complete: bool
+    rests_on_repairs: str | None
+    plot: str
+
+
+class DiagnosisSummary(VerdictSummary):
+    """The diagnosis of the current model.
+
+    Attributes
+    ----------
     candidates, formulas
         Candidate effects as cards; formulas for a force that no effect explains.
     unexplained
         A sentence on that force; None if everything is explained.
     next, next_words
         Experiments that would settle it; sentences on effects that no experiment separates.
-    fails_at
-        Spans of time in which the model fails.
 
     """
 
-    verdict: str
-    title: str
-    words: str
-    sentences: list[str]
-    numbers: list[str]
-    complete: bool
-    rests_on_repairs: str | None
-    plot: str
     candidates: list[dict[str, Any]]
     formulas: list[dict[str, Any]]
     unexplained: str | None
     next: list[dict[str, Any]]
     next_words: list[str]
-    fails_at: list[dict[str, Any]]
 
 
 def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
@@ -250,27 +237,41 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
     if results is None or results.diagnosis is None or study is None:
         return None
     found = results.diagnosis
-    verdict = study_verdict(results)
     left = force_without_effect(found) or {}
     summary: DiagnosisSummary = to_builtins(
         DiagnosisSummary(
-            verdict=found["verdict"],
-            title=verdict.headline,
-            words=_capitalised(describe_verdict(found)),
-            sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
-            numbers=_numbers(found),
-            complete=found.get("complete", True),
-            rests_on_repairs=found.get("rests_on_repairs") or None,
-            plot=_failing_plot(found),
+            **_verdict(results, found),
             candidates=_candidates(results, found, snapshot.attempted),
             formulas=[_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
             unexplained=_unexplained(left),
             next=[_experiment(step) for step in separating_experiments(found)],
             next_words=[_plain(line) for line in inseparable(found)],
-            fails_at=[_span(span) for span in found.get("fails_at") or [] if span.get("t")],
         )
     )
     return summary
+
+
+def verdict_of(results: Results, model: ModelResults) -> VerdictSummary | None:
+    """Describe the verdict on a model that was tried; None if it was not diagnosed."""
+    if model.diagnosis is None:
+        return None
+    models = tuple(replace(one, current=one is model) for one in results.models)
+    return _verdict(replace(results, models=models, diagnosis=model.diagnosis), model.diagnosis)
+
+
+def _verdict(results: Results, found: Mapping[str, Any]) -> VerdictSummary:
+    """Describe the verdict on the current model of `results`."""
+    verdict = study_verdict(results)
+    return VerdictSummary(
+        verdict=found["verdict"],
+        title=verdict.headline,
+        brief=verdict.headline.partition(": these runs cannot")[0],
+        sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
+        numbers=_numbers(found),
+        complete=found.get("complete", True),
+        rests_on_repairs=found.get("rests_on_repairs") or None,
+        plot=_failing_plot(found),
+    )
 
 
 def _capitalised(text: str) -> str:
@@ -304,13 +305,10 @@ def _card(card: CandidateCard, results: Results, *, tried: ModelResults | None) 
         "name": row.effect,
         "rank": row.standing,
         "passes": row.passes,
-        "acts_on": card.acts_on,
         **{key: str(text.striptags()) for key, text in card.words.items()},
         "rivals": list(card.rivals),
         "numbers": list(card.numbers),
         "fitted": tried is not None,
-        "delta_bic": row.delta_bic,
-        "p": row.source["p"],
         "error_with": row.held_out or None,
         "errors": _errors(row, results, tried),
         "has_scan": bool(plots.has_scan(results.figures.get(row.effect, {}))),
@@ -355,7 +353,7 @@ def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}
 
 
-# --- next experiments, and where the model fails
+# --- next experiments
 
 
 def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
@@ -364,20 +362,4 @@ def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "title": _plain(step["what"]),
         "words": f"Distinguishes {_plain(step['tells'])}{expected}.",
-        "separates": list(step["separates"]),
-        "kind": step["kind"],
-    }
-
-
-def _span(span: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe one span of time in which the model fails."""
-    x = span.get("x")
-    where = f", x = {format_interval(x, 1e3)} mm" if x else ""
-    share = format_share(span["share_of_error"])
-    return {
-        "run": span["run"],
-        "t_ms": [1e3 * end for end in span["t"]],
-        "x_mm": [1e3 * end for end in x] if x else None,
-        "share": span["share_of_error"],
-        "words": f"{span['run']}, {format_interval(span['t'], 1e3)} ms{where}: {share} of the misfit",
     }

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypedDict
 
+from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import format_quantity
 from frictrack.effects import catalogue
 from frictrack.flow import user_effects
 from frictrack.present.plots import has_law, numbered_name, residual_unit
-from frictrack.present.report import mark_equation
-from frictrack.results import ModelResults, to_builtins
+from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.results.error_rows import held_out_error
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
@@ -113,12 +113,16 @@ class ModelEntry(TypedDict):
     effects
         Names of its effects.
     errors
-        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs), heldout_unit and
-        heldout_by ("frames" or "run"); None where not computed.
+        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs) and heldout_unit;
+        None where not computed.
     equation
         The fitted equation as plain text.
     outdated
         Why it does not belong to the study of now; None if it does.
+    has_law
+        Whether its law can be drawn over the speed.
+    diagnosis
+        Its verdict, a `VerdictSummary`; None if it was not diagnosed.
 
     """
 
@@ -129,18 +133,15 @@ class ModelEntry(TypedDict):
     errors: dict[str, Any]
     equation: str
     outdated: str | None
+    has_law: bool
+    diagnosis: dict[str, Any] | None
 
 
-def list_models(snapshot: Snapshot) -> list[ModelEntry]:
-    """List the models in the order in which they were tried.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
-    models = snapshot.results.models if snapshot.results else ()
+def list_models(snapshot: Snapshot, verdict_of: Callable[[Results, ModelResults], Any]) -> list[ModelEntry]:
+    """List the models in the order in which they were tried, each with its verdict."""
+    results = snapshot.results
+    if results is None:
+        return []
     return [
         ModelEntry(
             group=model.name,
@@ -150,8 +151,10 @@ def list_models(snapshot: Snapshot) -> list[ModelEntry]:
             errors=model_errors(model),
             equation=model.equation,
             outdated=why_outdated(snapshot, "model", model.name),
+            has_law=has_law(model),
+            diagnosis=verdict_of(results, model),
         )
-        for model in models
+        for model in results.models
     ]
 
 
@@ -174,7 +177,6 @@ def model_errors(model: ModelResults) -> dict[str, Any]:
             "rms_unit": unit,
             "heldout": heldout,
             "heldout_unit": heldout_unit,
-            "heldout_by": errors.get("heldout"),
         }
     )
     return found
@@ -194,22 +196,22 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        group, label, equation and equation_html, remarks, has_law (whether its law can be drawn over the speed), and
-        effects: name, equation, what, and parameters with name, unit, values (text by run, "" for all runs), settings
-        (fix, low, high, prior, tie, per_run) and bounds.
+        group, label, equation, symbols (what else stands in it), remarks, has_search (whether a
+        global search can be drawn), and effects: name, equation, what, and parameters with name, unit, values (text by
+        run, "" for all runs), settings (fix, low, high, prior, tie, per_run) and bounds.
 
     """
     model = snapshot.results.current if snapshot.results else None
     if model is None or snapshot.study is None:
         return None
-    library = _library(snapshot.study.effects)
+    library, misfit = _library(snapshot.study.effects), model.summary.get("misfit")
     return {
         "group": model.name,
         "label": numbered_name(model.name),
         "equation": model.equation,
-        "equation_html": str(mark_equation(model.equation)),
-        "remarks": list(model.summary.get("remarks", [])),
-        "has_law": has_law(model),
+        "symbols": symbols_in(model.equation),
+        "remarks": [*model.summary.get("remarks", []), *([f"† {misfit['words']}."] if misfit else [])],
+        "has_search": bool(model.convergence),
         "effects": [_effect(name, library, model, snapshot.study) for name in model.summary["model"]],
     }
 
@@ -246,7 +248,6 @@ def _effect(name: str, library: Mapping[str, Any], model: ModelResults, study: S
     return {
         "name": name,
         "equation": entry.get("equation", ""),
-        "equation_html": str(mark_equation(entry.get("equation", ""))),
         "what": entry.get("what", ""),
         "parameters": [
             _parameter(parameter, given.get(parameter), values.get(parameter, {}), settings)
@@ -306,6 +307,7 @@ def value_text(value: Mapping[str, Any]) -> str:
     reason = f" ({value['reason']})" if value.get("reason") else ""
     if value["value"] is None:
         return f"not determined{reason}"
-    std, mark = value.get("std_misfit"), " († ± with the misfit)"
-    std, mark = (value.get("std"), "") if std is None else (std, mark)
-    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{reason}"
+    std, mark = (value.get("std"), "") if value.get("std_misfit") is None else (value["std_misfit"], " †")
+    found = value.get("mu")  # it has no line break inside
+    mu = f"µ = {format_quantity(found['value'], found['std'], '1')}".replace(" ", "\N{NO-BREAK SPACE}") if found else ""
+    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{', ' * bool(mu)}{mu}{reason}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
@@ -10,7 +11,8 @@ from frictrack.present.plots import numbered_name
 from frictrack.present.plots.style import joined_name
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import CHECK_FIRST, describe_tests
-from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis
+from frictrack.study import Study
+from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis, verdict_of
 from frictrack.workbench.summaries.fields import Field, study_fields
 from frictrack.workbench.summaries.models import (
     ModelEntry,
@@ -177,6 +179,8 @@ class StudyState(TypedDict):
         The study file, its folder, whether it exists, and the name of the study.
     error
         Why the study file or the results cannot be read; None if they can.
+    keys
+        `prior`, `conditions` and `functions` of the study file as they are typed on the page; "" if absent.
     check_first
         Implausible numbers, as sentences: no verdict is better than they are.
 
@@ -194,6 +198,7 @@ class StudyState(TypedDict):
     error: str | None
     recordings: list[RecordingEntry]
     fields: dict[str, Field]
+    keys: dict[str, str]
     ready: Readiness
     runs: list[RunSummary]
     models: list[ModelEntry]
@@ -203,6 +208,14 @@ class StudyState(TypedDict):
     outdated: list[OutdatedEntry]
     report: dict[str, Any]
     history: HistorySummary
+
+
+def _study_keys(study: Study | None) -> dict[str, str]:
+    if study is None:
+        return {}
+    conditions = ", ".join(f"{name} = {value}" for name, value in study.conditions.items())
+    prior = os.path.relpath(study.prior_file, study.path.parent) if study.prior_file else ""
+    return {"prior": prior, "conditions": conditions, "functions": "; ".join(study.functions)}
 
 
 def state_of(snapshot: Snapshot) -> StudyState:
@@ -226,9 +239,10 @@ def state_of(snapshot: Snapshot) -> StudyState:
             error=snapshot.error,
             recordings=list_recordings(snapshot),
             fields=study_fields(snapshot),
+            keys=_study_keys(snapshot.study),
             ready=readiness(snapshot, runs),
             runs=runs,
-            models=list_models(snapshot),
+            models=list_models(snapshot, verdict_of),
             model=current_model(snapshot),
             diagnosis=summarise_diagnosis(snapshot),
             check_first=[f"{CHECK_FIRST} {words}." for words in implausible],

@@ -34,7 +34,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.base.number_format import format_unit
 from frictrack.present.plots.style.tick_rows import collection_paused, ticks_in_rows
-from frictrack.records import Array, Friction, Mask, away_from_ends
+from frictrack.records import Array, Friction, Mask, Motion, away_from_ends
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
@@ -158,6 +158,7 @@ def numbered_name(group: str) -> str:
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
+MAX_FINE_RATIO = 200.0  # of the ends of a logarithmic axis with ticks at 1, 2 and 5
 PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
 
 
@@ -223,6 +224,11 @@ def unsmeared_frames(friction: Friction, guard: int) -> Mask:
     return away_from_ends(friction.free, guard)
 
 
+def unsmeared(motion: Motion) -> Mask:
+    """Find the frames (n,) away from the ends that the low-pass filter smears; all frames of a very short record."""
+    return away_from_ends(np.ones(len(motion), dtype=bool), motion.guard)
+
+
 def panel_columns(n: int) -> int:
     """Columns of a grid of n panels: at most four, in rows as even as possible.
 
@@ -236,10 +242,12 @@ def panel_columns(n: int) -> int:
     return -(-n // rows) if n else 1
 
 
-def log_axis(ax: Axes, which: str, subs: Sequence[float] = (1, 2, 5)) -> None:
-    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks."""
+def log_axis(ax: Axes, which: str) -> None:
+    """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks; over many decades only at powers."""
+    low, high = getattr(ax.dataLim, f"interval{which}")
     getattr(ax, f"set_{which}scale")("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
+    subs = (1, 2, 5) if high < MAX_FINE_RATIO * low else (1,)
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
@@ -357,6 +365,34 @@ def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figur
     return figure
 
 
+HANDLE_IN, LETTER_IN = 0.62, 0.082  # inches of a legend: a sample with its gaps, a letter of the mean width
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], **look: Any) -> None:
+    """Draw the legend below the panels, in as many columns as fit into the width of the figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    handles : sequence of artist
+        What is explained, with its label; of equal labels the first counts.
+    **look
+        For `Figure.legend`.
+
+    """
+    by_label = {str(h.get_label()): h for h in reversed(handles)}
+    labels = [label for label in dict.fromkeys(str(h.get_label()) for h in handles)]
+    widths = [HANDLE_IN + LETTER_IN * len(label) for label in labels]
+
+    def fits(n: int) -> bool:
+        rows = -(-len(labels) // n)
+        return sum(max(widths[k : k + rows]) for k in range(0, len(labels), rows)) < figure.get_figwidth()
+
+    columns = next((n for n in range(len(labels), 1, -1) if fits(n)), 1)
+    figure.legend([by_label[label] for label in labels], labels, loc="outside lower left", ncols=columns, **look)
+
+
 def panel_grid(
     n: int, size: tuple[float, float], title: str, labels: tuple[str, ...], **subplots: Any
 ) -> tuple[Figure, list[Any]]:
@@ -373,7 +409,7 @@ def panel_grid(
     labels : tuple of str
         Label of the x axis, then of the y axis of each panel of a cell.
     **subplots
-        For `Figure.subplots`; `height_ratios` of one cell.
+        For `Figure.subplots`; `height_ratios` of one cell; `sharex` = "cell": the panels of a cell share their x axis.
 
     Returns
     -------
@@ -386,6 +422,7 @@ def panel_grid(
     rows = -(-n // columns)
     if "height_ratios" in subplots:
         subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
+    in_cells = subplots.get("sharex") == "cell" and subplots.pop("sharex")
     figure = new_figure(size[0] * rows + size[1], title)
     panels: Any = figure.subplots(each * rows, columns, squeeze=False, **subplots)
     cells = [panels[each * (k // columns) : each * (k // columns + 1), k % columns] for k in range(rows * columns)]
@@ -394,6 +431,9 @@ def panel_grid(
             ax.set_ylabel(label if k % columns == 0 else "")
             if k >= n:
                 ax.set_axis_off()
+        for ax in cell[:-1] if in_cells else ():
+            ax.sharex(cell[-1])
+            ax.tick_params(labelbottom=False)
         if k + columns >= n:
             cell[-1].set_xlabel(x_label)
             cell[-1].tick_params(labelbottom=True)

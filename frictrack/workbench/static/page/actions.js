@@ -96,7 +96,7 @@ export async function runAll() {
     if (missing) missing.focus();
     return;
   }
-  update({ tab: "compare", tried: "", perRun: false });
+  update({ tab: "compare", tried: "", shown: "", perRun: false });
   start("run", {}, "Run");
 }
 
@@ -115,7 +115,7 @@ export const redo = () => step("redo", "Redone");
 
 /** Add a candidate and diagnose again. */
 export function addEffect(effect) {
-  update({ tried: "" });
+  update({ tried: "", shown: "" });
   return start("add_and_diagnose", { effect }, `Add ${effect}`);
 }
 

@@ -3,11 +3,12 @@
 import { html, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { addEffect, change } from "./actions.js";
-import { Button, Panel } from "./controls.js";
+import { Button, Figure, Panel } from "./controls.js";
 import { digits, quantity, spaced } from "./format.js";
 import { Icon, Spinner } from "./icons.js";
 import { foreground, outdatedWords } from "./selectors.js";
 import { store, update, useStore } from "./store.js";
+import { Words } from "./words.js";
 
 const HOVER_MS = 90; // the pointer rests on a candidate, it does not only pass
 const MAX_WEAK = 3; // candidates shown that do not pass
@@ -28,7 +29,7 @@ function Errors({ curve, errors, words }) {
   if (curve?.pending) return html`<p class="ui-errors pending"><${Spinner} /><span>fitting ...</span></p>`;
   if (curve?.error) return html`<p class="ui-errors">${curve.error}</p>`;
   const found = curve?.errors || errors;
-  if (!found) return words ? html`<p class="ui-candidate-what">${`Held-out error ${spaced(words)}`}</p>` : null;
+  if (!found) return words ? html`<p class="ui-candidate-what"><${Words} text=${`Held-out error ${words}`} /></p>` : null;
   const share = found.now ? Math.min(Math.abs(found.with / found.now), 1) : 1;
   return html`
     <div class="ui-errors" aria-label=${found.words || `error now ${digits(found.now)}, with it ${digits(found.with)} ${found.unit || ""}`}>
@@ -48,7 +49,7 @@ function Details({ candidate }) {
   return html`
     <div class="ui-details">
       <dl>${rows.map(([head, words]) => html`<dt>${head}</dt><dd>${spaced(words)}</dd>`)}</dl>
-      ${candidate.has_scan && html`<img class="ui-figure" src=${address("/api/figure", { name: `scan:${candidate.name}` })} alt=${`Misfit over the parameters of ${candidate.name}`} />`}
+      ${candidate.has_scan && html`<${Figure} src=${address("/api/figure", { name: `scan:${candidate.name}` })} title=${candidate.name} alt=${`Misfit over the parameters of ${candidate.name}`} />`}
     </div>`;
 }
 
@@ -73,7 +74,7 @@ function Candidate({ candidate, best, curve }) {
       </div>
       ${(best || open) && html`<p class="ui-candidate-what">${candidate.looks_like || candidate.what}</p>`}
       <${Errors} curve=${tried && curve?.name === name ? curve : null} errors=${candidate.errors} words=${best || open ? candidate.error_with : ""} />
-      ${(best || open) && numbers.length ? html`<p class="ui-numbers">${numbers.map((one) => html`<span>${spaced(one)}</span>`)}</p>` : null}
+      ${(best || open) && numbers.length ? html`<p class="ui-numbers">${numbers.map((one) => html`<span><${Words} text=${one} /></span>`)}</p>` : null}
       <button type="button" class="ui-link ui-how" aria-expanded=${String(open)} aria-label=${`How ${name} is recognised`} onClick=${() => setOpen(!open)}>
         ${best ? html`<span>How it is recognised</span>` : null}<${Icon} name="more" />
       </button>
@@ -83,13 +84,13 @@ function Candidate({ candidate, best, curve }) {
 
 export function Candidates({ curve }) {
   const all = useStore((s) => s.study?.diagnosis?.candidates || []);
-  const [more, setMore] = useState(false);
+  const [more, setMore] = useState(false), complete = useStore((s) => s.study?.diagnosis?.complete !== false);
   const stale = useStore((s) => outdatedWords(s, "diagnosis", "model", "motion", "track"));
   if (!all.length) return null;
   const passing = all.filter((one) => one.passes), weak = all.filter((one) => !one.passes);
   const shown = [...passing, ...(more ? weak : weak.slice(0, passing.length ? 0 : MAX_WEAK))];
   return html`
-    <${Panel} title="Candidates" className=${`ui-candidates ${stale ? "stale" : ""}`} aside=${html`<span class="ui-aside">${all.length} with evidence</span>`}>
+    <${Panel} title="Candidates" className=${`ui-candidates ${stale ? "stale" : ""}`} aside=${html`<span class="ui-aside">${all.length} with evidence${complete ? "" : ", estimating"}</span>`}>
       <ol>${shown.map((one) => html`<${Candidate} key=${one.name} candidate=${one} best=${one === passing[0]} curve=${curve} />`)}</ol>
       ${shown.length < all.length || more
         ? html`<button type="button" class="ui-link" aria-expanded=${String(more)} onClick=${() => setMore(!more)}>${more ? "Hide those that do not pass" : `Show ${all.length - shown.length} more that do not pass`}</button>`

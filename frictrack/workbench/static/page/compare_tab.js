@@ -2,33 +2,32 @@
 
 import { html, useState } from "./hooks.js";
 import { address } from "./api.js";
-import { runAll } from "./actions.js";
+import { change, runAll } from "./actions.js";
 import { useCandidateCurve } from "./candidate_curve.js";
 import { Candidates, Formulas } from "./candidates.js";
-import { Button, Choice, Note, Panel } from "./controls.js";
+import { Button, Choice, Figure, Note, Panel } from "./controls.js";
 import { ErrorStrip } from "./error_strip.js";
 import { spaced } from "./format.js";
 import { Spinner } from "./icons.js";
 import { Linked } from "./linked.js";
 import { NextExperiments } from "./next_experiment.js";
-import { filmOf, foreground, outdatedWords } from "./selectors.js";
+import { backgroundModel, filmOf, foreground, outdatedWords, shownModel, stateOf, STEPS_OF_RUN } from "./selectors.js";
 import { selectedRun, update, useStore } from "./store.js";
 import { Verdict } from "./verdict.js";
 
 /** The plot in which the model fails most: where the misfit repeats, else over time. */
 const plotOfMisfit = (diagnosis) => diagnosis?.plot || "Residual against time";
 
+/** The model that is shown, if it is not the current one. */
+const otherModel = (s) => (shownModel(s)?.current === false ? shownModel(s) : null);
+
 function Models() {
-  const [models, shown, background] = [
-    useStore((s) => s.study?.models || []),
-    useStore((s) => s.shown || s.study?.model?.group || ""),
-    useStore((s) => s.background),
-  ];
+  const [models, shown, background] = [useStore((s) => s.study?.models || []), useStore((s) => shownModel(s)?.group || ""), useStore(backgroundModel)];
   if (models.length < 2) return null;
   const options = models.map((one) => [one.group, one.label]);
   return html`
     <div class="ui-models-choice">
-      <${Choice} label="Model" value=${shown} options=${options} onChange=${(group) => update({ shown: group })} />
+      <${Choice} label="Model" value=${shown} options=${options} onChange=${(group) => update({ shown: models.find((one) => one.current)?.group === group ? "" : group, tried: "" })} />
       <${Choice} label="Behind it" value=${background} options=${[["", "none"], ...options.filter(([group]) => group !== shown)]}
         onChange=${(group) => update({ background: group })} />
     </div>`;
@@ -38,13 +37,13 @@ const STEPS = { new: "waits", tracked: "tracked", measured: "measured" };
 
 /** What the work has reached so far: each run, and the step that is under way. */
 function Progress({ job }) {
-  const runs = useStore((s) => s.study?.runs || []);
+  const runs = useStore((s) => (s.study?.runs || []).map((run) => [run.name, stateOf(s, run)]));
   return html`
     <div class="ui-nothing" role="status">
-      <h2><${Spinner} /> ${job.words}</h2>
-      <p>${spaced(job.what)}</p>
+      <h2><${Spinner} /> ${job.step || job.words}</h2>
+      ${job.step === STEPS_OF_RUN[0] && html`<p>${spaced(job.what)}</p>`}
       <ul class="ui-reached">
-        ${runs.map((run, k) => html`<li class=${run.state}><span class="ui-dot" style=${{ background: `var(--ft-run-${k % 8})` }}></span>${run.name}<span class="ui-note">${STEPS[run.state]}</span></li>`)}
+        ${runs.map(([name, state], k) => html`<li class=${state}><span class="ui-dot" style=${{ background: `var(--ft-run-${k % 8})` }}></span>${name}<span class="ui-note">${STEPS[state]}</span></li>`)}
       </ul>
     </div>`;
 }
@@ -61,12 +60,13 @@ function Nothing() {
     </div>`;
 }
 
-/** Friction force and coefficient over the speed, of the current model. */
+/** Friction force and coefficient over the speed, of the model that is shown. */
 function Law() {
-  const [model, version] = [useStore((s) => s.study?.model), useStore((s) => s.study?.version)];
+  const [model, version] = [useStore(shownModel), useStore((s) => s.study?.version)];
   return model?.has_law ? html`
-    <${Panel} title="Friction law"><img class="ui-figure" alt="Friction force and coefficient over the speed, with its band, over the measured force"
-      src=${address("/api/figure", { name: "law", v: `${model.group} ${version}` })} /><//>` : null;
+    <${Panel} title="Friction law"><${Figure} title=${`Friction law of ${model.label}`}
+      alt="Friction force and coefficient over the speed, with its band, over the measured force"
+      src=${address("/api/figure", { name: `law:${model.group}`, v: version })} /><//>` : null;
 }
 
 export function CompareTab() {
@@ -74,12 +74,12 @@ export function CompareTab() {
   const film = useStore((s) => filmOf(selectedRun(s.study, s.run))), films = useStore((s) => (s.study?.runs || []).map(filmOf).filter(Boolean));
   const [fitted, large, shown, background] = [
     useStore((s) => Boolean(s.study?.model)),
-    useStore((s) => plotOfMisfit(s.study?.diagnosis)),
-    useStore((s) => s.shown),
-    useStore((s) => s.background),
+    useStore((s) => plotOfMisfit(shownModel(s)?.diagnosis)),
+    useStore((s) => otherModel(s)?.group || ""),
+    useStore(backgroundModel),
   ];
   const stale = useStore((s) => outdatedWords(s, "model", "motion", "track"));
-  const candidate = useCandidateCurve(parts);
+  const candidate = useCandidateCurve(parts), other = useStore(otherModel), current = useStore((s) => s.study?.model?.label);
   const path = fitted ? address("/api/plots", { view: "compare", model: shown, background }) : null;
   return html`
     <div class=${`ui-compare ${fitted ? "" : "unfitted"}`}>
@@ -91,9 +91,10 @@ export function CompareTab() {
         <${Verdict} />
         <${Law} />
         <${ErrorStrip} />
-        <${Candidates} curve=${candidate} />
-        <${Formulas} />
-        <${NextExperiments} />
+        ${other
+          ? html`<${Note}>${`Candidates are tried with the current model, ${current}.`}<//>
+              <${Button} label=${`Use ${other.label}`} onClick=${() => change("use", { model: other.group }, `${other.label} is the current model.`)} />`
+          : html`<${Candidates} curve=${candidate} /><${Formulas} /><${NextExperiments} />`}
       </aside>
     </div>`;
 }

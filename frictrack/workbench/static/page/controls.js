@@ -64,6 +64,12 @@ export function Panel({ title, aside, children, className = "", ...more }) {
     </section>`;
 }
 
+/** A figure of the server; a click shows it large. */
+export const Figure = ({ src, title, alt }) => html`
+  <button type="button" class="ui-sheet" title="Show it large" onClick=${() => update({ dialog: { kind: "figure", src, title, alt } })}>
+    <img class="ui-figure" src=${src} alt=${alt} loading="lazy" />
+  </button>`;
+
 /** A sentence with a mark of its kind: "good", "warn", "bad" or "" for a remark. */
 export const Note = ({ kind = "", children, className = "" }) => html`
   <p class=${`ui-note ${kind} ${className}`}>${kind && html`<${Icon} name=${kind} />`}<span>${children}</span></p>`;

@@ -1,7 +1,6 @@
 // Dialogs: an outdated report, the contact sheet, keyboard shortcuts. The native element keeps the focus inside.
 
 import { html, useEffect, useId, useRef } from "./hooks.js";
-import { address } from "./api.js";
 import { download, updateAndDownload } from "./actions.js";
 import { Button } from "./controls.js";
 import { Help } from "./help.js";
@@ -33,12 +32,11 @@ const Outdated = ({ what, more, reason }) => html`
     </div>
   <//>`;
 
-const Sheet = ({ run }) => html`
-  <${Frame} title=${`Contact sheet of ${run}`} wide><img class="ui-figure" src=${address("/api/sheet", { run })} alt=${`contact sheet of the tracked target in ${run}`} /><//>`;
+const Large = ({ src, title, alt }) => html`<${Frame} title=${title} wide><img class="ui-figure" src=${src} alt=${alt} /><//>`;
 
 const Shortcuts = () => html`<${Frame} title="Keyboard"><${Help} /><//>`;
 
-const KINDS = { outdated: Outdated, sheet: Sheet, help: Shortcuts };
+const KINDS = { outdated: Outdated, figure: Large, help: Shortcuts };
 
 export function Dialogs() {
   const dialog = useStore((s) => s.dialog);

@@ -2,7 +2,7 @@
 
 import { html } from "./hooks.js";
 
-const MARK = /([_^])(\{[^}]*\}|\([^)]*\)|[A-Za-z0-9.,]+)/g;
+const MARK = /([_^])(\{[^}]*\}|\([^)]*\)|[A-Za-z0-9]+(?:[.,_][A-Za-z0-9]+)*)/g;
 
 /** Text between marks stays as it is; `_x` becomes a subscript and `^x` a superscript. */
 export function Equation({ text }) {

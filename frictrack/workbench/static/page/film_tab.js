@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { change, edit, start, writeShape } from "./actions.js";
-import { Button, Note, Panel, Segments, Skeleton } from "./controls.js";
+import { Button, Figure, Note, Panel, Segments, Skeleton } from "./controls.js";
 import { count, spaced } from "./format.js";
 import { Icon } from "./icons.js";
 import { Linked } from "./linked.js";
@@ -12,6 +12,7 @@ import { RepairPanel, useRepair } from "./repair_panel.js";
 import { filmOf, foreground, outdatedWords } from "./selectors.js";
 import { DropZone, FolderRecordings, StartView } from "./start_view.js";
 import { selectedRun, update, useStore } from "./store.js";
+import { Words } from "./words.js";
 
 const TOOLS = [
   ["", "Look", "film"],
@@ -109,11 +110,11 @@ function Quality({ run }) {
         ${(run.checks || []).map(
           (one) => html`
             <div class=${one.ok === false ? "bad" : ""}>
-              <dt><${Icon} name=${one.ok === false ? "warn" : "good"} />${one.check}</dt><dd class="value">${spaced(one.value)}</dd><dd>${spaced(one.verdict)}</dd>
+              <dt><${Icon} name=${one.ok === false ? "warn" : "good"} /><span><${Words} text=${one.check} /></span></dt><dd class="value">${spaced(one.value)}</dd><dd><${Words} text=${one.verdict} /></dd>
             </div>`,
         )}
       </dl>
-      ${(run.notes || []).map((words) => html`<p class="ui-note">${spaced(words)}</p>`)}
+      ${(run.notes || []).map((words) => html`<p class="ui-note"><${Words} text=${words} /></p>`)}
     <//>`;
 }
 
@@ -122,9 +123,7 @@ function Sheet({ run }) {
   if (!run.has_sheet) return null;
   return html`
     <${Panel} title="Contact sheet">
-      <button type="button" class="ui-sheet" onClick=${() => update({ dialog: { kind: "sheet", run: run.name } })} title="Show it large">
-        <img src=${address("/api/sheet", { run: run.name, v: version })} alt=${`contact sheet of the tracked target in ${run.name}`} loading="lazy" />
-      </button>
+      <${Figure} src=${address("/api/sheet", { run: run.name, v: version })} title=${`Contact sheet of ${run.name}`} alt=${`contact sheet of the tracked target in ${run.name}`} />
     <//>`;
 }
 
@@ -151,7 +150,7 @@ export function FilmTab() {
     <div class=${`ui-film-tab ${tracked || span ? "" : "plain"}`}>
       <${RunList} />
       <div class="ui-work">
-        <${Linked} path=${tracked ? address("/api/plots", { view: "track", run: run.name }) : null} film=${film} on=${on} ready=${setParts} className="wide-film"
+        <${Linked} path=${tracked ? address("/api/plots", { view: "track", run: run.name }) : null} film=${film} on=${on} ready=${setParts} className="wide-film" adjust
           tools=${html`<${Tools} run=${run} />`}
           empty=${tracked ? null : html`<${Untracked} run=${run} />`} />
       </div>

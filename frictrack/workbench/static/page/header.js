@@ -5,7 +5,7 @@ import { cancel, download, redo, runAll, start, undo } from "./actions.js";
 import { Button } from "./controls.js";
 import { Icon } from "./icons.js";
 import { TABS } from "./tabs.js";
-import { foreground } from "./selectors.js";
+import { foreground, progressOf } from "./selectors.js";
 import { toggleTheme, useTheme } from "./theme.js";
 import { update, useStore } from "./store.js";
 
@@ -35,6 +35,7 @@ function TabList() {
 /** Progress of the running job, with Cancel; without one the button Run. */
 function RunButton() {
   const job = useStore(foreground);
+  const { step, share: part } = useStore((s) => (foreground(s) ? progressOf(s, foreground(s)) : {}));
   const [asked, can, words, stopping] = [
     useStore((s) => s.busy.has("run")),
     useStore((s) => s.study?.exists && s.study.ready?.can_run),
@@ -42,13 +43,13 @@ function RunButton() {
     useStore((s) => s.busy.has("cancel")),
   ];
   if (job) {
-    const share = job.total ? Math.round((100 * job.done) / job.total) : null;
+    const share = part === null ? null : Math.round(100 * part);
     return html`
       <div class="ui-progress">
         <div
-          class=${`ui-bar ${share === null ? "unknown" : ""}`} role="progressbar" aria-label=${job.words}
+          class=${`ui-bar ${share === null ? "unknown" : ""}`} role="progressbar" aria-label=${`${job.words}, ${step}`}
           aria-valuemin="0" aria-valuemax="100" aria-valuenow=${share} style=${{ "--share": `${share ?? 30}%` }}
-        ><span>${job.words}${share === null ? "" : ` ${share}\u202f%`}</span></div>
+        ><span>${step}</span></div>
         <${Button} icon="cancel" label="Cancel" onClick=${cancel} busy=${stopping} />
       </div>`;
   }

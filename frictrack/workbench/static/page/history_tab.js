@@ -8,6 +8,7 @@ import { digits, moment, quantity, spaced } from "./format.js";
 import { Icon } from "./icons.js";
 import { foreground } from "./selectors.js";
 import { useStore } from "./store.js";
+import { Words } from "./words.js";
 
 const FORMATS = ["svg", "png", "pdf"].map((name) => [name, name.toUpperCase()]);
 
@@ -18,7 +19,7 @@ function Models() {
     <${Panel} title="Models" className="ui-models">
       <div class="ui-scroll" tabindex="0" role="region" aria-label="Table of models">
         <table>
-          <thead><tr><th scope="col">Model</th><th scope="col" class="n">Reduced χ²</th><th scope="col" class="n">Misfit (rms)</th><th scope="col" class="n">Held-out error</th><th scope="col"><span class="ui-hidden">Use</span></th></tr></thead>
+          <thead><tr><th scope="col">Model</th>${["Reduced χ²", "Misfit (rms)", "Held-out error"].map((head) => html`<th scope="col" class="n"><${Words} text=${head} /></th>`)}<th scope="col"><span class="ui-hidden">Use</span></th></tr></thead>
           <tbody>
             ${models.map(
               (one) => html`

@@ -3,6 +3,7 @@
 import { html, useEffect, useRef, useState } from "./hooks.js";
 import { frameOf, request } from "./api.js";
 import { Skeleton } from "./controls.js";
+import { keepPlace, notePlace } from "./place.js";
 import { say, useStore } from "./store.js";
 
 const STRIP = 2.6; // a film that is wider than this times its height lies above the plots
@@ -17,7 +18,7 @@ export async function readPacked(path, parse, signal) {
 /** Load the scene of `path` into the view whenever the version of the study changes; the same bytes are not drawn twice. */
 function useScene(parts, path, version) {
   const last = useRef({});
-  const [has, setHas] = useState(false);
+  const [has, setHas] = useState(false), jumps = useStore((s) => s.jumps);
   useEffect(() => {
     if (!parts || !path) return undefined;
     const abort = new AbortController();
@@ -30,7 +31,10 @@ function useScene(parts, path, version) {
         last.current = { path, words };
         if (!equal) {
           const { scene, columns } = parts.parsePacked(buffer);
+          parts.noted?.();
           parts.view.setScene(scene, columns);
+          keepPlace(parts);
+          parts.noted = notePlace(parts.view);
         }
         setHas(true);
       })
@@ -41,6 +45,7 @@ function useScene(parts, path, version) {
       });
     return () => abort.abort();
   }, [parts, path, version]);
+  useEffect(() => parts && keepPlace(parts), [jumps]);
   return has;
 }
 
@@ -49,7 +54,7 @@ function useScene(parts, path, version) {
  * to; `large` is the title of the plot that
  * matters most; `on` has a listener for each event of the view; `ready(parts)` is called with {view, grid, legend, filmView}.
  */
-export function Linked({ path, film, films, large, on = {}, ready, empty, className = "", tools }) {
+export function Linked({ path, film, films, large, on = {}, ready, empty, className = "", tools, adjust }) {
   const boxes = { film: useRef(), legend: useRef(), grid: useRef() };
   const [parts, setParts] = useState(null), calls = useRef(on);
   const version = useStore((s) => `${s.study?.server} ${s.study?.version}`);
@@ -60,7 +65,7 @@ export function Linked({ path, film, films, large, on = {}, ready, empty, classN
       if (ended) return;
       const view = new plots.LinkedView({ frame: frameOf });
       const grid = new plots.PlotGrid(boxes.grid.current, view, { large });
-      const legend = new plots.Legend(boxes.legend.current, view), filmView = new plots.FilmView(boxes.film.current, view);
+      const legend = new plots.Legend(boxes.legend.current, view), filmView = new plots.FilmView(boxes.film.current, view, { adjust });
       made = { view, grid, legend, filmView, parsePacked: plots.parsePacked };
       for (const name of Object.keys(on)) view.on(name, (event) => calls.current[name]?.(event));
       setParts(made);
@@ -77,6 +82,9 @@ export function Linked({ path, film, films, large, on = {}, ready, empty, classN
     if (!parts) return;
     parts.filmView.setFilm(film);
     parts.filmView.setFilms?.(films || (film ? [film] : []));
+    if (path || parts.noted || !film) return;
+    keepPlace(parts); // a film without plots
+    parts.noted = notePlace(parts.view);
   }, [parts, JSON.stringify(film), JSON.stringify(films)]);
   useEffect(() => parts?.grid.setLarge?.(large), [parts, large]);
   const aspect = film ? film.width / film.height : 1, strip = film && aspect > STRIP;

@@ -10,6 +10,8 @@ import { Header } from "./header.js";
 import { HistoryTab } from "./history_tab.js";
 import { listen } from "./keys.js";
 import { connect } from "./live.js";
+import { followAddress } from "./place.js";
+import { readGlossary } from "./words.js";
 import { ModelTab } from "./model_tab.js";
 import { MotionTab } from "./motion_tab.js";
 import { SetupBar } from "./setup_bar.js";
@@ -36,6 +38,8 @@ function App() {
 }
 
 document.getElementById("app").replaceChildren();
+followAddress();
 render(html`<${App} />`, document.getElementById("app"));
 listen();
 connect();
+readGlossary().catch(() => {});

@@ -1,15 +1,16 @@
 // The current model: its equation, its effects with parameters and settings, more effects, and how it is fitted.
 
 import { html, useEffect, useState } from "./hooks.js";
-import { getJSON } from "./api.js";
-import { addEffect, start } from "./actions.js";
-import { Button, Choice, Panel, TextBox } from "./controls.js";
+import { address, getJSON } from "./api.js";
+import { addEffect, edit, start, valueOf } from "./actions.js";
+import { Button, Choice, Figure, Panel, TextBox } from "./controls.js";
 import { Convergence } from "./convergence.js";
 import { EffectBlock } from "./effect_block.js";
 import { spaced } from "./format.js";
 import { Equation } from "./equation.js";
 import { foreground, outdatedWords } from "./selectors.js";
-import { useStore } from "./store.js";
+import { say, useStore } from "./store.js";
+import { Words } from "./words.js";
 
 const SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"].map((name) => [name, name]);
 
@@ -41,10 +42,48 @@ function AddEffect({ catalogue, taken, why }) {
     <//>`;
 }
 
+/** "generations = 200, crossover = 0.8" as an object; numbers and true or false are read as such. */
+function settingsOf(text) {
+  const pairs = text.split(/[,;\n]/).filter((one) => one.trim()).map((one) => one.split("=").map((part) => part.trim()));
+  const bad = pairs.find((pair) => pair.length !== 2 || !pair[0] || !pair[1]);
+  if (bad) throw new Error(`Expected settings like "crossover = 0.8, restarts = 3" but got "${bad.join(" = ")}".`);
+  return Object.fromEntries(pairs.map(([key, value]) => [key, { true: true, false: false }[value] ?? valueOf(value)]));
+}
+
+/** Write keys of the study file that hold for the whole study. */
+function StudyKeys() {
+  const keys = useStore((s) => s.study?.keys);
+  if (!keys) return null;
+  const set = (key, read) => (text) => {
+    try {
+      edit("study", key, text ? read(text) : null, undefined, `${key} ${text ? "set" : "removed"}.`);
+    } catch (error) {
+      say(error.message, "bad");
+    }
+  };
+  return html`
+    <${Panel} title="Known before">
+      <${TextBox} wide label="Prior: file of another set-up" value=${keys.prior} placeholder="other_set_up.prior.toml" onCommit=${set("prior", (text) => text)} />
+      <${TextBox} wide label="Conditions, compared by frictrack batch" value=${keys.conditions} placeholder="temperature = 20 degC, oil = none" onCommit=${set("conditions", settingsOf)} />
+      <${TextBox} wide label="Functions of z for an unexplained force" value=${keys.functions} placeholder="z^2*exp(-z); tanh(z)" onCommit=${set("functions", (text) => text.split(";").map((one) => one.trim()).filter(Boolean))} />
+    <//>`;
+}
+
 function Fit({ why }) {
   const [search, setSearch] = useState("varpro"), [over, setOver] = useState("all");
-  const [seed, setSeed] = useState("0"), [model, setModel] = useState("");
-  const fit = () => start("fit", { model: model || null, search, over, seed: Number.parseInt(seed, 10) || 0 }, `Fit ${model || "the model"}`);
+  const [seed, setSeed] = useState("0"), [model, setModel] = useState(""), [more, setMore] = useState({});
+  const [group, searched, version] = [useStore((s) => s.study?.model?.group), useStore((s) => s.study?.model?.has_search), useStore((s) => s.study?.version)];
+  const job = useStore(foreground);
+  const box = (key, label, placeholder) => html`<${TextBox} label=${label} wide=${key === "other"} value=${more[key] || ""} placeholder=${placeholder} onCommit=${(text) => setMore({ ...more, [key]: text })} />`;
+  const fit = () => {
+    try {
+      const { other = "", ...sizes } = more, given = Object.entries(sizes).filter(([, text]) => text).map(([key, text]) => `${key} = ${text}`);
+      const settings = search === "varpro" ? {} : settingsOf([...given, other].join(","));
+      start("fit", { model: model || null, search, over: search === "varpro" ? "all" : over, seed: Number.parseInt(seed, 10) || 0, ...(Object.keys(settings).length ? { settings } : {}) }, `Fit ${model || "the model"}`);
+    } catch (error) {
+      say(error.message, "bad");
+    }
+  };
   return html`
     <${Panel} title="Fit">
       <${TextBox} wide label="Another model" value=${model} placeholder="tustin, atm1:2, or coulomb, viscous" onCommit=${setModel} />
@@ -53,8 +92,10 @@ function Fit({ why }) {
         <${Choice} label="Parameters" value=${over} options=${[["all", "all"], ["nonlinear", "nonlinear"]]} onChange=${setOver} />
         <${TextBox} label="Seed" value=${seed} onCommit=${setSeed} />
       </div>
+      ${search !== "varpro" && html`<div class="ui-row">${box("population", "Population", "automatic")}${box("generations", "Generations", "automatic")}</div>${box("other", "Other settings", "crossover = 0.8, restarts = 3")}`}
       <${Button} icon="run" kind="primary" label="Fit" why=${why} onClick=${fit} />
-      <${Convergence} />
+      ${job || !searched ? html`<${Convergence} />` : html`<${Figure} title=${`Search of ${group}`} alt="Lowest misfit, diversity and best parameters over the generations of the search"
+        src=${address("/api/figure", { name: `search:${group}`, v: version })} />`}
     <//>`;
 }
 
@@ -70,7 +111,8 @@ export function ModelTab() {
           ? html`
               <section class="ui-panel ui-law" aria-label="Law">
                 <p class="ui-equation"><${Equation} text=${model.equation} /></p>
-                ${(model.remarks || []).map((words) => html`<p class="ui-note">${spaced(words)}</p>`)}
+                <p class="ui-note">${model.symbols}.</p>
+                ${(model.remarks || []).map((words) => html`<p class="ui-note"><${Words} text=${words} /></p>`)}
               </section>
               <div class="ui-effects">${model.effects.map((one) => html`<${EffectBlock} key=${one.name} effect=${one} why=${why} />`)}</div>`
           : html`<div class="ui-nothing"><h2>No model is fitted yet</h2><p>Fit the model of the study file, or type another one at the right.</p></div>`}
@@ -78,6 +120,7 @@ export function ModelTab() {
       <aside class="ui-side" aria-label="Effects and fit">
         <${AddEffect} catalogue=${catalogue} taken=${model?.effects.map((one) => one.name) || []} why=${model ? why : "Fit a model first."} />
         <${Fit} why=${why} />
+        <${StudyKeys} />
       </aside>
     </div>`;
 }

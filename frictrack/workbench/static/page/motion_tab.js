@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { edit, start } from "./actions.js";
-import { Button, Choice, Note, Panel, RunPicker, TextBox } from "./controls.js";
+import { Button, Choice, Figure, Note, Panel, RunPicker, TextBox } from "./controls.js";
 import { digits, quantity, spaced } from "./format.js";
 import { Linked } from "./linked.js";
 import { filmOf, foreground, outdatedWords } from "./selectors.js";
@@ -121,10 +121,11 @@ export function MotionTab() {
         ${stale && html`<${Note} kind="warn">${stale}<//>`}
         <${Button} icon="run" label="Measure again" onClick=${() => start("measure", { stage: "friction" }, "Measure again")}
           why=${job ? "Wait until the work ends, or cancel it." : stale ? null : "Nothing has changed since the last measurement."} />
-        ${run.motion.cutoff && html`<${Panel} title="Noise and lost signal"><img class="ui-figure" alt=${`Noise that passes and signal lost over the cut-off frequency, ${run.name}`}
-          src=${address("/api/figure", { name: `cutoff:${run.name}`, v: version })} loading="lazy" /><//>`}
-        <${Panel} title="What a filter costs"><img class="ui-figure" alt=${`Displacement, velocity, acceleration and force as measured, filtered and smoothed, ${run.name}`}
-          src=${address("/api/figure", { name: `filters:${run.name}`, v: version })} loading="lazy" /><//>
+        ${run.motion.cutoff && html`<${Panel} title="Noise and lost signal"><${Figure} title=${`Noise and lost signal, ${run.name}`}
+          alt=${`Noise that passes and signal lost over the cut-off frequency, ${run.name}`} src=${address("/api/figure", { name: `cutoff:${run.name}`, v: version })} /><//>`}
+        <${Panel} title="What a filter costs"><${Figure} title=${`What a filter costs, ${run.name}`}
+          alt=${`Displacement, velocity, acceleration and force as measured, filtered and smoothed, ${run.name}`}
+          src=${address("/api/figure", { name: `filters:${run.name}`, v: version })} /><//>
       </aside>
     </div>`;
 }

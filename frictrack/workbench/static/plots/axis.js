@@ -40,12 +40,12 @@ export class Axis {
   }
 }
 
-/** Round numbers between two values, about `count` of them. */
+/** Round numbers between two values, about `count` of them and at least two. */
 export function ticks(low, high, count) {
   const rough = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(rough));
   const step = power * ([1, 2, 5].find((k) => k * power >= rough * 0.999) || 10), values = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) values.push(k * step);
-  return { step, values };
+  return values.length < 2 && high > low ? ticks(low, high, 1.5 * Math.max(count, 1)) : { step, values };
 }
 
 /** A tick as text, with as many digits as its step needs. */

@@ -14,8 +14,9 @@ const idOf = (film) => film && (film.run ?? film.file);
 
 export class FilmView {
   /** A film is {run or file, frames, width, height, fps, version, shapes, suspect, repairs}. */
-  constructor(el, view) {
-    Object.assign(this, { el, view, film: null, films: new Map(), number: 0, picture: null, shapes: {}, zoom: { k: 1 }, listeners: new Listeners() });
+  constructor(el, view, { adjust = false } = {}) {
+    Object.assign(this, { el, view, adjust, film: null, films: new Map(), number: 0, picture: null, shapes: {}, zoom: { k: 1 }, listeners: new Listeners() });
+    this.light = { brightness: 1, contrast: 1 };
     this.frames = new FilmFrames((film, n) => view.frame(film, n), (...got) => this.arrived(...got), (error) => this.failed(error));
     this.tools = new FilmTools((drawn) => this.drawn(drawn), () => this.redraw.ask());
     this.redraw = new OncePerFrame(() => this.draw());
@@ -43,7 +44,23 @@ export class FilmView {
     this.speed.value = "15";
     this.controls = make("div", { class: "fp-controls" }, this.back, this.playButton, this.forward, this.speed, this.label);
     this.root = make("div", { class: "fp-film" }, this.stage, this.timeline.el, this.controls);
+    if (this.adjust) this.controls.append(...this.adjustments(button));
     this.el.append(this.root);
+  }
+
+  /** Controls of how the picture is shown: they change no measurement. */
+  adjustments(button) {
+    const on = (node, call, event = "click") => (this.listeners.on(node, event, () => { call(node); this.redraw.ask(); }), node);
+    const slider = (name) => make("label", { class: "fp-light" }, name, on(
+      make("input", { type: "range", min: 0.3, max: 3, step: 0.1, value: 1, "aria-label": name }),
+      (node) => { this.light[name.toLowerCase()] = Number(node.value); }, "input"));
+    const path = on(button("Path", "Show the path of the target"), (node) => {
+      this.path = !this.path;
+      node.setAttribute("aria-pressed", String(this.path));
+    });
+    const full = on(button("\u2922", "Show the film on the whole screen (Escape ends)"), () => (document.fullscreenElement ? document.exitFullscreen() : this.root.requestFullscreen()));
+    const zoom = (name, title, factor) => on(button(name, title), () => this.film && this.zoomAt(factor, [this.film.width / 2, this.film.height / 2]));
+    return [path, zoom("\u2212", "Zoom out", 0.8), zoom("+", "Zoom in (Ctrl and the wheel)", 1.25), slider("Brightness"), slider("Contrast"), full];
   }
 
   listen() {
@@ -139,6 +156,7 @@ export class FilmView {
     this.frames.ask(this.film, this.number, this.timer ? 1 : 0);
     const row = by === "film" ? this.view.rowOf(idOf(this.film), this.number) : null;
     if (row !== null) this.view.point(row, "film");
+    this.view.say("frame", { run: idOf(this.film), frame: this.number });
   }
 
   words(number) {
@@ -235,11 +253,14 @@ export class FilmView {
     if (!film) return;
     const { k, left, top } = this.place;
     pen.imageSmoothingEnabled = k * size.ratio < 2;
+    const { brightness, contrast } = this.light;
+    if (brightness !== 1 || contrast !== 1) pen.filter = `brightness(${brightness}) contrast(${contrast})`;
     if (picture?.width) pen.drawImage(picture, left, top, film.width * k, film.height * k);
+    pen.filter = "none";
     pen.setTransform(k * size.ratio, 0, 0, k * size.ratio, (left + k / 2) * size.ratio, (top + k / 2) * size.ratio);
     const run = this.view.runs.find((one) => one.name === idOf(film)), { draft, cross } = this.tools;
     for (const [tool, shape] of shapeList(this.shapes)) drawShape(pen, colours, k, tool, shape, { dashed: true });
-    if (run && picture?.width) drawTracks(pen, this.view, run, this.pictureNumber, colours, k);
+    if (run && picture?.width) drawTracks(pen, this.view, run, this.pictureNumber, colours, k, this.path);
     if (draft) drawShape(pen, colours, k, draft.tool, draft.shape, draft);
     if (cross) drawCross(pen, cross, colours, k);
   }
@@ -254,7 +275,12 @@ export class FilmView {
   wheel(e) {
     if ((!e.ctrlKey && !e.metaKey) || !this.film) return;
     e.preventDefault();
-    const [x, y] = this.placeOf(e), before = this.zoom.k, k = Math.min(Math.max(before * (e.deltaY > 0 ? 0.8 : 1.25), 1), MAX_ZOOM);
+    this.zoomAt(e.deltaY > 0 ? 0.8 : 1.25, this.placeOf(e));
+  }
+
+  /** Zoom by a factor; the place [x, y] of the film stays where it is. */
+  zoomAt(factor, [x, y]) {
+    const before = this.zoom.k, k = Math.min(Math.max(before * factor, 1), MAX_ZOOM);
     const { width, height } = this.film, centre = before > 1 ? this.zoom : { x: width / 2, y: height / 2 }, share = before / k;
     this.setZoom({ k, x: x + (centre.x - x) * share, y: y + (centre.y - y) * share });
   }

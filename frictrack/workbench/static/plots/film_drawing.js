@@ -65,11 +65,16 @@ export function drawShape(pen, colours, k, tool, shape, { open = false, dashed =
   pen.globalAlpha = 1;
 }
 
-/** Boxes of the tracked targets in this frame, and where they are in the selected frames. */
-export function drawTracks(pen, view, run, number, colours, k) {
+/** Boxes of the tracked targets in this frame, where they are in the selected frames, and their paths if asked. */
+export function drawTracks(pen, view, run, number, colours, k, path = false) {
   const row = run.first - (run.frame || 0); // of frame 0
   for (const track of run.tracks || []) {
     const xs = view.column(track.x), ys = view.column(track.y), every = Math.ceil(view.count / MAX_TRAIL);
+    if (path) {
+      pen.beginPath();
+      for (let i = 0; i < xs.length; i++) if (Number.isFinite(xs[i])) pen.lineTo(xs[i], ys[i]);
+      stroke(pen, colours.ofRun(run.index), k, 1.5);
+    }
     pen.fillStyle = colours.select;
     for (let i = 0; i < view.count; i += every) {
       const n = view.chosen[i] - row;

@@ -10,7 +10,7 @@ import { drawBand, drawLine, drawSpan } from "./layers.js";
 import { PlotInput } from "./plot_input.js";
 
 const SPACE = { left: 72, narrow: 58, right: 12, top: 24, bottom: 36 };
-const NARROW_WIDTH = 290; // px
+const NARROW_WIDTH = 290, TICK_ROOM = 28; // px; the second: the name of the axis and a gap
 const FEW_ROWS = 4000, LABEL_HEIGHT = 22; // px
 const HELP = "Arrow keys move the cursor along the data, with shift they select; + and \u2212 zoom, 0 shows all, escape clears.";
 
@@ -19,8 +19,10 @@ export class Plot {
     Object.assign(this, { grid, view: grid.view, colours: grid.colours, zoom: {}, box: null, cells: new Map() });
     this.canvases = ["base", "marks", "top"].map((name) => make("canvas", { class: `fp-${name}`, "aria-hidden": name === "top" ? null : "true" }));
     [this.base, this.marks, this.top] = this.canvases;
-    this.el = make("div", { class: "fp-plot" }, ...this.canvases);
+    this.larger = make("button", { type: "button", class: "fp-button fp-enlarge" }, "\u2922");
+    this.el = make("div", { class: "fp-plot" }, ...this.canvases, this.larger);
     this.listeners = new Listeners();
+    this.listeners.on(this.larger, "click", () => grid.enlarge(this));
     this.each = {
       base: new OncePerFrame(() => this.draw()),
       marks: new OncePerFrame(() => this.drawMarks()),
@@ -51,6 +53,8 @@ export class Plot {
     this.top.setAttribute("tabindex", "0");
     this.top.setAttribute("aria-roledescription", "plot");
     this.top.setAttribute("aria-label", `${spec.title}: ${spec.y.label} against ${spec.x.label}. ${HELP}`);
+    this.larger.setAttribute("aria-label", `Enlarge ${spec.title}`);
+    this.larger.title = "Show this plot alone, or all again";
     if (same) return this.ask("marks", "top");
     const home = this.home();
     if (before && (before.x.label !== spec.x.label || this.homeAxes?.x.changedMuch(home.x))) this.zoom.x = null;
@@ -135,7 +139,7 @@ export class Plot {
   }
 
   get inner() {
-    const { width, height } = this.size, left = width < NARROW_WIDTH ? SPACE.narrow : SPACE.left;
+    const { width, height } = this.size, left = Math.max(width < NARROW_WIDTH ? SPACE.narrow : SPACE.left, this.wide || 0);
     return { x: left, y: SPACE.top, w: Math.max(width - left - SPACE.right, 8), h: Math.max(height - SPACE.top - SPACE.bottom, 8) };
   }
 
@@ -160,12 +164,19 @@ export class Plot {
     return pen;
   }
 
+  /** Ticks of the y axis; the room at the left fits the longest of them. */
+  upTicks(pen) {
+    const { h } = this.inner, { low, high } = this.zoom.y || this.homeAxes.y, up = ticks(low, high, h / 36);
+    this.wide = TICK_ROOM + Math.max(...up.values.map((v) => pen.measureText(tickText(v, up.step)).width));
+    return up;
+  }
+
   draw() {
     if (!this.size) return;
-    const { x, y, w, h } = this.inner, pen = this.pen(this.base);
+    const pen = this.pen(this.base), up = this.upTicks(pen), { x, y, w, h } = this.inner;
     pen.fillStyle = this.colours.raised;
     pen.fillRect(0, 0, this.size.width, this.size.height);
-    this.drawAxes(pen);
+    this.drawAxes(pen, up);
     pen.save();
     pen.beginPath();
     pen.rect(x, y, w, h);
@@ -179,9 +190,9 @@ export class Plot {
     this.drawDots(pen);
   }
 
-  drawAxes(pen) {
+  drawAxes(pen, up) {
     const { x, y, w, h } = this.inner, { axes, colours } = this;
-    const across = ticks(axes.x.low, axes.x.high, w / 80), up = ticks(axes.y.low, axes.y.high, h / 36);
+    const across = ticks(axes.x.low, axes.x.high, w / 80);
     Object.assign(pen, { strokeStyle: colours.grid, fillStyle: colours.muted, textAlign: "center", lineWidth: 1 });
     pen.beginPath();
     for (const v of across.values) {
@@ -326,7 +337,7 @@ export class Plot {
     const free = w - pen.measureText(spec.title).width - 12;
     pen.font = colours.small;
     Object.assign(pen, { textAlign: "right", fillStyle: colours.ink });
-    if (free > 90) pen.fillText(text.filter(Boolean).map((one) => one.trim()).join(" \u00b7 "), x + w, 16, free);
+    if (free > 90) pen.fillText(text.filter(Boolean).map((one) => one.trim()).join(" \u00b7 "), x + w - 14, 16, free - 14);
     if (!(px >= x && px <= x + w)) return;
     Object.assign(pen, { strokeStyle: colours.cursor, lineWidth: view.pinned ? 1.5 : 1 });
     pen.beginPath(); pen.moveTo(px, y); pen.lineTo(px, y + h); pen.stroke();

@@ -65,6 +65,7 @@ export class PlotGrid {
       return plot;
     });
     for (const plot of old.values()) plot.destroy();
+    this.grid.classList.toggle("fp-alone", this.plots.some((plot) => plot.el.classList.contains("fp-full")));
     this.place();
   }
 
@@ -73,6 +74,13 @@ export class PlotGrid {
     if (title === this.large) return;
     this.large = title;
     this.place();
+  }
+
+  /** Show one plot alone; a second time, show all again. */
+  enlarge(plot) {
+    const alone = plot.el.classList.toggle("fp-full");
+    for (const other of this.plots) if (other !== plot) other.el.classList.remove("fp-full");
+    this.grid.classList.toggle("fp-alone", alone);
   }
 
   place() {
