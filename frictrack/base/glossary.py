@@ -42,7 +42,7 @@ def terms() -> tuple[GlossaryEntry, ...]:
     ('free section',)
 
     """
-    text = files("frictrack").joinpath("glossary.md").read_text(encoding="utf-8")
+    text = files("frictrack").joinpath("base", "glossary.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (.+?) \| (.+) \|$", text, re.MULTILINE)
     return tuple(
         GlossaryEntry(
