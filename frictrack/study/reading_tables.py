@@ -13,8 +13,17 @@ import numpy as np
 from frictrack.errors import FrictrackError, raise_faults
 from frictrack.records import GRAVITY, Array
 from frictrack.remote import local_path
-from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns, may_hold
-from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
+from frictrack.study.column_names import (
+    REQUIRED,
+    TURNS,
+    UNIT,
+    columns_line,
+    find_header,
+    guess_columns,
+    guess_points,
+    may_hold,
+)
+from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
 from frictrack.units import parse_quantity
@@ -57,6 +66,9 @@ class TableData:
         Acceleration, m/s^2.
     pressure
         Pressure of a drive, Pa.
+    v, mu, sigma_friction, sigma_mu, load
+        Of points (v, F): constant speed, m/s, friction coefficient, standard deviations of force, N, and coefficient,
+        and normal load, N.
     notes
         What the program that tracked the positions says about them.
     stamped_rate
@@ -72,6 +84,11 @@ class TableData:
     a: Array | None = None
     friction: Array | None = None
     pressure: Array | None = None
+    v: Array | None = None
+    mu: Array | None = None
+    sigma_friction: Array | None = None
+    sigma_mu: Array | None = None
+    load: Array | None = None
     notes: tuple[str, ...] = ()
     stamped_rate: float | None = None
 
@@ -152,6 +169,21 @@ def read_run_table(run: RunTable) -> TableData:
         None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
     )
     return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None, fps=run.fps)
+
+
+def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
+    """Read a table of points (v, F) at constant speeds; `t` counts its rows.
+
+    Parameters
+    ----------
+    path
+        A text or Excel file with a header line.
+    columns
+        Headers by short name: v, and friction or mu.
+
+    """
+    values = _read(open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
+    return TableData(np.arange(len(values["v"]), dtype=float), **values)
 
 
 def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, name: str = "table") -> TableData:
@@ -273,7 +305,7 @@ def _read(
     frame = table.frame
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
-    required = [key for key in REQUIRED if key in known]
+    required = [key for key in (*REQUIRED, "v") if key in known]
     faults: list[str] = []
     values: dict[str, Any] = {}
     missing = []
@@ -296,7 +328,7 @@ def _read(
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
     if not faults:
-        faults += _time_faults(values["t"])
+        faults += _time_faults(values["t"]) if "t" in known else []
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
@@ -312,6 +344,11 @@ def _listed(names: Sequence[str]) -> str:
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
     """Say which columns are missing, which are there, and the line of the study file that names them."""
     present = list(frame.columns)
+    if not columns and not sensor and (points := guess_points(present)):
+        return (
+            f"expected columns of times and positions but got {_listed(present)}; if these are forces at constant "
+            f"speeds, write {columns_line(points)} in its [[run]]"
+        )
     wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
     expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {_listed(present)}"
     proposed = propose_columns(frame, columns)
@@ -381,6 +418,11 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
     named = UNIT.search(written) or UNIT.search(header)
+    if unit == "m/s" and TURNS.fullmatch(named[1] if named else header):
+        raise FrictrackError(
+            f'expected a sliding speed in m/s or mm/s but got "{header}", a turning speed; add a column of '
+            "v = 2 pi r n / 60 with the radius r of the track and the turns n per minute"
+        )
     if named is None or header == standard == written:
         return 1.0
     if (named[1], unit) == ("g", "m/s^2"):
