@@ -68,7 +68,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     list of dict
         `run`; `t`, `x`, `v`: range of recording time s, position m and velocity m/s; `share_of_error`: part of the
         misfit (chi-squared above its expectation), at most one in all; `p`: p-value of the whole search. Empty if noise
-        alone would do as much (1 %). Points (v, F) have neither time nor place (None). A blow too short to be resolved extends as far as the run's low-pass spreads it.
+        alone would do as much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
 
     """
     if solution.problem.pieces[0].path.steady:

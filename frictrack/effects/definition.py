@@ -274,8 +274,7 @@ class Effect:
         """Whether its force at a sample depends on velocity, direction and load there alone."""
         if self.formula is not None:
             return self.acts_on == "force" and not re.search(r"\b[xt]\b", self.formula)
-        of_record = self.memory or self.counts_from_release or self.needs or any(p.per_run for p in self.parameters)
-        if self.acts_on == "measurement" or of_record:  # events and waves are per run
+        if self.acts_on == "measurement" or self.memory or self.counts_from_release or self.needs or self.single:
             return False
         v, order = np.array([0.3, -0.3, 1.7]), np.array([2, 0, 1])
         values = {p.name: float(np.clip(1.0, *p.bounds)) if p.fixed is None else p.fixed for p in self.nonlinear}

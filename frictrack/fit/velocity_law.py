@@ -67,7 +67,8 @@ def law_branches(
 
 def _is_of_velocity(effect: Effect) -> bool:
     """Whether an effect adds a force of friction, not of gravity or the drive, that depends on the velocity alone."""
-    return effect.scales_with in ("load", "nothing") and not effect.modifies and effect.is_of_velocity
+    of_runs = any(p.per_run for p in effect.parameters)
+    return effect.scales_with in ("load", "nothing") and not (effect.modifies or of_runs) and effect.is_of_velocity
 
 
 def _force_and_deviation(solution: Solution, covariance: Array, law: Model, path: Path) -> tuple[Array, Array]:

@@ -742,7 +742,7 @@ class RunTable(Keys):
     drift
         Slowly varying error of the instrument, rms, in the same units.
     group
-        Name of a group of runs, for one fit per group.
+        Name of a group of runs, for one fit per group, or to compare a parameter between groups.
     role
         Whether the run is fitted, or predicted only.
     note
