@@ -130,6 +130,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
             relative_scale_error=relative,
             notes=(*data.notes, *table.notes),
             stamped_rate=data.stamped_rate,
+            clock_error=data.clock_error,
         ),
         table.numbers,
     )
@@ -309,7 +310,7 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
         for name, column in (("x", data.x), ("y", data.y))
         if column is not None
     }
-    return replace(data, t=clock.t, **moved)
+    return replace(data, t=clock.t, clock_error=clock.error, **moved)
 
 
 def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
@@ -343,7 +344,7 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
         return data, ()
     if differs > MAX_RELATIVE_DIFFERENCE:
         note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
-    return replace(data, t=data.t[0] + frames / fps), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+    return replace(data, t=data.t[0] + frames / fps, clock_error=0.0), (note,) if differs > MIN_RATE_DIFFERENCE else ()
 
 
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:

@@ -134,6 +134,9 @@ def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generato
                 e += _whitened(piece, rounding_errors(law.pieces[i].response.model_y, piece.step, e.shape[1], rng))
             if piece.systematic:
                 e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
+            if piece.clock_error:
+                moved = piece.clock_error * law.pieces[i].response.motion.v_edge[piece.at] * piece.t
+                e += _whitened(piece, moved[:, None] * rng.standard_normal((1, e.shape[1]), dtype=np.float32))
             if piece.shake:
                 frequency, rms = piece.shake
                 e += _whitened(piece, rms * random_tones(piece.t * frequency, e.shape[1], rng))

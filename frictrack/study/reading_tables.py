@@ -73,6 +73,8 @@ class TableData:
         What the program that tracked the positions says about them.
     stamped_rate
         Frame rate of the time stamps, Hz, if the given one contradicts it and replaced it.
+    clock_error
+        Relative standard deviation of the interval of the rows, where it was fitted to the time stamps.
 
     """
 
@@ -91,6 +93,7 @@ class TableData:
     load: Array | None = None
     notes: tuple[str, ...] = ()
     stamped_rate: float | None = None
+    clock_error: float = 0.0
 
 
 @dataclass(frozen=True)
