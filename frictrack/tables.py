@@ -46,7 +46,7 @@ from frictrack.sampling import (
     unevenness,
     unwrapped,
 )
-from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame
+from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
 from frictrack.units import parse_quantity
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
+MAX_WANDER_INTERVALS, WANDER_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -195,12 +196,21 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     if data.x is not None:
         x, turned = unwrapped(data.x)
         data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
-    if data.x is None or n < MIN_ROWS:
+    if data.x is None or (n < MIN_ROWS and not (fps and not is_even(data.t))):
         return EvenTable(data, np.ones(n, dtype=bool), rows)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
     clocked = not is_even(data.t)
-    data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
+    stamped = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else (data, rows, ())
+    if fps and (not is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
+        words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
+        stamped, clocked = (_counted_at_rate(data, fps), rows, (words,)), False
+    data, rows, notes = stamped
+    if np.any(np.diff(data.t) <= 0):
+        raise FrictrackError(
+            f"time: {int(np.sum(np.diff(data.t) <= 0))} stamps repeat the one before, which rounding of an even clock "
+            "does not explain: the rate changes or rows are missing; give stamps with more digits"
+        )
     data, more = _at_rate(data, fps)
     data, moved = _on_grid(data)
     table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
@@ -247,6 +257,8 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
+        if interval and _wander(stamps, counted) > 0.5 * (rounding + MAX_WANDER_INTERVALS * interval):
+            continue
         clock = rounded_clock(stamps, counted, rounding, interval)
         clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
@@ -347,6 +359,33 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
     return replace(data, t=data.t[0] + frames / fps, clock_error=0.0), (note,) if differs > MIN_RATE_DIFFERENCE else ()
 
 
+def _lost_moving_rows(data: TableData, rows: Rows) -> bool:
+    """Whether rows that are left out for their stamps have positions of their own."""
+    assert data.x is not None
+    lost = np.setdiff1d(np.arange(1, len(data.t)), rows)
+    return bool(np.any(data.x[lost] != data.x[lost - 1]))
+
+
+def _counted_at_rate(data: TableData, fps: float) -> TableData:
+    """Return a table at whole intervals of a given frame rate, Hz: those that its uneven stamps are nearest to."""
+    ticks = np.rint((data.t - data.t[0]) * fps).astype(np.int64)
+    if np.any(np.diff(ticks) <= 0):  # no row comes at the time of another one; the motion shows where one is missing
+        ticks = np.arange(len(ticks))
+    if _wander(data.t, ticks) * fps > MAX_WANDER_INTERVALS:
+        raise FrictrackError(
+            "time: expected rows that the stamps or the motion can count but some are missing where neither shows it; "
+            "give stamps with more digits"
+        )
+    return replace(data, t=data.t[0] + ticks / fps, clock_error=0.0)
+
+
+def _wander(stamps: Array, ticks: Rows) -> float:
+    """Return by how much stamps (n,) wander about a line through counted intervals, s: a miscount shifts later ones."""
+    off = stamps - np.polyval(np.polyfit(ticks, stamps, 1), ticks)
+    width = max(len(off) // WANDER_PARTS, 1)
+    return float(np.ptp([np.median(part) for part in np.array_split(off, len(off) // width)]))
+
+
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
     """Return the table without samples that repeat the one before, and with gaps in time where samples are missing.
 
@@ -404,12 +443,15 @@ def run_of_arrays(
     """Make a run of arrays; see `Run.from_arrays`. `optional` holds further columns, None where not measured."""
     columns: dict[str, Any] = {}
     faults: list[str] = []
+    notes: tuple[str, ...] = ()
+    if np.ndim(t) == np.ndim(x) == 1 and np.size(t) == np.size(x) and np.all(np.isfinite([t, x])):
+        t, notes = unrolled_clock(np.asarray(t, dtype=float), np.asarray(x, dtype=float))
     for name, values in {"t": t, "x": x, **optional}.items():
         if values is not None:
             columns[name], found = _column(name, values, np.size(t))
             faults += found
     raise_faults(faults, f'run "{settings.get("name", "run")}"')
-    return _run_of(TableData(**columns), mass, settings)
+    return _run_of(TableData(**columns, notes=notes), mass, settings)
 
 
 def run_of_dataframe(
@@ -546,7 +588,8 @@ def _column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Arr
         return array, [f"expected finite {name} but got {array[bad[0]]} in row {bad[0]}{hint}"]
     if name == "t" and np.any(back := np.diff(array) < (0 if n >= MIN_ROWS and np.ptp(array) > 0 else SMALLEST_STEP_S)):
         i = int(np.argmax(back))
-        return array, [f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"]
+        words = f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"
+        return array, [f"{words}; sort the rows, or give t = np.arange(n) / rate where they are evenly spaced"]
     return array, []
 
 

@@ -215,7 +215,7 @@ def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | Non
     error = 0.0 if interval else _slope_error(t, off)
     note = (
         f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
-        f"{'' if interval else f', the slope of the line through all stamps, known to {100 * error:.2g} %; fps would decide'}"
+        f"{'' if interval else f', the slope of all stamps, known to {100 * error:.2g} %; fps would decide'}"
     )
     return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,), error)
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         read_run_table,
         read_sensor_table,
         read_table,
+        unrolled_clock,
     )
     from frictrack.study.schema import (
         COLUMNS,
@@ -61,7 +62,7 @@ _MODULE_OF = module_of(
         "loading": "load parse read_toml results_folder Study",
         "table_files": "open_table table_headers",
         "reading_tables": "propose_columns read_frame read_points read_run_table read_sensor_table read_table "
-        "TableData",
+        "TableData unrolled_clock",
         "table_cells": "TableFile",
         "editing": "with_effect with_key with_runs without_run",
     }

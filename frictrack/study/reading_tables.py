@@ -33,6 +33,17 @@ if TYPE_CHECKING:
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
+# Ranges of clocks, s: of 8 to 32 bits of a decimal step; of a second, a minute, an hour, half a day and a day.
+COUNTER_RANGES = (
+    *(2.0**bits * 10.0**-digits for bits in range(8, 33) for digits in range(7)),
+    *(1.0, 60.0, 3600.0, 43200.0, 86400.0),
+)
+MAX_JUMP_STEPS = 3.0  # usual steps, from which a clock that rolls over, and the position then, may differ
+MAX_ROLLOVERS_SHARE = 0.1  # of rows
+TIME_REMEDY = (
+    "sort the rows; put records that begin anew into files of their own; or, if the rows are evenly spaced, give their "
+    "rate as fps, which then decides"
+)
 MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
@@ -155,7 +166,8 @@ def read_table(
     camera = CameraUnits(pixel, 1.0 / fps if fps else None)
     table, gaps = _without_gaps(table, chosen.columns)
     values = _read(table, path.name, chosen.columns, camera=camera)
-    return TableData(**values, notes=tuple(note for note in (chosen.note, gaps) if note))
+    notes = (chosen.note, gaps, *values.pop("notes", ()))
+    return TableData(**values, notes=tuple(note for note in notes if note))
 
 
 def read_run_table(run: RunTable) -> TableData:
@@ -311,6 +323,7 @@ def _read(
     required = [key for key in (*REQUIRED, "v") if key in known]
     faults: list[str] = []
     values: dict[str, Any] = {}
+    notes: tuple[str, ...] = ()
     missing = []
     for key, (standard, unit) in known.items():
         written, sign = _unsigned(columns.get(key, standard), present)
@@ -330,12 +343,13 @@ def _read(
             faults += found
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
-    if not faults:
-        faults += _time_faults(values["t"]) if "t" in known else []
+    if not faults and "t" in known:
+        values["t"], notes = _rising(values["t"], values.get("x"), camera.interval if known is COLUMNS else None)
+        faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
-    return values
+    return values | ({"notes": notes} if notes else {})
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -498,6 +512,37 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
     return values, [f'{expected} in "{series.name}" but got {str(value)[:40]} in row {bad[0] + 1}{more}']
 
 
+def _rising(t: Array, x: Array | None, interval: float | None) -> tuple[Array, tuple[str, ...]]:
+    """Times (n,) that rise where a counter rolled over, or by an interval that is given, s; and a note."""
+    t, notes = unrolled_clock(t, x)
+    if interval and len(t) > 1 and _time_faults(t):
+        words = "the time stamps do not rise: the rows are taken as evenly spaced by the given fps"
+        return np.arange(len(t)) * interval, (words,)
+    return t, notes
+
+
+def unrolled_clock(t: Array, x: Array | None) -> tuple[Array, tuple[str, ...]]:
+    """Return times (n,) of a counter that rolled over as one course, and a note.
+
+    Beyond the usual step it then jumps back by the whole range of a counter, always the same, while positions x (n,) go
+    on.
+    """
+    steps = np.diff(t)
+    back = np.flatnonzero(steps < 0)
+    if x is None or not len(back) or len(back) > MAX_ROLLOVERS_SHARE * len(t) or not np.any(steps > 0):
+        return t, ()
+    usual = float(np.median(steps[steps > 0]))
+    full = float(min(COUNTER_RANGES, key=lambda one: abs(one + np.median(steps[back]) - usual)))
+    moved = np.abs(np.diff(x))
+    near = np.array([np.max(moved[[k for k in (i - 1, i + 1) if 0 <= k < len(moved)]]) for i in back])
+    rolled = np.all(np.abs(steps[back] + full - usual) < MAX_JUMP_STEPS * usual) and np.ptp(t) <= full
+    if not (rolled and np.all(moved[back] <= MAX_JUMP_STEPS * near)):
+        return t, ()
+    out = t + full * np.concatenate(([0.0], np.cumsum(steps < 0)))
+    count = "once" if len(back) == 1 else f"{len(back)} times"
+    return out, (f"the clock rolled over {count}, at {full:.10g} s: unwrapped",)
+
+
 def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
@@ -506,7 +551,7 @@ def _time_faults(t: Array) -> list[str]:
     back = np.flatnonzero((steps < 0) if repeated and len(t) >= MIN_ROWS_FOR_REPEATS else (steps <= 0))
     if len(back):
         i = int(back[0])
-        return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
+        return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}; {TIME_REMEDY}"]
     if (step := float(np.median(steps[steps > 0]))) < MIN_INTERVAL_S:
         return [f"expected rows {MIN_INTERVAL_S:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []
