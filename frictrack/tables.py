@@ -63,7 +63,7 @@ MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
-MAX_WANDER_INTERVALS, WANDER_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
+MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -257,7 +257,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
-        if interval and _wander(stamps, counted) > 0.5 * (rounding + MAX_WANDER_INTERVALS * interval):
+        if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
             continue
         clock = rounded_clock(stamps, counted, rounding, interval)
         clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
@@ -371,7 +371,7 @@ def _counted_at_rate(data: TableData, fps: float) -> TableData:
     ticks = np.rint((data.t - data.t[0]) * fps).astype(np.int64)
     if np.any(np.diff(ticks) <= 0):  # no row comes at the time of another one; the motion shows where one is missing
         ticks = np.arange(len(ticks))
-    if _wander(data.t, ticks) * fps > MAX_WANDER_INTERVALS:
+    if _drift_of_stamps(data.t, ticks) * fps > MAX_DRIFT_INTERVALS:
         raise FrictrackError(
             "time: expected rows that the stamps or the motion can count but some are missing where neither shows it; "
             "give stamps with more digits"
@@ -379,10 +379,10 @@ def _counted_at_rate(data: TableData, fps: float) -> TableData:
     return replace(data, t=data.t[0] + ticks / fps, clock_error=0.0)
 
 
-def _wander(stamps: Array, ticks: Rows) -> float:
-    """Return by how much stamps (n,) wander about a line through counted intervals, s: a miscount shifts later ones."""
+def _drift_of_stamps(stamps: Array, ticks: Rows) -> float:
+    """Return by how much stamps (n,) drift from a line through counted intervals, s: a miscount shifts later ones."""
     off = stamps - np.polyval(np.polyfit(ticks, stamps, 1), ticks)
-    width = max(len(off) // WANDER_PARTS, 1)
+    width = max(len(off) // DRIFT_PARTS, 1)
     return float(np.ptp([np.median(part) for part in np.array_split(off, len(off) // width)]))
 
 
@@ -444,8 +444,9 @@ def run_of_arrays(
     columns: dict[str, Any] = {}
     faults: list[str] = []
     notes: tuple[str, ...] = ()
-    if np.ndim(t) == np.ndim(x) == 1 and np.size(t) == np.size(x) and np.all(np.isfinite([t, x])):
-        t, notes = unrolled_clock(np.asarray(t, dtype=float), np.asarray(x, dtype=float))
+    both = [np.asarray(series) for series in (t, x)]
+    if all(s.ndim == 1 and s.dtype.kind in "fiu" and s.shape == both[0].shape and np.isfinite(s).all() for s in both):
+        t, notes = unrolled_clock(both[0].astype(np.float64), both[1].astype(np.float64))
     for name, values in {"t": t, "x": x, **optional}.items():
         if values is not None:
             columns[name], found = _column(name, values, np.size(t))
@@ -532,8 +533,10 @@ def _check_points(data: TableData) -> None:
 
 def _resisting(data: TableData) -> tuple[Array, tuple[str, ...]]:
     """Return forces or coefficients (n,) that have the sign of the speed where they resist the motion, and a note."""
-    force, direction = data.friction if data.mu is None else data.mu, np.sign(data.v)
+    force = data.friction if data.mu is None else data.mu
     assert force is not None
+    assert data.v is not None
+    direction = np.sign(data.v)
     if np.ptp(direction) and abs(float(np.mean(np.sign(force)))) > MIN_SAME_SIGN:
         words = "the forces have one sign for both directions: taken as forces against the motion"
         return np.sign(np.mean(force)) * direction * force, (words,)

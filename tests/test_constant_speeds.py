@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 import frictrack as ft
 from frictrack import effects
 from frictrack.cli import main
-from frictrack.fit.observations.constant_speeds import Points
+from frictrack.fit.observations.constant_speeds import SpeedPoints
 from frictrack.study import guess_points
 
 SPEEDS = np.array([0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3, 0.4, 0.6, 0.8, 1.0])
@@ -57,7 +57,7 @@ def test_repeated_speeds_give_the_noise_and_the_test_of_the_law() -> None:
     force = stribeck(v, 1.0, 1.6, 0.08, 0.5, 1.0) + 0.03 * rng.normal(size=len(v))
     groups = force.reshape(10, 4)
     pure = np.sqrt(np.sum((groups - groups.mean(axis=1, keepdims=True)) ** 2) / 30)  # Draper & Smith, section 2.1
-    points = Points(v, np.ones(len(v)), np.ones(len(v)))
+    points = SpeedPoints(v, np.ones(len(v)), np.ones(len(v)))
     assert points.noise(force[:, None])[0] == pytest.approx(pure, rel=1e-12)
     found = ft.diagnose(ft.fit(["coulomb", "viscous"], [ft.Run.from_curve(v, force)]))
     assert found.missing == ["stribeck"]

@@ -77,7 +77,7 @@ GROUPS = (
             *("Track", "Displacement", "Motion", "frictrack.records.Friction", "frictrack.records.Curve"),
             *("frictrack.records.ModelledMotion", "frictrack.records.CutoffTradeOff"),
             *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison"),
-            *("GroupComparison", "CovariateTrends"),
+            *("ParameterByGroup", "CovariateTrends"),
             *("Diagnosis", "frictrack.diagnose.Candidate", "FrictrackError"),
         ),
     ),

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from frictrack.compare.groups import GroupComparison, compare_groups
+from frictrack.compare.groups import ParameterByGroup, compare_groups
 from frictrack.compare.local_forces import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.compare.spans import failing_spans
 from frictrack.errors import FrictrackError
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Comparison",
-    "GroupComparison",
     "LocalForces",
+    "ParameterByGroup",
     "compare",
     "compare_groups",
     "continue_search",

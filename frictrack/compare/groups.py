@@ -25,8 +25,7 @@ import numpy as np
 from frictrack.covariates import ParameterEstimates
 from frictrack.distributions import f_sf, student_ppf, student_sf
 from frictrack.errors import FrictrackError
-from frictrack.fit import Fit, GroupFits, fit
-from frictrack.fit.result import by_group
+from frictrack.fit import Fit, GroupFits, by_group, fit
 from frictrack.fit.uncertainty import reported_values_and_jacobian
 from frictrack.models import Model
 from frictrack.number_format import format_plain, format_plus_minus
@@ -48,7 +47,7 @@ class GroupValue:
 
 
 @dataclass(frozen=True, repr=False)
-class GroupComparison:
+class ParameterByGroup:
     """One parameter in groups of runs.
 
     Attributes
@@ -92,7 +91,7 @@ class GroupComparison:
     left_out: Mapping[str, str]
 
     def __repr__(self) -> str:
-        return f"<GroupComparison of {'; '.join(self.sentences())}>"
+        return f"<ParameterByGroup of {'; '.join(self.sentences())}>"
 
     def sentences(self) -> list[str]:
         """Return the comparison in words: the parameter of every group, the differences, and what they rest on."""
@@ -129,7 +128,7 @@ class GroupComparison:
 
 
 @one_thread()
-def compare_groups(fitted: Fit | GroupFits, parameter: str) -> GroupComparison:
+def compare_groups(fitted: Fit | GroupFits, parameter: str) -> ParameterByGroup:
     """Compare one parameter between the groups of runs, with one law and the other parameters in common.
 
     Parameters
@@ -141,7 +140,7 @@ def compare_groups(fitted: Fit | GroupFits, parameter: str) -> GroupComparison:
 
     Returns
     -------
-    GroupComparison
+    ParameterByGroup
         The parameter in every group, and every group minus the first, with 95 % intervals and p-values.
 
     Raises
@@ -206,7 +205,7 @@ def _compare(
     seen: tuple[Array, Array, Array],
     values: Mapping[str, tuple[float, float]],
     left_out: Mapping[str, str],
-) -> GroupComparison:
+) -> ParameterByGroup:
     """Compare groups by values y (n,) with covariance (n, n) and groups x (n, q)."""
     y, covariance, x = seen
     variance, turn = np.linalg.eigh(covariance)  # independent combinations of the runs; their scatter stays tau
@@ -225,7 +224,7 @@ def _compare(
 
     between = contrasts @ beta
     size = float(between @ np.linalg.solve(contrasts @ spread @ contrasts.T, between)) / len(contrasts)
-    return GroupComparison(
+    return ParameterByGroup(
         parameter=what[0],
         unit=what[1],
         groups={name: value(row, int(n)) for name, row, n in zip(names, np.eye(len(names)), counts, strict=True)},

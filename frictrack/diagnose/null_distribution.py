@@ -136,7 +136,8 @@ def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generato
                 e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
             if piece.clock_error:
                 moved = piece.clock_error * law.pieces[i].response.motion.v_edge[piece.at] * piece.t
-                e += _whitened(piece, moved[:, None] * rng.standard_normal((1, e.shape[1]), dtype=np.float32))
+                rates = rng.standard_normal((1, e.shape[1]), dtype=np.float32)
+                e += _whitened(piece, moved[:, None].astype(np.float32) * rates)
             if piece.shake:
                 frequency, rms = piece.shake
                 e += _whitened(piece, rms * random_tones(piece.t * frequency, e.shape[1], rng))

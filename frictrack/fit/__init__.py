@@ -68,6 +68,7 @@ __all__ = [
     "add_effect",
     "analyse_uncertainty",
     "bootstrap",
+    "by_group",
     "fit",
     "generation_limit",
     "profile",

@@ -206,7 +206,7 @@ def _axis_words(runs: Sequence[RunResults]) -> str:
     return axis_label("velocity v", "mm/s") if _of_points(runs) else axis_label("time t", "ms")
 
 
-def _along(run: RunResults, t: Array) -> Array:
+def _abscissa(run: RunResults, t: Array) -> Array:
     """Times t (n,), s, in ms; of points (v, F), which t counts, the velocities in mm/s."""
     return 1e3 * (np.interp(t, run.motion.t, run.motion.v) if run.is_of_points else t)
 
@@ -282,7 +282,9 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
     f = run.friction
     if f is None:
         return []
-    series = [(_along(run, c.t), np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves]
+    series = [
+        (_abscissa(run, c.t), np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves
+    ]
     return [Residual(*one) for one in series]
 
 
@@ -303,7 +305,7 @@ def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
     _draw_measured_force(ax, run)
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(_along(run, c.t), modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
+            ax.plot(_abscissa(run, c.t), modelled_force(model, c), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
 
 
 def _repaired_handles(model: ModelResults) -> list[Line2D]:
@@ -342,8 +344,8 @@ def _draw_measured_force(ax: Axes, run: RunResults) -> None:
     if f is None:
         return
     F = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
-    draw_band(ax, _along(run, f.t), F, f.sigma_F, color="#BBBBBB", alpha=0.6)
-    ax.plot(_along(run, f.t), F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
+    draw_band(ax, _abscissa(run, f.t), F, f.sigma_F, color="#BBBBBB", alpha=0.6)
+    ax.plot(_abscissa(run, f.t), F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
 
 
 def _panel_title(model: ModelResults, name: str) -> str:

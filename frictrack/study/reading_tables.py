@@ -517,7 +517,7 @@ def _rising(t: Array, x: Array | None, interval: float | None) -> tuple[Array, t
     t, notes = unrolled_clock(t, x)
     if interval and len(t) > 1 and _time_faults(t):
         words = "the time stamps do not rise: the rows are taken as evenly spaced by the given fps"
-        return np.arange(len(t)) * interval, (words,)
+        return np.asarray(interval * np.arange(len(t)), dtype=np.float64), (words,)
     return t, notes
 
 

@@ -23,7 +23,7 @@ RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the 
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class SpeedPoints:
     """Where the points of a table were measured, and how their noise is known.
 
     `v` (n,): speeds, m/s; `load` (n,): loads over their mean; `relative` (n,): deviations over their mean; `stated`:
@@ -100,13 +100,13 @@ def _numbered(values: Array, tolerance: float) -> NDArray[np.int64]:
     return out
 
 
-def points_of(run: Run) -> tuple[Points, Array]:
+def points_of(run: Run) -> tuple[SpeedPoints, Array]:
     """The points of a table of speeds and forces, and their standard deviations (n,), N."""
     force = np.asarray(run.friction_N, dtype=float)
     load = np.ones(len(force)) if run.loads is None else run.loads / np.mean(run.loads)
     stated = run.sigma_friction if run.sigma_friction is not None else run.noise
     if stated is not None:
         sigma = np.broadcast_to(np.asarray(stated, dtype=float), force.shape)
-        return Points(run.motion.v, load, sigma / np.mean(sigma), stated=True), sigma
-    points = Points(run.motion.v, load, np.ones(len(force)))
+        return SpeedPoints(run.motion.v, load, sigma / np.mean(sigma), stated=True), sigma
+    points = SpeedPoints(run.motion.v, load, np.ones(len(force)))
     return points, np.full(len(force), points.noise(force[:, None])[0])

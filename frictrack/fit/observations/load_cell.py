@@ -18,7 +18,7 @@ import numpy as np
 from frictrack.effects import Path, Span
 from frictrack.errors import FrictrackError
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
-from frictrack.fit.observations.constant_speeds import Points, points_of
+from frictrack.fit.observations.constant_speeds import SpeedPoints, points_of
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import (
@@ -80,7 +80,7 @@ class MeasuredFrictionPiece(Piece):
 
     whole: MeasuredFrictionPiece | None = None
     every: int = 1
-    points: Points | None = None  # of a table of speeds and forces
+    points: SpeedPoints | None = None  # of a table of speeds and forces
 
     def noise_levels(self, model: Array, residual: Array, unknowns: int, errors: Array) -> Array:
         """Noise (D,) that is estimated of points with errors (n, D) of deviation one.
