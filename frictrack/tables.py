@@ -22,7 +22,7 @@ from frictrack.plausibility import (
     implausible_slide,
     time_unit,
 )
-from frictrack.records import Array, Displacement, Mask, Motion, Run
+from frictrack.records import Array, Displacement, Mask, Run
 from frictrack.sampling import (
     EvenClock,
     SampledPath,
@@ -253,7 +253,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         rows = every[np.diff(ticks, prepend=-1) > 0]
         if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
             continue
-        moving = replace(_select_rows(data, rows), t=ticks[rows].astype(float))
+        moving = replace(select_rows(data, rows), t=ticks[rows].astype(float))
         table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
@@ -262,7 +262,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         clock = rounded_clock(stamps, counted, rounding, interval)
         clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
-            found, notes = _at_rate(_at_clock(_select_rows(data, table.numbers), clock), fps, rounding)
+            found, notes = _at_rate(_at_clock(select_rows(data, table.numbers), clock), fps, rounding)
             return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
     if is_even(data.t):
         raise FrictrackError(
@@ -291,7 +291,7 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
     ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
-    taken = replace(_select_rows(data, rows), t=stamps)
+    taken = replace(select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
         return data, np.arange(len(data.t)), ()
     notes = _doubled_note(read.doubled)
@@ -336,7 +336,7 @@ def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
     return replace(data, t=moved[0], **found), (note,)
 
 
-def _select_rows(data: TableData, rows: Rows) -> TableData:
+def select_rows(data: TableData, rows: Rows) -> TableData:
     """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
     taken: dict[str, Any] = {n: column[rows] for n, column in columns.items() if isinstance(column, np.ndarray)}
@@ -402,7 +402,7 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
     right, keep = correct_ticks(ticks, found)
     stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
     t = np.where(right == ticks, data.t, t0 + right * interval)
-    taken = _select_rows(replace(data, t=t), stay)
+    taken = select_rows(replace(data, t=t), stay)
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
@@ -449,7 +449,7 @@ def run_of_arrays(
         t, notes = unrolled_clock(both[0].astype(np.float64), both[1].astype(np.float64))
     for name, values in {"t": t, "x": x, **optional}.items():
         if values is not None:
-            columns[name], found = _column(name, values, np.size(t))
+            columns[name], found = checked_column(name, values, np.size(t))
             faults += found
     raise_faults(faults, f'run "{settings.get("name", "run")}"')
     return _run_of(TableData(**columns, notes=notes), mass, settings)
@@ -463,114 +463,7 @@ def run_of_dataframe(
     return _run_of(data, mass, settings)
 
 
-MIN_SAME_SIGN = 0.9  # share of forces that have the sign that all are taken to have
-MIN_POINTS = 5  # of a table of speeds and forces, in one study
-MAX_SPEED = 300.0  # m/s; faster ones are in another unit
-
-
-def run_of_curve(given: Mapping[str, Any], settings: Mapping[str, Any]) -> Run:
-    """Make a run of speeds and forces; see `Run.from_curve`. None where not given."""
-    values: dict[str, Any] = {}
-    faults: list[str] = []
-    for name, column in given.items():
-        if column is not None:
-            values[name], found = _column(name, column, np.size(given["v"]), "v")
-            faults += found
-    raise_faults(faults, f'run "{settings.get("name", "run")}"')
-    read = points_of_table(TableData(np.arange(np.size(values["v"]), dtype=float), **values))
-    mass, sigma_mass = settings.get("mass"), 0.0
-    given = {name: _in_si(name, value) for name, value in settings.items()}
-    if mass is not None:
-        given["mass"], sigma_mass = parse_quantity(mass, "kg", "mass")
-    bare = Run(*motion_of_points(read), friction_N=read.friction, steady=True, sigma_mass=sigma_mass, **given)
-    return replace(bare, **forces_of_points(read, bare.load))
-
-
-def points_of_table(data: TableData) -> TableData:
-    """Order points (v, F) by speed, and bring their forces to the sign of the speed.
-
-    Raises
-    ------
-    FrictrackError
-        If there are too few points, neither a force nor a coefficient, or a value that cannot be right.
-
-    """
-    if (data.friction is None) == (data.mu is None):
-        came = "none" if data.mu is None else "both"
-        raise FrictrackError(f"expected a force (friction) or a coefficient (mu) for every speed but got {came}")
-    assert data.v is not None
-    given = [column for name in POINT_COLUMNS if (column := getattr(data, name)) is not None]
-    known = np.all(np.isfinite(given), axis=0)
-    moving, notes = known & (data.v != 0), list(data.notes)
-    if unknown := int(np.sum(~known)):
-        notes.append(f"{unknown} of {len(known)} rows lack a value; left out")
-    if still := int(np.sum(known & ~moving)):
-        notes.append(
-            f"{still} of {len(known)} points are at rest, where any force below static friction holds; left out"
-        )
-    if data.mu is not None and data.load is None:
-        notes.append("coefficients of friction: forces are those at the normal load of the run, or at 1 N without it")
-    order = np.flatnonzero(moving)[np.argsort(data.v[moving], kind="stable")]
-    data = _select_rows(data, order)
-    _check_points(data)
-    force, words = _resisting(data)
-    return replace(data, t=np.arange(len(order), dtype=float), friction=force, notes=(*notes, *words))
-
-
-def _check_points(data: TableData) -> None:
-    assert data.v is not None
-    if len(data.v) < MIN_POINTS:
-        raise FrictrackError(f"expected at least {MIN_POINTS} points at speeds other than 0 but got {len(data.v)}")
-    if (fastest := float(np.max(np.abs(data.v)))) > MAX_SPEED:
-        raise FrictrackError(
-            f'expected speeds in m/s but got {fastest:g} m/s; state their unit, as in v = "speed (mm/s)"'
-        )
-    sizes = {"sigma_friction": "standard deviations", "sigma_mu": "standard deviations", "load": "normal loads"}
-    for name, words in sizes.items():
-        if (column := getattr(data, name)) is not None and not np.all(column > 0):
-            raise FrictrackError(f"expected {words} above 0 but got {np.min(column):g}")
-
-
-def _resisting(data: TableData) -> tuple[Array, tuple[str, ...]]:
-    """Return forces or coefficients (n,) that have the sign of the speed where they resist the motion, and a note."""
-    force = data.friction if data.mu is None else data.mu
-    assert force is not None
-    assert data.v is not None
-    direction = np.sign(data.v)
-    if np.ptp(direction) and abs(float(np.mean(np.sign(force)))) > MIN_SAME_SIGN:
-        words = "the forces have one sign for both directions: taken as forces against the motion"
-        return np.sign(np.mean(force)) * direction * force, (words,)
-    if float(np.mean(force * direction > 0)) < 1 - MIN_SAME_SIGN:
-        return -force, (
-            "the forces are opposite to the speed: taken as forces on the mass, of which friction is minus",
-        )
-    return force, ()
-
-
-def motion_of_points(data: TableData) -> tuple[Displacement, Motion]:
-    """Make the records of points (v, F): t counts them, and nothing is known of the place."""
-    assert data.v is not None
-    n = len(data.v)
-    nan, still, small = np.full(n, np.nan), np.zeros(n), np.full(n, 1e-9 * float(np.min(np.abs(data.v))))
-    seen = Displacement(data.t, still, nan, nan, small, nan, np.ones(n, dtype=bool), notes=data.notes)
-    return seen, Motion(data.t, still, data.v, still, nan, small, small, small, nan)
-
-
-def forces_of_points(data: TableData, load: float | None) -> dict[str, Any]:
-    """Return forces, deviations and loads of ordered points (v, F), N, as `Run` takes them.
-
-    Coefficients are times the load of each point, else the `load` of the run, N, else 1 N.
-    """
-    assert data.friction is not None
-    loads = data.load
-    if loads is None and data.mu is not None:
-        loads = np.full(len(data.t), load or 1.0)
-    factor = 1.0 if data.mu is None or loads is None else loads
-    sigma = data.sigma_friction if data.sigma_mu is None or loads is None else data.sigma_mu * loads
-    return {"friction_N": data.friction * factor, "sigma_friction": sigma, "loads": loads}
-
-
-def _column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
+def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
         number = (
@@ -596,10 +489,10 @@ def _column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Arr
     return array, []
 
 
-def _in_si(name: str, value: Any) -> Any:
+def in_si_units(name: str, value: Any) -> Any:
     """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
     if isinstance(value, tuple | list):
-        return tuple(_in_si(name, part) for part in value)
+        return tuple(in_si_units(name, part) for part in value)
     units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
     unit = units.get(name, "")
     return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
@@ -611,7 +504,7 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     table = with_even_clock(data)
     displacement, forces = displacement_of_even_table(table), table.data
     given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
-    given |= {name: _in_si(name, value) for name, value in settings.items()}
+    given |= {name: in_si_units(name, value) for name, value in settings.items()}
     run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))

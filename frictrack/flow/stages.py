@@ -44,8 +44,8 @@ def make_table_displacement(pipeline: RunPipeline) -> Displacement:
 
 def _points(pipeline: RunPipeline) -> TableData:
     """The points (v, F) of a run, in order of speed."""
+    from frictrack.points import points_of_table  # noqa: PLC0415
     from frictrack.study import read_points  # noqa: PLC0415
-    from frictrack.tables import points_of_table  # noqa: PLC0415
 
     assert pipeline.run.table is not None
     return points_of_table(read_points(local_path(pipeline.run.table), pipeline.run.columns))
@@ -53,14 +53,14 @@ def _points(pipeline: RunPipeline) -> TableData:
 
 def make_point_displacement(pipeline: RunPipeline) -> Displacement:
     """Read a table of points (v, F): rows at no known place."""
-    from frictrack.tables import motion_of_points  # noqa: PLC0415
+    from frictrack.points import motion_of_points  # noqa: PLC0415
 
     return motion_of_points(_points(pipeline))[0]
 
 
 def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
     """Return the friction force of every point, with its deviation and load where they are known."""
-    from frictrack.tables import forces_of_points  # noqa: PLC0415
+    from frictrack.points import forces_of_points  # noqa: PLC0415
 
     points = _points(pipeline)
     measured = Sensors(displacement.t, friction_N=points.friction)
@@ -76,7 +76,7 @@ def make_point_filtered(pipeline: RunPipeline, displacement: Displacement) -> Fi
 
 def make_point_motion(pipeline: RunPipeline, displacement: Displacement) -> Motion:
     """Return the speed of every point."""
-    from frictrack.tables import motion_of_points  # noqa: PLC0415
+    from frictrack.points import motion_of_points  # noqa: PLC0415
 
     return motion_of_points(_points(pipeline))[1]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from frictrack.errors import FrictrackError
+from frictrack.points import points_of_table
 from frictrack.records import Array
 from frictrack.study import (
     TableFile,
@@ -20,7 +21,6 @@ from frictrack.study import (
     read_points,
     read_table,
 )
-from frictrack.tables import points_of_table
 
 RATE_IN_NAME = re.compile(
     r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE

@@ -317,7 +317,7 @@ class Run(NotebookView):
         """
         deviation = "sigma_friction" if mu is None else "sigma_mu"
         columns = {"v": v, "friction": friction, "mu": mu, deviation: sigma, "load": load}
-        run: Run = imported("frictrack.tables:run_of_curve")(columns, settings)
+        run: Run = imported("frictrack.points:run_of_curve")(columns, settings)
         return run
 
     def __repr__(self) -> str:
