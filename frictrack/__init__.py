@@ -27,7 +27,7 @@ from frictrack.lazy import module_of
 if TYPE_CHECKING:
     from frictrack import effects, models, samples, search, simulate
     from frictrack.calibration import calibrate, plane_map
-    from frictrack.compare import Comparison, compare, history
+    from frictrack.compare import Comparison, ParameterByGroup, compare, compare_groups, history
     from frictrack.covariates import CovariateTrends, trend
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.effects import effect
@@ -55,7 +55,7 @@ _MODULE_OF = module_of(
         "friction": "free_section friction find_events with_earlier_runs",
         "error_budget": "budget",
         "fit": "fit profile bootstrap Fit GroupFits",
-        "compare": "compare history Comparison",
+        "compare": "compare compare_groups history Comparison ParameterByGroup",
         "diagnose": "diagnose Diagnosis",
         "records": "Displacement Motion Track Run",
         "priors": "Prior",
@@ -79,6 +79,7 @@ __all__ = [  # written out: a type checker reads which names are public
     "GroupFits",
     "KnownAcceleration",
     "Motion",
+    "ParameterByGroup",
     "Prior",
     "Run",
     "Track",
@@ -88,6 +89,7 @@ __all__ = [  # written out: a type checker reads which names are public
     "budget",
     "calibrate",
     "compare",
+    "compare_groups",
     "contact_sheet",
     "covariance",
     "cutoff_tradeoff",

@@ -19,18 +19,29 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
-    from frictrack.study.column_names import columns_line, find_header, has_units
+    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units
     from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         TableData,
         propose_columns,
         read_frame,
+        read_points,
         read_run_table,
         read_sensor_table,
         read_table,
+        unrolled_clock,
     )
-    from frictrack.study.schema import COLUMNS, EffectTable, RunTable, needs_film, read_frame_rate, suggest, to_si
+    from frictrack.study.schema import (
+        COLUMNS,
+        POINT_COLUMNS,
+        EffectTable,
+        RunTable,
+        needs_film,
+        read_frame_rate,
+        suggest,
+        to_si,
+    )
     from frictrack.study.table_cells import TableFile
     from frictrack.study.table_files import open_table, table_headers
     from frictrack.study.writing import (
@@ -45,12 +56,13 @@ if TYPE_CHECKING:
 
 _MODULE_OF = module_of(
     {
-        "schema": "COLUMNS EffectTable needs_film read_frame_rate RunTable suggest to_si",
-        "column_names": "columns_line find_header has_units",
+        "schema": "COLUMNS POINT_COLUMNS EffectTable needs_film read_frame_rate RunTable suggest to_si",
+        "column_names": "columns_line find_header guess_points has_units",
         "writing": "find_recordings is_picture_folder is_table list_files NewRun refuse_existing write_study",
         "loading": "load parse read_toml results_folder Study",
         "table_files": "open_table table_headers",
-        "reading_tables": "propose_columns read_frame read_run_table read_sensor_table read_table TableData",
+        "reading_tables": "propose_columns read_frame read_points read_run_table read_sensor_table read_table "
+        "TableData unrolled_clock",
         "table_cells": "TableFile",
         "editing": "with_effect with_key with_runs without_run",
     }
