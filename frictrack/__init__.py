@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from frictrack.base.errors import FrictrackError
     from frictrack.base.version import __version__
     from frictrack.diagnose import Diagnosis, diagnose
-    from frictrack.diagnose.compare import Comparison, compare, history
+    from frictrack.diagnose.compare import Comparison, ParameterByGroup, compare, compare_groups, history
     from frictrack.effects import effect, models
     from frictrack.fit import CovariateTrends, Fit, GroupFits, bootstrap, fit, profile, trend
     from frictrack.measure.calibration import calibrate, plane_map
@@ -64,6 +64,7 @@ __all__ = [  # written out: a type checker reads which names are public
     "GroupFits",
     "KnownAcceleration",
     "Motion",
+    "ParameterByGroup",
     "Prior",
     "Run",
     "Track",
@@ -73,6 +74,7 @@ __all__ = [  # written out: a type checker reads which names are public
     "budget",
     "calibrate",
     "compare",
+    "compare_groups",
     "contact_sheet",
     "covariance",
     "cutoff_tradeoff",

@@ -20,7 +20,7 @@ from page_text import write_page
 
 from frictrack.base.files import replace_text
 from frictrack.flow import store
-from frictrack.flow.stages import FILM, TABLE
+from frictrack.flow.stages import FILM, POINTS, TABLE
 from frictrack.flow.store import Provenance
 from frictrack.records import Curve, ModelledMotion
 
@@ -151,7 +151,8 @@ def schema_page() -> str:
 
 def _stage_section(name: str) -> str:
     """Describe one stage: what it is computed from, for a film, a table or both, and its record."""
-    chains = {kind: chain[name] for kind, chain in (("film", FILM), ("table", TABLE)) if name in chain}
+    tables = (("film", FILM), ("table", TABLE), ("table of points (v, F)", POINTS))
+    chains = {kind: chain[name] for kind, chain in tables if name in chain}
     made: dict[str, list[str]] = {}
     for kind, stage in chains.items():
         groups = [f"`/{one}`" for one in stage.inputs]

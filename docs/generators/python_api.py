@@ -61,7 +61,7 @@ GROUPS = (
         "Compare models, find where one fails and what it lacks; effects of the library and your own; how a law "
         "depends on temperature, load or material.",
         "frictrack",
-        ("compare", "history", "diagnose", "effects", "effect", "trend"),
+        ("compare", "compare_groups", "history", "diagnose", "effects", "effect", "trend"),
     ),
     Group(
         "Simulating",
@@ -76,7 +76,8 @@ GROUPS = (
         (
             *("Track", "Displacement", "Motion", "frictrack.records.Friction", "frictrack.records.Curve"),
             *("frictrack.records.ModelledMotion", "frictrack.records.CutoffTradeOff"),
-            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison", "CovariateTrends"),
+            *("Fit", "GroupFits", "frictrack.fit.Profile", "frictrack.fit.Bootstrap", "Comparison"),
+            *("ParameterByGroup", "CovariateTrends"),
             *("Diagnosis", "frictrack.diagnose.Candidate", "FrictrackError"),
         ),
     ),

@@ -13,6 +13,7 @@ from page_text import code, prose, table, write_page
 from frictrack.study import schema
 from frictrack.study.schema import (
     COLUMNS,
+    POINT_COLUMNS,
     SCALE,
     SENSOR_COLUMNS,
     CameraTable,
@@ -222,9 +223,13 @@ def _scale() -> str:
 
 def _tables() -> str:
     """Return the section on the headers of tables."""
-    rows = [[code(key), code(header), prose(unit)] for key, (header, unit) in (COLUMNS | SENSOR_COLUMNS).items()]
+    rows = [
+        [code(key), code(header), prose(unit)]
+        for key, (header, unit) in (COLUMNS | SENSOR_COLUMNS | POINT_COLUMNS).items()
+    ]
     return (
-        "## Columns of tables\n\nA table of a run needs `t_s` and `x_m` or `friction_N`; the others are optional. "
+        "## Columns of tables\n\nA table of a run needs `t_s` and `x_m` or `friction_N`; points (v, F) at "
+        "constant speeds need `v` and `friction` or `mu` in `columns`; the others are optional. "
         "`columns` maps a short name to the header that your table has.\n\n"
         + table(["short name", "header", "unit"], rows)
     )

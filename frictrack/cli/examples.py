@@ -19,7 +19,7 @@ EXAMPLES = {
         "frictrack fit study.toml --model tustin,texture",
         "frictrack fit study.toml --search mga --set generations=500",
     ),
-    "compare": ("frictrack compare study.toml", "frictrack compare study.toml --json > errors.json"),
+    "compare": ("frictrack compare study.toml", "frictrack compare study.toml --parameter viscous.F_v"),
     "diagnose": ("frictrack diagnose study.toml", "frictrack diagnose study.toml --quick"),
     "add": ("frictrack add study.toml texture", "frictrack add study.toml formula:1"),
     "remove": ("frictrack remove study.toml texture", "frictrack remove study.toml viscous"),

@@ -173,6 +173,21 @@ def compare(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result["fails_at"])
 
 
+def sentences(out: Console, result: dict[str, Any]) -> None:
+    """Print the "words" of a result, one sentence a line.
+
+    Parameters
+    ----------
+    out
+        The terminal.
+    result
+        JSON of `frictrack compare --parameter`.
+
+    """
+    for sentence in result["words"]:
+        out.print(escape(sentence))
+
+
 def history(out: Console, result: dict[str, Any]) -> None:
     """Print every model tried, in order, one row each.
 

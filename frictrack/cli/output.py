@@ -10,7 +10,7 @@ from rich.table import Table
 
 from frictrack.base.number_format import format_plain, format_plus_minus
 from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, evidence_of, plan, verdict  # noqa: F401
-from frictrack.cli.fit_output import compare, edit, fit, history, parameters  # noqa: F401 - `print_result` looks the function up here
+from frictrack.cli.fit_output import compare, edit, fit, history, parameters, sentences  # noqa: F401 - `print_result` looks the function up here
 from frictrack.cli.measurement_output import stages, track  # noqa: F401
 from frictrack.cli.tables import cell, table
 from frictrack.results.candidates import candidate_rows

@@ -224,14 +224,22 @@ def _settings(pairs: Iterable[str]) -> dict[str, str] | None:
 
 
 @command()
-def compare(study: Study, as_json: Json = False) -> None:
-    """Compare the errors of all models tried.
+def compare(
+    study: Study,
+    parameter: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="compare this parameter between the groups of runs: viscous.F_v"),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the errors of all models tried, or one parameter between groups of runs.
 
     Shows where the current model fails. Reads the models in study.h5. Writes the comparison into study.h5.
     """
     with open_session(study) as session:
-        result = session.compare()
-    print_result(result, as_json, "compare", session.path, look_at("compare"))
+        result = session.compare() if parameter is None else session.compare_groups(parameter)
+    show = "compare" if parameter is None else "sentences"
+    print_result(result, as_json, show, session.path, look_at("compare") if parameter is None else "")
 
 
 @command()

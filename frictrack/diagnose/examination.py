@@ -303,6 +303,8 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             continue
         if kind.acts_on == "measurement" and not solution.problem.simulates:
             continue
+        if paths[0].steady and not kind.is_of_velocity:
+            continue  # the remarks on points (v, F) say it of all at once
         effect = effects.get(model.next_instance(kind.name), own)
         if why := effect.lacks(paths) or _missing_tie(effect, model) or _needs_reversal(effect, solution):
             excluded[effect.name] = why

@@ -20,6 +20,7 @@ from scipy.fft import idct
 
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.linearised import Float32Array, LinearisedModel, ScannedSeries, linearise
+from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.fit.pieces import Piece, Rows
 from frictrack.measure.motion import (
     DIFFERENCE_ORDER,
@@ -109,9 +110,15 @@ def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generato
         out[rows] = rng.standard_normal(out[rows].shape, dtype=np.float32)
     for run in law.runs:
         members = [i for i, s in enumerate(law.pieces) if s.run == run]
-        level = _noise_level(
-            [law.pieces[i].response.piece.frames for i in members], [out[law.rows[i]] for i in members]
-        )
+        one = law.pieces[members[0]].response
+        if one.piece.path.steady:
+            assert isinstance(one.piece, MeasuredFrictionPiece)
+            drawn = out[law.rows[members[0]]].astype(np.float64)
+            level = one.piece.noise_levels(one.model_y, one.r, len(law.solution.p), drawn)
+        else:
+            level = _noise_level(
+                [law.pieces[i].response.piece.frames for i in members], [out[law.rows[i]] for i in members]
+            )
         for i in members:
             e = out[law.rows[i]]
             e /= level
@@ -127,6 +134,10 @@ def _fill_noise(law: LinearisedModel, out: Float32Array, rng: np.random.Generato
                 e += _whitened(piece, rounding_errors(law.pieces[i].response.model_y, piece.step, e.shape[1], rng))
             if piece.systematic:
                 e += _whitened(piece, piece.systematic * slow_errors(e.shape, rng))
+            if piece.clock_error:
+                moved = piece.clock_error * law.pieces[i].response.motion.v_edge[piece.at] * piece.t
+                rates = rng.standard_normal((1, e.shape[1]), dtype=np.float32)
+                e += _whitened(piece, moved[:, None].astype(np.float32) * rates)
             if piece.shake:
                 frequency, rms = piece.shake
                 e += _whitened(piece, rms * random_tones(piece.t * frequency, e.shape[1], rng))

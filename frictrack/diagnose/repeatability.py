@@ -124,6 +124,8 @@ def assess_repeatability(
     `waves`: scan for waves in its residual, if there is one; `forces`: smooth forces in its residual, if they were
     computed before.
     """
+    if solution.problem.pieces[0].path.steady:
+        return Repeatability()
     forces, waves = forces or ResidualForces(solution, about_measurement=True), waves or WaveScan(linearise(solution))
     misfit = _Misfit.of(forces.compressed, rng)
     if len(misfit.model) < 2:

@@ -182,12 +182,14 @@ def separate_curves(compressed: CompressedResidual, known: Array | None = None) 
 
 def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
     """Axes that these runs can distinguish; a phase needs a motion that reverses repeatedly."""
-    named: dict[str, Callable[[Path], Array]] = {"x": lambda p: p.x, "t": lambda p: p.t, "v": lambda p: p.speed}
-    if min(_count_reversals(compressed, run) for run in set(compressed.runs)) >= MIN_REVERSALS:
+    steady = compressed.paths[0].steady
+    named: dict[str, Callable[[Path], Array]] = {} if steady else {"x": lambda p: p.x, "t": lambda p: p.t}
+    named["v"] = lambda p: p.speed
+    if not steady and min(_count_reversals(compressed, run) for run in set(compressed.runs)) >= MIN_REVERSALS:
         named["phase"] = _phase_function(compressed)
-    loads = [p.load for p in compressed.paths]
+    loads = compressed.concatenate(lambda p: np.broadcast_to(p.load, p.t.shape))
     one_way = np.ptp(compressed.concatenate(lambda p: p.s)) == 0
-    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if max(loads) > MIN_LOAD_RATIO * min(loads) else [])
+    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if np.max(loads) > MIN_LOAD_RATIO * np.min(loads) else [])
     return [Axis(name, of, factor) for name, of in named.items() for factor in factors]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -267,6 +268,23 @@ class Effect:
         return f"{self.name} needs {' and '.join(what for what, _ in gone)} of every run; " + ", ".join(
             how for _, how in gone
         )
+
+    @property
+    def is_of_velocity(self) -> bool:
+        """Whether its force at a sample depends on velocity, direction and load there alone."""
+        if self.formula is not None:
+            return self.acts_on == "force" and not re.search(r"\b[xt]\b", self.formula)
+        if self.acts_on == "measurement" or self.memory or self.counts_from_release or self.needs or self.single:
+            return False
+        v, order = np.array([0.3, -0.3, 1.7]), np.array([2, 0, 1])
+        values = {p.name: float(np.clip(1.0, *p.bounds)) if p.fixed is None else p.fixed for p in self.nonlinear}
+        inner = [np.abs(v)[:, None]] if self.modifies else []
+        here = Path(np.zeros(3), np.zeros(3), v, np.sign(v))
+        there = Path(np.array([1.0, 2.0, 4.0]), np.array([1.0, 0.5, 3.0]), v[order], np.sign(v[order]))
+        now, later = (
+            self.columns(path, values, *(c[rows] for c in inner)) for path, rows in ((here, [0, 1, 2]), (there, order))
+        )
+        return np.array_equal(now[order], later)
 
     @property
     def linear(self) -> tuple[Parameter, ...]:

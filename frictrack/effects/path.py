@@ -48,6 +48,7 @@ class Path:
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
     states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
     begin: Array | None = None  # that of the effect at hand, (P, k)
+    steady: bool = False  # whether every sample is a measurement of its own, without time, place or a motion before
     runs: tuple[Path, ...] = ()  # the path of each run, if it joins several; their motion is not that of this path
 
     @cached_property

@@ -70,6 +70,7 @@ __all__ = [
     "add_effect",
     "analyse_uncertainty",
     "bootstrap",
+    "by_group",
     "fit",
     "generation_limit",
     "profile",
@@ -181,7 +182,7 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     check_ties(law.effects)
     _check_runs(runs)
     if uses_measured_friction(runs, domain):
-        check_effects(law)
+        check_effects(law, runs)
         reference = Reference(1.0, reference_load(runs))
         law = law if prior is None else apply_prior(law, prior, reference.load)
         fit_group = partial(

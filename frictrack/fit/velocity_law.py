@@ -6,14 +6,13 @@ that modify others, are left out of it: what is left is the friction of a steady
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from frictrack.effects import Effect, Path
-from frictrack.effects.models import Model, Values
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import mass_ratio, without_mass
 from frictrack.records import Array, Curve
@@ -47,9 +46,8 @@ def law_branches(
         if it is not known) and `effects`, the names of those that it contains. Empty without such effects.
 
     """
-    values = solution.problem.layout.values(solution.p, 0)[0]
     speeds = np.concatenate([curve.v_model for curve in curves if curve.role == "fit"])
-    effects = tuple(e for e in without_mass(solution.problem.model).effects if _is_of_velocity(e, values))
+    effects = tuple(e for e in without_mass(solution.problem.model).effects if _is_of_velocity(e))
     if not effects:
         return []
     out = []
@@ -59,29 +57,18 @@ def law_branches(
             continue
         low, high = max(float(np.min(seen)), MIN_SPEED_SHARE * float(np.max(seen))), float(np.max(seen))
         v = low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2  # closer where the law is steep
-        force, sigma = _force_and_deviation(solution, covariance, Model(effects), _steady_path(direction * v))
+        force, sigma = _force_and_deviation(
+            solution, covariance, Model(effects), Path(0 * v, 0 * v, direction * v, np.full_like(v, direction))
+        )
         branch = {"direction": direction, "v": v, "F": direction * force, "sigma_F": sigma}
         out.append(branch | {"load_N": load, "effects": [e.name for e in effects]})
     return [{k: q.tolist() if isinstance(q, np.ndarray) else q for k, q in branch.items()} for branch in out]
 
 
-def _steady_path(v: Array, at: float = 0.0) -> Path:
-    """Samples of velocities v (n,), all at one place (m) and one time (s)."""
-    return Path(np.full_like(v, at), np.full_like(v, at), v, np.sign(v))
-
-
-def _is_of_velocity(effect: Effect, values: Values) -> bool:
-    """Whether an effect adds a force that depends on the velocity alone."""
-    is_friction = effect.acts_on == "force" and effect.scales_with in ("load", "nothing")  # not gravity or the drive
-    if not is_friction or effect.modifies:
-        return False
-    if effect.formula is not None:
-        return not re.search(r"\b[xt]\b", effect.formula)
-    if effect.varies_with not in ("", "v") or any(p.per_run for p in effect.parameters):  # events and waves are per run
-        return False
-    v = np.array([0.3, -0.3, 1.7])
-    now, later = (effect.columns(_steady_path(v, t), values[effect.name]) for t in (0.0, 1.0))
-    return np.array_equal(now, later)
+def _is_of_velocity(effect: Effect) -> bool:
+    """Whether an effect adds a force of friction, not of gravity or the drive, that depends on the velocity alone."""
+    of_runs = any(p.per_run for p in effect.parameters)
+    return effect.scales_with in ("load", "nothing") and not (effect.modifies or of_runs) and effect.is_of_velocity
 
 
 def _force_and_deviation(solution: Solution, covariance: Array, law: Model, path: Path) -> tuple[Array, Array]:

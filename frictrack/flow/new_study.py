@@ -16,17 +16,20 @@ from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.stages import run_pipeline
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
+from frictrack.measure.points import points_of_table
 from frictrack.records import Array
 from frictrack.study import (
     NewRun,
     Study,
     TableFile,
     columns_line,
+    guess_points,
     has_units,
     is_table,
     list_files,
     open_table,
     propose_columns,
+    read_points,
     read_table,
     refuse_existing,
     write_study,
@@ -69,6 +72,8 @@ class Surveyed:
         Number of frames of a film, and height and width of its pictures, px; 0 for a table.
     positions
         Positions of a table that needs no camera, m, (n,).
+    of_points
+        Whether it holds points (v, F) at constant speeds.
 
     """
 
@@ -84,6 +89,7 @@ class Surveyed:
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
     positions: Array | None = None
+    of_points: bool = False
 
     @property
     def is_usable(self) -> bool:
@@ -150,6 +156,8 @@ def _survey_table(path: Path) -> Surveyed:
         table = open_table(path, STANDARD)
         if len(table.tracks) > 1 and not table.has_runs:
             return _several_tracks(path, table)
+        if points := guess_points(list(map(str, table.frame.columns))):
+            return _survey_points(path, table, points)
         columns = _columns(table)
         if columns is None and not table.has_runs:
             heads = ", ".join(map(str, table.frame.columns))
@@ -170,6 +178,19 @@ def _survey_table(path: Path) -> Surveyed:
     for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
         named += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
     return Surveyed(path, words + named, runs=runs, camera_keys=needed, positions=None if needed else read[0].x)
+
+
+def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Surveyed:
+    """Read a table of points (v, F) at constant speeds; raises FrictrackError."""
+    if not has_units(columns):
+        return Surveyed(path, _unknown_units(table), columns_to_confirm=[columns_line(columns)], of_points=True)
+    data = points_of_table(read_points(path, columns))
+    assert data.v is not None
+    named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
+    speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"
+    return Surveyed(
+        path, f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}", runs=[columns], of_points=True
+    )
 
 
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:
@@ -443,7 +464,11 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
     """Return words before the explanation of a key: that it is to be filled in, or where its value comes from."""
     films = [one for one in found if not one.is_table]
-    needed = {"mass", *(("scale",) if films else ()), *(key for one in found for key in one.camera_keys)}
+    needed = {
+        *(() if all(one.of_points for one in found) else ("mass",)),
+        *(("scale",) if films else ()),
+        *(key for one in found for key in one.camera_keys),
+    }
     remarks = {key: FILL_IN for key in ("mass", "scale", "fps") if key not in known and key in needed}
     unknown = ", ".join(one.path.name for one in films if one.fps is None)
     if unknown and "fps" not in known:

@@ -92,14 +92,13 @@ def table_needs_mass(run: RunTable) -> bool:
         If the table cannot be read.
 
     """
-    from frictrack.study import find_header, table_headers  # noqa: PLC0415 - not needed for stored results
+    from frictrack.study import find_header, guess_points, table_headers  # noqa: PLC0415 - not needed for stored results
 
-    if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None:
+    if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    return (
-        find_header(written.lstrip("-"), table_headers(run.table, [header for header, _ in COLUMNS.values()])) is None
-    )
+    headers = table_headers(run.table, [header for header, _ in COLUMNS.values()])
+    return find_header(written.lstrip("-"), headers) is None and not guess_points(headers)
 
 
 def _check_mass(pipeline: RunPipeline) -> None:

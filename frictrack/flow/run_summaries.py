@@ -117,7 +117,7 @@ def _motion_summary(pipeline: RunPipeline) -> dict[str, Any]:
         "smoothing": pipeline.get("filtered").reason,
         "lines_Hz": list(motion.lines),
         "guard_frames": motion.guard,
-        "cutoff": _cutoff_summary(pipeline),
+        "cutoff": _cutoff_summary(pipeline) if "cutoff" in pipeline.stages else None,
         **_events_summary(pipeline),
         **_sensor_notes(pipeline),
     }

@@ -287,6 +287,14 @@ class Session:
         return self.models.append(replace(self.models.first_request(), **how))
 
     @exclusive
+    def compare_groups(self, parameter: str) -> dict[str, Any]:
+        """Return the JSON of `frictrack compare --parameter`: the current law's parameter in every group of runs."""
+        from frictrack.diagnose.compare import compare_groups  # noqa: PLC0415
+
+        self.bring_up_to("friction")
+        return compare_groups(self.models.fit(self.models.current()[0]), parameter).summary()
+
+    @exclusive
     def compare(self) -> dict[str, Any]:
         """Compare the errors of all models tried, and find where the current one fails.
 

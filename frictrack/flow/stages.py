@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.remote import local_path
 from frictrack.effects import models
 from frictrack.flow.film_stages import (
     make_film_displacement,
@@ -22,7 +23,7 @@ from frictrack.flow.pipeline import Progress, RunPipeline, Stage, make_run, no_p
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
-from frictrack.study import RunTable, Study
+from frictrack.study import RunTable, Study, TableData
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
@@ -39,6 +40,45 @@ def make_table_displacement(pipeline: RunPipeline) -> Displacement:
     run = pipeline.run
     found = displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
     return repaired_rows(found, run.repair)
+
+
+def _points(pipeline: RunPipeline) -> TableData:
+    """The points (v, F) of a run, in order of speed."""
+    from frictrack.measure.points import points_of_table  # noqa: PLC0415
+    from frictrack.study import read_points  # noqa: PLC0415
+
+    assert pipeline.run.table is not None
+    return points_of_table(read_points(local_path(pipeline.run.table), pipeline.run.columns))
+
+
+def make_point_displacement(pipeline: RunPipeline) -> Displacement:
+    """Read a table of points (v, F): rows at no known place."""
+    from frictrack.measure.points import motion_of_points  # noqa: PLC0415
+
+    return motion_of_points(_points(pipeline))[0]
+
+
+def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
+    """Return the friction force of every point, with its deviation and load where they are known."""
+    from frictrack.measure.points import forces_of_points  # noqa: PLC0415
+
+    points = _points(pipeline)
+    measured = Sensors(displacement.t, friction_N=points.friction)
+    load = make_run(pipeline.run, displacement, make_point_motion(pipeline, displacement), measured).load
+    return replace(measured, **forces_of_points(points, load))
+
+
+def make_point_filtered(pipeline: RunPipeline, displacement: Displacement) -> Filtered:
+    """Return the rows of points as they are."""
+    nan = displacement.y
+    return Filtered(displacement.t, displacement.x, nan, nan, nan, reason="nothing is smoothed")
+
+
+def make_point_motion(pipeline: RunPipeline, displacement: Displacement) -> Motion:
+    """Return the speed of every point."""
+    from frictrack.measure.points import motion_of_points  # noqa: PLC0415
+
+    return motion_of_points(_points(pipeline))[1]
 
 
 def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
@@ -182,6 +222,16 @@ TABLE = _stage_table(
 )
 
 
+POINTS = {
+    **TABLE,
+    "displacement": replace(TABLE["displacement"], settings=("table", "columns"), make=make_point_displacement),
+    "sensors": replace(TABLE["sensors"], settings=("table", "columns", "mass", "normal_load"), make=make_point_sensors),
+    "filtered": Stage("filtered", ("displacement",), (), make_point_filtered, Filtered),
+    "motion": Stage("motion", ("displacement",), ("table", "columns"), make_point_motion, Motion),
+}
+del POINTS["cutoff"]
+
+
 def run_pipeline(
     study: Study, run: RunTable, progress: Progress = no_progress, *, stored_only: bool = False
 ) -> RunPipeline:
@@ -197,8 +247,9 @@ def run_pipeline(
         Take every stored result as up to date: nothing is computed and no recording is opened.
 
     """
-    film = FILM_REPAIRED if run.repair else FILM
-    return RunPipeline(study, run, film if run.video else TABLE, progress, stored_only=stored_only)
+    of_table = POINTS if run.is_of_points else TABLE
+    stages = of_table if run.table else FILM_REPAIRED if run.repair else FILM
+    return RunPipeline(study, run, stages, progress, stored_only=stored_only)
 
 
 def run_pipelines(study: Study, progress: Progress = no_progress, pool: WorkerPool | None = None) -> list[RunPipeline]:

@@ -70,6 +70,8 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
     """
     valid, moving = run.displacement.valid, is_moving(run)
+    if run.steady:
+        return valid, "every row is a measurement at a constant speed"
     if run.free is not None:
         t = run.motion.t
         mask = valid & (t >= run.free[0]) & (t <= run.free[1])
@@ -235,7 +237,8 @@ def friction(run: Run) -> Friction:
     if run.friction_N is not None:
         known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
         force = np.interp(rows, rows[known], run.friction_N[known])
-        sigma = np.full(len(force), white_noise(run.friction_N))
+        white = white_noise(run.friction_N) if run.noise is None else run.noise
+        sigma = np.full(len(force), white) if run.sigma_friction is None else run.sigma_friction
         return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
     assert run.mass is not None  # Run checks this
     acceleration = run.motion.a + GRAVITY * np.sin(run.incline)

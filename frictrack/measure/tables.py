@@ -47,7 +47,7 @@ from frictrack.sampling import (
     unevenness,
     unwrapped,
 )
-from frictrack.study import COLUMNS, TableData, read_frame
+from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +63,7 @@ MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
+MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -114,6 +115,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
             relative_scale_error=relative,
             notes=(*data.notes, *table.notes),
             stamped_rate=data.stamped_rate,
+            clock_error=data.clock_error,
         ),
         table.numbers,
     )
@@ -178,12 +180,21 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     if data.x is not None:
         x, turned = unwrapped(data.x)
         data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
-    if data.x is None or n < MIN_ROWS:
+    if data.x is None or (n < MIN_ROWS and not (fps and not is_even(data.t))):
         return EvenTable(data, np.ones(n, dtype=bool), rows)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
     clocked = not is_even(data.t)
-    data, rows, notes = _with_clock_of_stamps(data) if clocked else (data, rows, ())
+    stamped = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else (data, rows, ())
+    if fps and (not is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
+        words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
+        stamped, clocked = (_counted_at_rate(data, fps), rows, (words,)), False
+    data, rows, notes = stamped
+    if np.any(np.diff(data.t) <= 0):
+        raise FrictrackError(
+            f"time: {int(np.sum(np.diff(data.t) <= 0))} stamps repeat the one before, which rounding of an even clock "
+            "does not explain: the rate changes or rows are missing; give stamps with more digits"
+        )
     data, more = _at_rate(data, fps)
     data, moved = _on_grid(data)
     table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
@@ -226,14 +237,16 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         rows = every[np.diff(ticks, prepend=-1) > 0]
         if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
             continue
-        moving = replace(_select_rows(data, rows), t=ticks[rows].astype(float))
+        moving = replace(select_rows(data, rows), t=ticks[rows].astype(float))
         table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
+        if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
+            continue
         clock = rounded_clock(stamps, counted, rounding, interval)
         clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
-            found, notes = _at_rate(_at_clock(_select_rows(data, table.numbers), clock), fps, rounding)
+            found, notes = _at_rate(_at_clock(select_rows(data, table.numbers), clock), fps, rounding)
             return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
     if is_even(data.t):
         raise FrictrackError(
@@ -262,7 +275,7 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
     ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
-    taken = replace(_select_rows(data, rows), t=stamps)
+    taken = replace(select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
         return data, np.arange(len(data.t)), ()
     notes = _doubled_note(read.doubled)
@@ -293,7 +306,7 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
         for name, column in (("x", data.x), ("y", data.y))
         if column is not None
     }
-    return replace(data, t=clock.t, **moved)
+    return replace(data, t=clock.t, clock_error=clock.error, **moved)
 
 
 def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
@@ -307,7 +320,7 @@ def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
     return replace(data, t=moved[0], **found), (note,)
 
 
-def _select_rows(data: TableData, rows: Rows) -> TableData:
+def select_rows(data: TableData, rows: Rows) -> TableData:
     """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
     taken: dict[str, Any] = {n: column[rows] for n, column in columns.items() if isinstance(column, np.ndarray)}
@@ -327,7 +340,34 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
         return data, ()
     if differs > MAX_RELATIVE_DIFFERENCE:
         note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
-    return replace(data, t=data.t[0] + frames / fps), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+    return replace(data, t=data.t[0] + frames / fps, clock_error=0.0), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+
+
+def _lost_moving_rows(data: TableData, rows: Rows) -> bool:
+    """Whether rows that are left out for their stamps have positions of their own."""
+    assert data.x is not None
+    lost = np.setdiff1d(np.arange(1, len(data.t)), rows)
+    return bool(np.any(data.x[lost] != data.x[lost - 1]))
+
+
+def _counted_at_rate(data: TableData, fps: float) -> TableData:
+    """Return a table at whole intervals of a given frame rate, Hz: those that its uneven stamps are nearest to."""
+    ticks = np.rint((data.t - data.t[0]) * fps).astype(np.int64)
+    if np.any(np.diff(ticks) <= 0):  # no row comes at the time of another one; the motion shows where one is missing
+        ticks = np.arange(len(ticks))
+    if _drift_of_stamps(data.t, ticks) * fps > MAX_DRIFT_INTERVALS:
+        raise FrictrackError(
+            "time: expected rows that the stamps or the motion can count but some are missing where neither shows it; "
+            "give stamps with more digits"
+        )
+    return replace(data, t=data.t[0] + ticks / fps, clock_error=0.0)
+
+
+def _drift_of_stamps(stamps: Array, ticks: Rows) -> float:
+    """Return by how much stamps (n,) drift from a line through counted intervals, s: a miscount shifts later ones."""
+    off = stamps - np.polyval(np.polyfit(ticks, stamps, 1), ticks)
+    width = max(len(off) // DRIFT_PARTS, 1)
+    return float(np.ptp([np.median(part) for part in np.array_split(off, len(off) // width)]))
 
 
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
@@ -346,7 +386,7 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
     right, keep = correct_ticks(ticks, found)
     stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
     t = np.where(right == ticks, data.t, t0 + right * interval)
-    taken = _select_rows(replace(data, t=t), stay)
+    taken = select_rows(replace(data, t=t), stay)
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
@@ -387,12 +427,16 @@ def run_of_arrays(
     """Make a run of arrays; see `Run.from_arrays`. `optional` holds further columns, None where not measured."""
     columns: dict[str, Any] = {}
     faults: list[str] = []
+    notes: tuple[str, ...] = ()
+    both = [np.asarray(series) for series in (t, x)]
+    if all(s.ndim == 1 and s.dtype.kind in "fiu" and s.shape == both[0].shape and np.isfinite(s).all() for s in both):
+        t, notes = unrolled_clock(both[0].astype(np.float64), both[1].astype(np.float64))
     for name, values in {"t": t, "x": x, **optional}.items():
         if values is not None:
-            columns[name], found = _column(name, values, np.size(t))
+            columns[name], found = checked_column(name, values, np.size(t))
             faults += found
     raise_faults(faults, f'run "{settings.get("name", "run")}"')
-    return _run_of(TableData(**columns), mass, settings)
+    return _run_of(TableData(**columns, notes=notes), mass, settings)
 
 
 def run_of_dataframe(
@@ -403,31 +447,36 @@ def run_of_dataframe(
     return _run_of(data, mass, settings)
 
 
-def _column(name: str, values: ArrayLike, n: int) -> tuple[Array, list[str]]:
+def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
-        number = parse_quantity(values, COLUMNS[name][1], name)[0] if isinstance(values, str) else values
+        number = (
+            parse_quantity(values, (COLUMNS | POINT_COLUMNS)[name][1], name)[0] if isinstance(values, str) else values
+        )
         array = np.asarray(number, dtype=np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
-    if array.ndim == 0 and name not in ("t", "x"):
+    if array.ndim == 0 and name not in ("t", "x", "v"):
         array = np.full(n, float(array))
     if array.shape != (n,):
-        return np.full(n, np.nan), [f"expected {name} of shape ({n},), as t has {n} values, but got {array.shape}"]
+        return np.full(n, np.nan), [
+            f"expected {name} of shape ({n},), as {first} has {n} values, but got {array.shape}"
+        ]
     bad = np.flatnonzero(~np.isfinite(array))
     if len(bad):
         hint = "; leave the row out where nothing was measured" if name == "x" else ""
         return array, [f"expected finite {name} but got {array[bad[0]]} in row {bad[0]}{hint}"]
     if name == "t" and np.any(back := np.diff(array) < (0 if n >= MIN_ROWS and np.ptp(array) > 0 else SMALLEST_STEP_S)):
         i = int(np.argmax(back))
-        return array, [f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"]
+        words = f"expected rising time but got t[{i + 1}] = {array[i + 1]:g} s after t[{i}] = {array[i]:g} s"
+        return array, [f"{words}; sort the rows, or give t = np.arange(n) / rate where they are evenly spaced"]
     return array, []
 
 
-def _in_si(name: str, value: Any) -> Any:
+def in_si_units(name: str, value: Any) -> Any:
     """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
     if isinstance(value, tuple | list):
-        return tuple(_in_si(name, part) for part in value)
+        return tuple(in_si_units(name, part) for part in value)
     units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
     unit = units.get(name, "")
     return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
@@ -439,7 +488,7 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     table = with_even_clock(data)
     displacement, forces = displacement_of_even_table(table), table.data
     given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
-    given |= {name: _in_si(name, value) for name, value in settings.items()}
+    given |= {name: in_si_units(name, value) for name, value in settings.items()}
     run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GRAVITY = 9.80665  # m/s^2, standard
+SERIES = ("drive", "friction_N", "sigma_friction", "loads")  # one value per frame of the displacement
 EarlierRuns = tuple[tuple[float, float], ...]  # (s since its end, m slid in it) of every run before
 
 
@@ -58,6 +59,10 @@ class Run(NotebookView):
         Stated white noise and slow error, rms: N if friction was measured, else m.
     has_incline
         Whether gravity drives the run: the free section then starts when motion starts.
+    steady
+        Whether every row is a measurement of its own at a constant speed, without order in time; see `from_curve`.
+    sigma_friction, loads
+        Standard deviation of `friction_N` and normal load of every such row, N, (n,), where they are known.
 
     Raises
     ------
@@ -92,6 +97,9 @@ class Run(NotebookView):
     noise: float | None = None
     drift: float | None = None
     has_incline: bool = False
+    steady: bool = False
+    sigma_friction: Array | None = None  # N, at displacement.t
+    loads: Array | None = None  # N, at displacement.t
 
     def __post_init__(self) -> None:
         faults = []
@@ -105,7 +113,7 @@ class Run(NotebookView):
             )
         if len(self.displacement) != len(self.motion):
             faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
-        for name in ("drive", "friction_N"):
+        for name in SERIES:
             value = getattr(self, name)
             if value is not None and np.shape(value) != (len(self.displacement),):
                 faults.append(f"expected {name} at {len(self.displacement)} frames but got {np.shape(value)}")
@@ -129,6 +137,11 @@ class Run(NotebookView):
         """
         if what not in ("motion", "filters"):
             raise FrictrackError(f'plot: expected "motion" or "filters" but got "{what}"')
+        if self.steady:
+            raise FrictrackError(
+                f'run "{self.name}": expected a record over time but it is a table of speeds and forces; draw its law '
+                'with fit.plot("law")'
+            )
         figure: Figure = imported(f"frictrack.present.plots:{what}")(self)
         return figure
 
@@ -139,7 +152,7 @@ class Run(NotebookView):
         if len(self.motion) == n or not np.array_equal(self.displacement.t[part], self.motion.t):
             return
         object.__setattr__(self, "displacement", self.displacement.rows(part))
-        for name in ("drive", "friction_N"):
+        for name in SERIES:
             value = getattr(self, name)
             if np.shape(value) == (n,):
                 object.__setattr__(self, name, np.asarray(value)[part])
@@ -257,7 +270,63 @@ class Run(NotebookView):
         run: Run = make(frame, columns or {}, mass, settings)
         return run
 
+    @classmethod
+    def from_curve(
+        cls,
+        v: ArrayLike,
+        friction: ArrayLike | None = None,
+        *,
+        mu: ArrayLike | None = None,
+        sigma: ArrayLike | float | None = None,
+        load: ArrayLike | float | str | None = None,
+        **settings: Any,
+    ) -> Run:
+        """Make a run of a bench that measures friction at constant speeds: points (v, F) without order in time.
+
+        Only the law over the speed is identified: nothing that depends on time, place or the motion before. The noise
+        is `sigma`; else the scatter of repeated speeds; else what the force scatters about a smooth course over speed.
+
+        Parameters
+        ----------
+        v
+            Speed, m/s, (n,), in any order; below 0 in the other direction.
+        friction, mu
+            Friction force, N, or its coefficient, (n,); one of the two. Its sign is that of v; a force that is positive
+            in both directions is the force against the motion.
+        sigma
+            Standard deviation of that, (n,) or one number.
+        load
+            Normal load, N, (n,) or one number. Without it, coefficients are forces per newton of load.
+        **settings
+            Further parameters of `Run`, such as `name`, `group` or `mass`.
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        FrictrackError
+            If shapes differ, a value is not finite, or there are fewer than five points.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> v = np.geomspace(0.01, 1, 20)
+        >>> Run.from_curve(v, mu=0.2 + 0.1 * np.exp(-v / 0.1), load="50 N", name="oil")
+        <Run "oil": 20 points, 0.01 to 1 m/s, 10 to 14.52 N>
+
+        """
+        deviation = "sigma_friction" if mu is None else "sigma_mu"
+        columns = {"v": v, "friction": friction, "mu": mu, deviation: sigma, "load": load}
+        run: Run = imported("frictrack.measure.points:run_of_curve")(columns, settings)
+        return run
+
     def __repr__(self) -> str:
+        if self.steady and self.friction_N is not None:
+            v, force = self.motion.v, self.friction_N
+            spans = f"{v.min():.4g} to {v.max():.4g} m/s, {force.min():.4g} to {force.max():.4g} N"
+            return f'<Run "{self.name}": {len(v)} points, {spans}>'
         x, t = self.displacement.x[self.displacement.known], self.displacement.t
         mass = "no mass" if self.mass is None else f"{self.mass:.6g} kg"
         more = "".join(f", {name} measured" for name in ("drive", "friction_N") if getattr(self, name) is not None)
@@ -289,7 +358,9 @@ class Run(NotebookView):
 
     @property
     def load(self) -> float | None:
-        """Normal load, N: as given, else m g cos(incline); None without a mass."""
+        """Normal load, N: as given (of points, their mean), else m g cos(incline); None without a mass."""
+        if self.loads is not None:
+            return float(np.mean(self.loads))
         if self.normal_load is not None:
             return self.normal_load
         return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))

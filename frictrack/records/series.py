@@ -119,6 +119,7 @@ class Displacement(FrameTable):
     stamped_rate: float | None = scalar("Hz", default=None)  # of a table's time stamps, if the given fps contradicts it
     sigma_angle: Array | None = column("rad", nan=True, default=None)
     repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
+    clock_error: float = scalar("1", default=0.0)  # relative deviation of the frame interval, if it is from the stamps
 
     @property
     def known(self) -> Mask:

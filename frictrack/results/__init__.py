@@ -66,6 +66,8 @@ class Sensors(FrameTable):
     drive: Array | None = column("N", default=None)
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run
     friction_N: Array | None = column("N", default=None)
+    sigma_friction: Array | None = column("N", default=None)  # of points (v, F), as `loads`
+    loads: Array | None = column("N", default=None)
     known_a: Array | None = column("m/s^2", nan=True, default=None)  # `a` without its gain and bias, if consistent
     sigma_known_a: float | None = scalar("m/s^2", default=None)  # its white noise
     clocks: dict[str, Any] = field(default_factory=dict)  # drive, a, friction_N -> offset_s, gain, verdict, ...
@@ -99,6 +101,11 @@ class RunResults:
     settings: dict[str, Any] = field(default_factory=dict)  # keys of the run, inherited ones included
     hashes: dict[str, str] = field(default_factory=dict)  # stage -> its key
     notes: tuple[str, ...] = ()  # notes of all stages, each once
+
+    @property
+    def is_of_points(self) -> bool:
+        """Whether its rows are points (v, F) at constant speeds, without time and place."""
+        return "v" in (self.settings.get("columns") or {})
 
     @property
     def mass(self) -> float | None:

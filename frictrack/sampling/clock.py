@@ -60,12 +60,15 @@ class EvenClock:
         How late each row was sampled, s.
     notes : tuple of str
         Findings.
+    error : float
+        Relative standard deviation of the interval, where it is from the stamps.
 
     """
 
     t: Array
     late: Array
     notes: tuple[str, ...] = ()
+    error: float = 0.0
 
 
 def is_even(t: Array) -> bool:
@@ -209,12 +212,17 @@ def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | Non
     uniform = np.ptp(off) < MAX_ROUNDING_STEPS * rounding and np.std(off) > MIN_ROUNDING_RMS * rounding
     if not (uniform or interval) or slope <= 0:
         return None
-    error = 100 * rounding / float(t[-1] - t[0])
+    error = 0.0 if interval else _slope_error(t, off)
     note = (
         f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
-        f"{'' if interval else f', the slope of the line through all stamps, known to {error:.2g} %; fps would decide'}"
+        f"{'' if interval else f', the slope of all stamps, known to {100 * error:.2g} %; fps would decide'}"
     )
-    return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,))
+    return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,), error)
+
+
+def _slope_error(t: Array, off: Array) -> float:
+    """Relative standard deviation of the slope of a line through stamps t (n,) that are `off` it, (n,)."""
+    return float(np.std(off) * np.sqrt(12.0 / len(t))) / float(t[-1] - t[0])
 
 
 def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> EvenClock | None:
@@ -244,9 +252,8 @@ def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> E
     as_even, as_stamped = (consecutive_noise(one, ticks) for one in (x, x - robust_speed(t, x) * late))
     jitter = f"time stamps jitter by {share:.2g} % of the interval of {interval:.6g} s (rms)"
     if len(t) >= MIN_ROWS and as_even < as_stamped:
-        return EvenClock(
-            even, np.zeros(len(t)), (f"{jitter}; the motion is even, so that the rows are taken as evenly spaced",)
-        )
+        words = f"{jitter}; the motion is even, so that the rows are taken as evenly spaced"
+        return EvenClock(even, np.zeros(len(t)), (words,), _slope_error(t, late))
     note = f"{jitter}; each position is moved to the even clock by its speed times how late it was sampled"
     return EvenClock(even, late, (note,))
 

@@ -19,18 +19,29 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.study.column_names import columns_line, find_header, has_units
+    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units
     from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         TableData,
         propose_columns,
         read_frame,
+        read_points,
         read_run_table,
         read_sensor_table,
         read_table,
+        unrolled_clock,
     )
-    from frictrack.study.schema import COLUMNS, EffectTable, RunTable, needs_film, read_frame_rate, suggest, to_si
+    from frictrack.study.schema import (
+        COLUMNS,
+        POINT_COLUMNS,
+        EffectTable,
+        RunTable,
+        needs_film,
+        read_frame_rate,
+        suggest,
+        to_si,
+    )
     from frictrack.study.table_cells import TableFile
     from frictrack.study.table_files import open_table, table_headers
     from frictrack.study.writing import (

@@ -9,7 +9,8 @@ from itertools import pairwise
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.units import parse_quantity
-from frictrack.study.schema import COLUMNS
+from frictrack.study.schema import COLUMNS as RECORD_COLUMNS
+from frictrack.study.schema import POINT_COLUMNS
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]](?=\s*$|\s+(?:run|trial|set|data set)?\s*#?\d+\s*$)", re.IGNORECASE)
 """Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"."""
@@ -22,7 +23,18 @@ _USUAL_NAMES = {
     "y": re.compile(r"y|y[ _]?pos(ition)?|pos(ition)?[ _]?y|.*/y"),
     "friction": re.compile(r"friction|friction[ _]force|reibkraft"),
 }
+TURNS = re.compile(
+    r"rpm|drehzahl|(r|rev|u|1)/min|min\^?-1|rps|1/s|hz|(rad|deg|°)/s", re.IGNORECASE
+)  # of a turning speed
+_NAMES_OF_POINTS = {
+    "v": re.compile(r"v|(sliding |set )?(speed|velocity)|v_m_s|(gleit)?geschwindigkeit|vitesse|velocidad|rpm|drehzahl"),
+    "friction": re.compile(r"f|f_?[frtx]|(friction|tangential|mean)?[ _]?(force|friction)|friction_n|reibkraft"),
+    "mu": re.compile(r"mu|[µμ]|co?f|cof|(friction coefficient|coefficient of friction)|reibwert|reib(ungs)?zahl"),
+    "sigma_friction": re.compile(r"std|sd|sigma(_f(riction)?)?(_n)?|uncertainty|error|standard deviation"),
+    "load": re.compile(r"load|normal (load|force)|f_?[nz]|load_n|normalkraft|last"),
+}
 REQUIRED = ("t", "x")
+COLUMNS = RECORD_COLUMNS | POINT_COLUMNS
 CAMERA_UNITS = {"px": "m", "frames": "s"}  # units that only the camera knows, and the unit they stand for
 
 
@@ -75,6 +87,45 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
             columns.setdefault("x", header)
     whole = len(found) > 1 and all(run.keys() >= set(REQUIRED) for run in found)
     return found if whole else []
+
+
+def guess_points(present: Sequence[str]) -> dict[str, str]:
+    """Guess the columns of points (v, F) at constant speeds, by usual names, else by units; empty if it holds none.
+
+    Parameters
+    ----------
+    present
+        The headers of the table.
+
+    Examples
+    --------
+    >>> guess_points(["speed (mm/s)", "COF", "load (N)"])
+    {'v': 'speed (mm/s)', 'mu': 'COF', 'load': 'load (N)'}
+    >>> guess_points(["t (s)", "speed (mm/s)", "force (N)"])
+    {}
+
+    """
+    if any(_USUAL_NAMES[k].fullmatch(quantity(h)) and may_hold(h, k) for k in REQUIRED for h in present):
+        return {}
+    found = {}
+    for key, names in _NAMES_OF_POINTS.items():
+        named = [h for h in present if names.fullmatch(base_name(h).casefold()) and (key == "v" or may_hold(h, key))]
+        if len(named) == 1:
+            found[key] = named[0]
+    for key in ("v",) if "mu" in found else ("v", "friction"):
+        in_unit = [h for h in present if h not in found.values() and UNIT.search(h) and may_hold(h, key)]
+        if key not in found and len(in_unit) == 1:
+            found[key] = in_unit[0]
+    if not ("v" in found and found.keys() & {"friction", "mu"}):
+        return {}
+    if "friction" in found:
+        found.pop("mu", None)
+    elif "sigma_friction" in found:
+        found["sigma_mu"] = found.pop("sigma_friction")
+    unit, sigma = UNIT.search(found.get("friction", "")), found.get("sigma_friction", "")
+    if sigma and unit and not UNIT.search(sigma):
+        found["sigma_friction"] = f"{sigma} ({unit[1]})"  # that of what it is the deviation of
+    return found
 
 
 def find_header(written: str, present: Sequence[str]) -> str | None:
@@ -153,8 +204,9 @@ def may_hold(header: str, key: str) -> bool:
 
 
 def has_units(columns: Mapping[str, str]) -> bool:
-    """Return whether times and positions are there and every header states its unit."""
-    return all(key in columns for key in REQUIRED) and all(UNIT.search(header) for header in columns.values())
+    """Return whether times and positions, or speeds, are there and every header states its unit, or needs none."""
+    there = "v" in columns or all(key in columns for key in REQUIRED)
+    return there and all(_with_unit(key, header) == header for key, header in columns.items())
 
 
 def columns_line(columns: Mapping[str, str]) -> str:
@@ -176,4 +228,10 @@ def columns_line(columns: Mapping[str, str]) -> str:
 
 
 def _with_unit(key: str, header: str) -> str:
-    return header if UNIT.search(header) else f"{header} ({COLUMNS[key][1]})"
+    has_unit = (
+        UNIT.search(header)
+        or TURNS.fullmatch(header)
+        or COLUMNS[key][1] == "1"
+        or (header == COLUMNS[key][0] and key in POINT_COLUMNS)
+    )
+    return header if has_unit else f"{header} ({COLUMNS[key][1]})"

@@ -14,8 +14,17 @@ from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.remote import local_path
 from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
-from frictrack.study.column_names import REQUIRED, UNIT, columns_line, find_header, guess_columns, may_hold
-from frictrack.study.schema import COLUMNS, SENSOR_COLUMNS, RunTable, suggest
+from frictrack.study.column_names import (
+    REQUIRED,
+    TURNS,
+    UNIT,
+    columns_line,
+    find_header,
+    guess_columns,
+    guess_points,
+    may_hold,
+)
+from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
 
@@ -24,6 +33,17 @@ if TYPE_CHECKING:
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
+# Ranges of clocks, s: of 8 to 32 bits of a decimal step; of a second, a minute, an hour, half a day and a day.
+COUNTER_RANGES = (
+    *(2.0**bits * 10.0**-digits for bits in range(8, 33) for digits in range(7)),
+    *(1.0, 60.0, 3600.0, 43200.0, 86400.0),
+)
+MAX_JUMP_STEPS = 3.0  # usual steps, from which a clock that rolls over, and the position then, may differ
+MAX_ROLLOVERS_SHARE = 0.1  # of rows
+TIME_REMEDY = (
+    "sort the rows; put records that begin anew into files of their own; or, if the rows are evenly spaced, give their "
+    "rate as fps, which then decides"
+)
 MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
@@ -57,10 +77,15 @@ class TableData:
         Acceleration, m/s^2.
     pressure
         Pressure of a drive, Pa.
+    v, mu, sigma_friction, sigma_mu, load
+        Of points (v, F): constant speed, m/s, friction coefficient, standard deviations of force, N, and coefficient,
+        and normal load, N.
     notes
         What the program that tracked the positions says about them.
     stamped_rate
         Frame rate of the time stamps, Hz, if the given one contradicts it and replaced it.
+    clock_error
+        Relative standard deviation of the interval of the rows, where it was fitted to the time stamps.
 
     """
 
@@ -72,8 +97,14 @@ class TableData:
     a: Array | None = None
     friction: Array | None = None
     pressure: Array | None = None
+    v: Array | None = None
+    mu: Array | None = None
+    sigma_friction: Array | None = None
+    sigma_mu: Array | None = None
+    load: Array | None = None
     notes: tuple[str, ...] = ()
     stamped_rate: float | None = None
+    clock_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,7 +166,8 @@ def read_table(
     camera = CameraUnits(pixel, 1.0 / fps if fps else None)
     table, gaps = _without_gaps(table, chosen.columns)
     values = _read(table, path.name, chosen.columns, camera=camera)
-    return TableData(**values, notes=tuple(note for note in (chosen.note, gaps) if note))
+    notes = (chosen.note, gaps, *values.pop("notes", ()))
+    return TableData(**values, notes=tuple(note for note in notes if note))
 
 
 def read_run_table(run: RunTable) -> TableData:
@@ -152,6 +184,21 @@ def read_run_table(run: RunTable) -> TableData:
         None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
     )
     return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None, fps=run.fps)
+
+
+def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
+    """Read a table of points (v, F) at constant speeds; `t` counts its rows.
+
+    Parameters
+    ----------
+    path
+        A text or Excel file with a header line.
+    columns
+        Headers by short name: v, and friction or mu.
+
+    """
+    values = _read(open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
+    return TableData(np.arange(len(values["v"]), dtype=float), **values)
 
 
 def read_frame(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS, name: str = "table") -> TableData:
@@ -273,9 +320,10 @@ def _read(
     frame = table.frame
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
-    required = [key for key in REQUIRED if key in known]
+    required = [key for key in (*REQUIRED, "v") if key in known]
     faults: list[str] = []
     values: dict[str, Any] = {}
+    notes: tuple[str, ...] = ()
     missing = []
     for key, (standard, unit) in known.items():
         written, sign = _unsigned(columns.get(key, standard), present)
@@ -295,12 +343,13 @@ def _read(
             faults += found
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
-    if not faults:
+    if not faults and "t" in known:
+        values["t"], notes = _rising(values["t"], values.get("x"), camera.interval if known is COLUMNS else None)
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
-    return values
+    return values | ({"notes": notes} if notes else {})
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -312,6 +361,11 @@ def _listed(names: Sequence[str]) -> str:
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
     """Say which columns are missing, which are there, and the line of the study file that names them."""
     present = list(frame.columns)
+    if not columns and not sensor and (points := guess_points(present)):
+        return (
+            f"expected columns of times and positions but got {_listed(present)}; if these are forces at constant "
+            f"speeds, write {columns_line(points)} in its [[run]]"
+        )
     wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
     expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {_listed(present)}"
     proposed = propose_columns(frame, columns)
@@ -381,6 +435,11 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
     named = UNIT.search(written) or UNIT.search(header)
+    if unit == "m/s" and TURNS.fullmatch(named[1] if named else header):
+        raise FrictrackError(
+            f'expected a sliding speed in m/s or mm/s but got "{header}", a turning speed; add a column of '
+            "v = 2 pi r n / 60 with the radius r of the track and the turns n per minute"
+        )
     if named is None or header == standard == written:
         return 1.0
     if (named[1], unit) == ("g", "m/s^2"):
@@ -453,6 +512,37 @@ def _column(series: pd.Series[Any], factor: float, *, gaps: bool = False) -> tup
     return values, [f'{expected} in "{series.name}" but got {str(value)[:40]} in row {bad[0] + 1}{more}']
 
 
+def _rising(t: Array, x: Array | None, interval: float | None) -> tuple[Array, tuple[str, ...]]:
+    """Times (n,) that rise where a counter rolled over, or by an interval that is given, s; and a note."""
+    t, notes = unrolled_clock(t, x)
+    if interval and len(t) > 1 and _time_faults(t):
+        words = "the time stamps do not rise: the rows are taken as evenly spaced by the given fps"
+        return np.asarray(interval * np.arange(len(t)), dtype=np.float64), (words,)
+    return t, notes
+
+
+def unrolled_clock(t: Array, x: Array | None) -> tuple[Array, tuple[str, ...]]:
+    """Return times (n,) of a counter that rolled over as one course, and a note.
+
+    Beyond the usual step it then jumps back by the whole range of a counter, always the same, while positions x (n,) go
+    on.
+    """
+    steps = np.diff(t)
+    back = np.flatnonzero(steps < 0)
+    if x is None or not len(back) or len(back) > MAX_ROLLOVERS_SHARE * len(t) or not np.any(steps > 0):
+        return t, ()
+    usual = float(np.median(steps[steps > 0]))
+    full = float(min(COUNTER_RANGES, key=lambda one: abs(one + np.median(steps[back]) - usual)))
+    moved = np.abs(np.diff(x))
+    near = np.array([np.max(moved[[k for k in (i - 1, i + 1) if 0 <= k < len(moved)]]) for i in back])
+    rolled = np.all(np.abs(steps[back] + full - usual) < MAX_JUMP_STEPS * usual) and np.ptp(t) <= full
+    if not (rolled and np.all(moved[back] <= MAX_JUMP_STEPS * near)):
+        return t, ()
+    out = t + full * np.concatenate(([0.0], np.cumsum(steps < 0)))
+    count = "once" if len(back) == 1 else f"{len(back)} times"
+    return out, (f"the clock rolled over {count}, at {full:.10g} s: unwrapped",)
+
+
 def _time_faults(t: Array) -> list[str]:
     if len(t) < 2:
         return [f"expected at least two rows but got {len(t)}"]
@@ -461,7 +551,7 @@ def _time_faults(t: Array) -> list[str]:
     back = np.flatnonzero((steps < 0) if repeated and len(t) >= MIN_ROWS_FOR_REPEATS else (steps <= 0))
     if len(back):
         i = int(back[0])
-        return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}"]
+        return [f"expected rising time but got {t[i + 1]:g} s after {t[i]:g} s in row {i + 2}; {TIME_REMEDY}"]
     if (step := float(np.median(steps[steps > 0]))) < MIN_INTERVAL_S:
         return [f"expected rows {MIN_INTERVAL_S:g} s apart or more but got {step:g} s; check the unit of the time"]
     return []

@@ -35,6 +35,14 @@ COLUMNS = {
     "a": ("a_m_s2", "m/s^2"),
     "friction": ("friction_N", "N"),
 }  # short name in `columns` -> header and unit in the table
+POINT_COLUMNS = {
+    "v": ("v_m_s", "m/s"),
+    "friction": COLUMNS["friction"],
+    "mu": ("mu", "1"),
+    "sigma_friction": ("sigma_friction_N", "N"),
+    "sigma_mu": ("sigma_mu", "1"),
+    "load": ("load_N", "N"),
+}  # of a table of speeds and forces
 SENSOR_COLUMNS = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} | {"pressure": ("pressure_Pa", "Pa")}
 
 
@@ -309,8 +317,13 @@ def _reference(raw: Any) -> Any:
 def _columns(raw: Any) -> Any:
     """Check that the short names of other headers are known."""
     for key in raw if isinstance(raw, dict) else ():
-        if key not in COLUMNS:
-            raise ValueError(f'expected one of {", ".join(COLUMNS)} but got "{key}"; {suggest(key, COLUMNS)}')
+        if key not in (known := COLUMNS | POINT_COLUMNS):
+            raise ValueError(f'expected one of {", ".join(known)} but got "{key}"; {suggest(key, known)}')
+    if isinstance(raw, dict) and "v" in raw and (of_record := [key for key in raw if key not in POINT_COLUMNS]):
+        raise ValueError(
+            f"expected v with friction or mu, for points (v, F) at constant speeds, but got {', '.join(of_record)} as "
+            "well; a record over time takes t and x without v"
+        )
     return raw
 
 
@@ -674,7 +687,8 @@ class RunTable(Keys):
     video
         Film, or a folder of pictures; a path relative to the study file, or an address.
     table
-        Table of measured positions or friction instead of a film: CSV, Excel, or the tracks of another program.
+        Table of measured positions or friction instead of a film: CSV, Excel, or the tracks of another program. With
+        `v` in `columns` it holds points (v, F) of a bench that measures friction at constant speeds.
     mass
         Sliding mass, where it differs from that of the study, or "fit" where the drive is measured.
     fps, scale, lens
@@ -728,7 +742,7 @@ class RunTable(Keys):
     drift
         Slowly varying error of the instrument, rms, in the same units.
     group
-        Name of a group of runs, for one fit per group.
+        Name of a group of runs, for one fit per group, or to compare a parameter between groups.
     role
         Whether the run is fitted, or predicted only.
     note
@@ -776,6 +790,11 @@ class RunTable(Keys):
     role: Literal["fit", "validation"] = "fit"
     note: str = ""
     plausible: Literal["checked"] | None = None
+
+    @property
+    def is_of_points(self) -> bool:
+        """Whether its table holds speeds and forces, instead of a record over time."""
+        return "v" in self.columns
 
     @property
     def source(self) -> Path | RemoteFile:

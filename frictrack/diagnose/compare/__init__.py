@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from frictrack.base.errors import FrictrackError
 from frictrack.base.lazy import imported
 from frictrack.base.workers import one_thread
+from frictrack.diagnose.compare.groups import ParameterByGroup, compare_groups
 from frictrack.diagnose.compare.local_forces import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.compare.spans import failing_spans
 from frictrack.fit import Fit, GroupFits
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Comparison",
     "LocalForces",
+    "ParameterByGroup",
     "compare",
+    "compare_groups",
     "continue_search",
     "failing_spans",
     "find_local_forces",

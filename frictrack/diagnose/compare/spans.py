@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from frictrack.base.distributions import normal_sf
+from frictrack.base.distributions import chi2_sf, normal_sf
 from frictrack.diagnose.compare.local_forces import (
     ALPHA,
     ALPHA_PIECE,
@@ -71,6 +71,8 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
         alone would do as much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
 
     """
+    if solution.problem.pieces[0].path.steady:
+        return sorted(_failing_speeds(solution, runs), key=lambda s: -s["share_of_error"])
     solution = keep_compared_frames(solution)
     if missing is None:
         local = find_local_forces(solution)
@@ -83,6 +85,20 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
     whole = max(1.0, sum(max(s.share, 0.0) for s in found))
     spans = [_to_dict(solution.responses[s.piece], runs, replace(s, share=s.share / whole)) for s in found]
     return sorted(spans, key=lambda s: -s["share_of_error"])
+
+
+def _failing_speeds(solution: Solution, runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
+    """Yield the speeds of neighbouring points (v, F) of one sign of the residual that noise does not explain."""
+    total, count = solution.chi2, solution.problem.n_frames
+    for r in solution.responses:
+        cuts = np.flatnonzero(np.diff(np.sign(r.r)) != 0) + 1
+        for rows in np.split(np.arange(len(r.r)), cuts):
+            chi2 = float(r.r[rows] @ r.r[rows])
+            p = min(1.0, count * float(chi2_sf(chi2, len(rows))))
+            if p < ALPHA:
+                v = [float(q) for q in r.piece.v_hat[rows[[0, -1]]]]
+                span = {"run": runs[r.piece.run].name, "t": None, "x": None, "v": v}
+                yield span | {"share_of_error": round(chi2 / total, 4), "p": p}
 
 
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:

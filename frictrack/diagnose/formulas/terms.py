@@ -251,11 +251,11 @@ def describe_formula(found: FittedFormula, bare: Solution) -> dict[str, Any]:
                 coefficients=tuple(own[c] for c in coefficient_names(term)),
             )
         )
-    loads = [float(p.path.load) for p in bare.problem.pieces]
+    loads = np.concatenate([np.ravel(p.path.load) for p in bare.problem.pieces])
     added = [n for n in solution.problem.model.names if n not in bare.problem.model and not n.startswith(EFFECT_NAME)]
     return {
         "form": found.form,
-        "formula": _formula_text(terms, with_load=max(loads) > MIN_LOAD_RATIO * min(loads)),
+        "formula": _formula_text(terms, with_load=bool(np.max(loads) > MIN_LOAD_RATIO * np.min(loads))),
         "axis": terms[0].axis,
         "variables": list(dict.fromkeys(name for term in terms for name in term.variables)),
         "share": found.share,

@@ -107,6 +107,9 @@ def _systematic_gradients(r: PieceResponse) -> Array:
         blocks.append(
             piece.systematic * size[:, None] * dct(whitened_jacobian, axis=0, norm="ortho")[1 : 1 + len(size)]
         )
+    if piece.clock_error:  # a relative error of the clock moves the mass by v t times it
+        moved = piece.clock_error * r.motion.v_edge[piece.at] * piece.t
+        blocks.append((moved @ whitened_jacobian)[None])
     if piece.shake:
         frequency, rms = piece.shake
         phase = 2 * np.pi * frequency * piece.t

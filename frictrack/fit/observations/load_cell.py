@@ -19,6 +19,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, Span
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
+from frictrack.fit.observations.constant_speeds import SpeedPoints, points_of
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import (
@@ -36,7 +37,7 @@ from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
-PATH_ARRAYS = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
+PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
 MAX_GRID_STARTS = 3  # points of a grid that are refined
@@ -74,11 +75,24 @@ class DirectForce(LinearResponse):
 class MeasuredFrictionPiece(Piece):
     """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path.
 
-    `whole` is the piece of all frames where only one in `every` frames is compared.
+    `whole` is the piece of all frames where only one in `every` frames is compared; of `points` (v, F), every row is.
     """
 
     whole: MeasuredFrictionPiece | None = None
     every: int = 1
+    points: SpeedPoints | None = None  # of a table of speeds and forces
+
+    def noise_levels(self, model: Array, residual: Array, unknowns: int, errors: Array) -> Array:
+        """Noise (D,) that is estimated of points with errors (n, D) of deviation one.
+
+        If the model (n,), N, is true, its residual (n,), in deviations, shows how large errors are.
+        """
+        assert self.points is not None
+        if self.points.stated:
+            return np.ones(errors.shape[1])
+        degrees = max(len(residual) - unknowns, 1)
+        sigma = self.sigma * max(float(np.sqrt(residual @ residual / degrees)), MIN_NOISE_SHARE)
+        return self.points.noise(model[:, None] + errors * sigma[:, None]) / float(np.mean(sigma))
 
     def at_frames_kept(self, rows: Rows, every: int) -> MeasuredFrictionPiece:
         """Return the piece that compares only some of these frames, one in `every`."""
@@ -93,7 +107,8 @@ class MeasuredFrictionPiece(Piece):
         """Return the path at the compared frames, for effects without memory."""
         known = {name: getattr(self.path, name) for name in PATH_ARRAYS}
         compared: dict[str, Any] = {k: value[self.at] for k, value in known.items() if isinstance(value, np.ndarray)}
-        return replace(self.path, x=x, v=v, load=self.path.load * level, **compared)
+        path = replace(self.path, x=x, v=v, **compared)
+        return replace(path, load=path.load * level)
 
     def compared_frames(self) -> MeasuredFrictionPiece:
         """Return the piece whose path holds its compared frames alone, where they are few."""
@@ -178,6 +193,9 @@ def keep_compared_frames(solution: Solution) -> Solution:
 def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
     """Return whether these runs are fitted to their measured friction: by default, if all of them have it."""
     without_friction = [run.name for run in runs if run.friction_N is None]
+    if (steady := sum(run.steady for run in runs)) and (domain == "displacement" or steady < len(runs)):
+        came = "the domain of displacements" if steady == len(runs) else f"{len(runs) - steady} records over time"
+        raise FrictrackError(f"expected only points (v, F) and the domain of forces but got {came}; fit these apart")
     if domain == "displacement" or len(without_friction) == len(runs):
         return False
     if without_friction:
@@ -188,8 +206,15 @@ def uses_measured_friction(runs: Sequence[Run], domain: str | None) -> bool:
     return True
 
 
-def check_effects(model: Model) -> None:
-    """Check that no effect acts on a camera measurement, which a measured friction does not have."""
+def check_effects(model: Model, runs: Sequence[Run]) -> None:
+    """Check that no effect acts on a camera measurement, and on what the runs do not tell."""
+    of_record = [e.name for e in model.effects if not e.is_of_velocity]
+    if of_record and any(run.steady for run in runs):
+        raise FrictrackError(
+            f"expected effects of the speed alone, because points (v, F) tell neither time nor place, but got "
+            f"{', '.join(of_record)}; remove {'it' if len(of_record) == 1 else 'them'}, or give records over time",
+            usage=True,
+        )
     if of_camera := [e.name for e in model.effects if e.acts_on == "measurement"]:
         raise FrictrackError(
             "expected effects on the force, because friction itself was measured, but got "
@@ -209,9 +234,12 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
 
     Newtons are reported at the normal load `reference`, N; NaN if a load is not known.
     """
-    noise = float(np.sqrt(np.mean([_white_noise(run) ** 2 for run in runs])))
+    noise = float(np.sqrt(np.mean([0.0 if run.steady else _white_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
-    return [_make_piece(run, i, noise, load) for i, (run, load) in enumerate(zip(runs, loads, strict=True))]
+    return [
+        _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
+        for i, (run, load) in enumerate(zip(runs, loads, strict=True))
+    ]
 
 
 def _span(piece: Piece, fps: float) -> Span:
@@ -256,6 +284,35 @@ def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
         mass=1.0,
         way=context.way,
         systematic=run.drift or 0.0,
+    )
+
+
+def _piece_of_points(run: Run, index: int, load: float) -> MeasuredFrictionPiece:
+    """The piece of a table of speeds and forces: every row is compared, with its own deviation."""
+    points, sigma = points_of(run)
+    force, v = np.asarray(run.friction_N, dtype=float), run.motion.v
+    least = max(MIN_NOISE_SHARE * float(np.max(np.abs(force))), 1e-12)
+    t, still = run.motion.t - run.motion.t[0], np.zeros(len(v))
+    path = Path(
+        t, still, v, np.sign(v), load=load * (points.load if run.loads is not None else 1.0), mass=run.mass, steady=True
+    )
+    return MeasuredFrictionPiece(
+        run=index,
+        frames=np.arange(len(v)),
+        t=t,
+        y=force,
+        sigma=np.maximum(sigma, least),
+        panels=FrameNodes(t),
+        at=np.arange(len(v)),
+        per_frame=1,
+        x_hat=still,
+        v_hat=v,
+        a_hat=-force,
+        known=still,
+        path=path,
+        mass=1.0,
+        way=np.stack([t, still, v]),
+        points=points,
     )
 
 

@@ -31,7 +31,7 @@ from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames
-from frictrack.fit.uncertainty import Estimates, linear_estimates
+from frictrack.fit.uncertainty import Estimates, Misfit, linear_estimates
 from frictrack.records import Array, Curve, Run
 
 FRAMES_PER_CORRELATION = 4  # frames kept per correlation time
@@ -65,6 +65,8 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     Of correlated frames only some are kept; of a long series every block is one frame. The noise is always that of all
     frames: a model that was refined on few of them is first refined on all.
     """
+    if _is_of_points(solution):
+        return solution, friction_noise(solution)
     solution = _over_all_frames(solution)
     noise = friction_noise(solution)
     stride = max(int(noise.correlation_frames / FRAMES_PER_CORRELATION), 1)
@@ -75,6 +77,11 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
+
+
+def _is_of_points(solution: Solution) -> bool:
+    """Whether the runs are tables of speeds and forces, whose rows have no order in time."""
+    return solution.problem.pieces[0].path.steady
 
 
 def _at_rate(layout: ParameterLayout, factor: float) -> ParameterLayout:
@@ -95,6 +102,8 @@ def _over_all_frames(solution: Solution) -> Solution:
 def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs: the white part, or the part that does not repeat between strokes if larger."""
     white = _rms(np.concatenate([r.piece.sigma for r in solution.responses]))
+    if _is_of_points(solution):
+        return FrictionNoise(white, 1.0, white)
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
     if not found or (rms := _rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
@@ -191,6 +200,8 @@ def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
     """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain."""
     noise = weight_by_noise(solution)[1]
+    if _is_of_points(solution):
+        return _remarks_on_points(solution, noise.rms)
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if all(_goes_one_way(r) for r in solution.responses):
         out.append(
@@ -215,6 +226,19 @@ def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
     return out
 
 
+def _remarks_on_points(solution: Solution, noise: float) -> list[str]:
+    """State what a diagnosis of points (v, F) can find, and from what their noise is known."""
+    pieces = [p for p in solution.problem.pieces if isinstance(p, MeasuredFrictionPiece)]
+    known = [p.points for p in pieces if p.points is not None]
+    sources = " and ".join(dict.fromkeys(one.source for one in known))
+    remedy = "; repeated speeds, or stated deviations, would tell a failing law from noise with certainty"
+    return [
+        "points (v, F) at constant speeds: only the law over the speed is tested, nothing that needs time, place or "
+        "the motion before",
+        f"noise {noise:.2g} N rms: {sources}{'' if all(one.stated or one.repeats for one in known) else remedy}",
+    ]
+
+
 def _goes_one_way(response: PieceResponse) -> bool:
     """Whether position and speed of a record rise or fall with time throughout, apart from noise."""
     piece = response.piece
@@ -236,6 +260,9 @@ def _ranks(values: Array) -> Array:
 def block_covariance(solution: Solution) -> Array:
     """Compute the covariance (P, P) of the unknowns from the scatter of blocks; that of white noise if it is white."""
     white_noise, _ = covariance_of(solution)
+    if _is_of_points(solution):
+        degrees = max(solution.problem.n_frames - len(solution.p), 1)
+        return white_noise * max(solution.chi2 / degrees, 1.0)
     if all(correlated_frames(r.r) == 0 for r in solution.responses):
         return white_noise
     blocks = block_starts(solution.responses, len(solution.p))
@@ -255,6 +282,10 @@ class FrictionObservation(Observation):
     def estimates_of_candidate(self, solution: Solution) -> Estimates:
         """Return the parameters of a model on trial in the same way."""
         return linear_estimates(solution, block_covariance(solution))
+
+    def misfit(self, fitted: FittedRuns) -> Misfit | None:
+        """Return the force that the model misses; that of points (v, F) is in their scatter about the law."""
+        return None if _is_of_points(fitted.solution) else super().misfit(fitted)
 
     def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
         """Return the noise of a sample, N, and the reduced chi-squared against it."""

@@ -166,6 +166,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
         angle=_interpolated(times, context.angle, t),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         step=run.displacement.resolution,
+        clock_error=run.displacement.clock_error,
         shake=run.displacement.shake,
         locked=_pixel_locked_share(run, rows, noise),
     )

@@ -55,6 +55,7 @@ class Piece:
     shake: tuple[float, ...] = ()  # remaining camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise variance that the tracker does not state; it may be peak locking
     clock: float = 1.0  # factor on the recorded times
+    clock_error: float = 0.0  # relative standard deviation of their interval
 
     @cached_property
     def whitening(self) -> Whitening:

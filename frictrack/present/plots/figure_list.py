@@ -44,6 +44,8 @@ def study_figures(results: Results) -> Iterator[NamedFigure]:
 
 
 def _of_run(run: RunResults) -> Iterator[NamedFigure]:
+    if run.is_of_points:
+        return
     yield f"motion {run.name}", partial(motion, run)
     if run.film is not None:
         yield f"film {run.name}", partial(film, run)

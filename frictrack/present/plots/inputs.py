@@ -56,7 +56,10 @@ def as_run(run: AnyRun) -> RunResults:
         friction=_friction_of(run),
         role=run.role,
         group=run.group,
-        settings={"mass": None if run.mass is None else (run.mass, run.sigma_mass)},
+        settings={
+            "mass": None if run.mass is None else (run.mass, run.sigma_mass),
+            "columns": {"v": "v"} if run.steady else {},
+        },
     )
 
 

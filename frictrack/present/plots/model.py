@@ -38,7 +38,7 @@ class Residual:
     Attributes
     ----------
     t : Array
-        (n,) time, ms.
+        (n,) time, ms; of points (v, F) the velocity, mm/s.
     values : Array
         (n,) residual, um or N.
     sigma : Array
@@ -68,7 +68,7 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """
     model, runs = as_model(model), as_runs(runs)
     shown = worst_runs(model, runs)
-    labels = (axis_label("time t", "ms"), "friction force F / N", axis_label("residual", residual_unit(model)))
+    labels = (_axis_words(runs), "friction force F / N", axis_label("residual", residual_unit(model)))
     title = fit_title(model) + _how_many(model, shown)
     figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1), sharex="cell")
     by_name = {run.name: run for run in runs}
@@ -112,7 +112,7 @@ def failing(
     by_name = {run.name: run for run in runs}
     colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
     shown = worst_runs(model, runs)
-    labels = (axis_label("time t", "ms"), axis_label("residual", residual_unit(model)))
+    labels = (_axis_words(runs), axis_label("residual", residual_unit(model)))
     title = _failing_title(model, runs, spans) + _how_many(model, shown)
     figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
     for (ax,), name in zip(cells, shown, strict=True):
@@ -120,7 +120,7 @@ def failing(
             _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
         _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
         ax.set_title(_panel_title(model, name), fontweight="normal")
-        _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name])
+        _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name], "v" if _of_points(runs) else "t")
     handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
     if better is not None:
         handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
@@ -191,9 +191,24 @@ def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Seque
     if not spans:
         return _residual_title(model, runs)
     worst = max(spans, key=lambda s: s["share_of_error"])
-    t0, t1 = (format_number(1e3 * t) for t in worst["t"])
+    axis, unit = ("v", "mm/s") if _of_points(runs) else ("t", "ms")
+    begin, end = (format_number(1e3 * reach) for reach in worst[axis])
     share = f"{format_share(worst['share_of_error'])} of the error"
-    return f"{plain_name(model.name)} fails most in {worst['run']} from {t0} to {t1} ms: {share}"
+    return f"{plain_name(model.name)} fails most in {worst['run']} from {begin} to {end} {unit}: {share}"
+
+
+def _of_points(runs: Sequence[RunResults]) -> bool:
+    """Whether there are points (v, F), which are drawn over the velocity."""
+    return any(run.is_of_points for run in runs)
+
+
+def _axis_words(runs: Sequence[RunResults]) -> str:
+    return axis_label("velocity v", "mm/s") if _of_points(runs) else axis_label("time t", "ms")
+
+
+def _abscissa(run: RunResults, t: Array) -> Array:
+    """Times t (n,), s, in ms; of points (v, F), which t counts, the velocities in mm/s."""
+    return 1e3 * (np.interp(t, run.motion.t, run.motion.v) if run.is_of_points else t)
 
 
 def noise_um(model: ModelResults) -> float | None:
@@ -267,7 +282,10 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
     f = run.friction
     if f is None:
         return []
-    return [Residual(1e3 * c.t, np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves]
+    series = [
+        (_abscissa(run, c.t), np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves
+    ]
+    return [Residual(*one) for one in series]
 
 
 def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
@@ -287,7 +305,9 @@ def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
     _draw_measured_force(ax, run)
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(1e3 * c.t, modelled_force(model, c, run), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)))
+            ax.plot(
+                _abscissa(run, c.t), modelled_force(model, c, run), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2))
+            )
 
 
 def _repaired_handles(model: ModelResults) -> list[Line2D]:
@@ -331,8 +351,8 @@ def _draw_measured_force(ax: Axes, run: RunResults) -> None:
     if f is None:
         return
     F = style.masked(f.F, style.unsmeared_frames(f, run.motion.guard))
-    draw_band(ax, 1e3 * f.t, F, f.sigma_F, color="#BBBBBB", alpha=0.6)
-    ax.plot(1e3 * f.t, F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
+    draw_band(ax, _abscissa(run, f.t), F, f.sigma_F, color="#BBBBBB", alpha=0.6)
+    ax.plot(_abscissa(run, f.t), F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
 
 
 def _panel_title(model: ModelResults, name: str) -> str:
@@ -343,13 +363,13 @@ def _panel_title(model: ModelResults, name: str) -> str:
     return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{remark}"
 
 
-def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str) -> None:
-    """Shade each span and label it with its share; a label that would overlap an earlier one is left out."""
+def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str, axis: str) -> None:
+    """Shade each span over an axis, with its share; a label that would overlap an earlier one is left out."""
     top = ax.get_xaxis_transform()
     low, high = ax.get_xlim()
     labelled: list[float] = []
     for s in spans:
-        a, b = 1e3 * s["t"][0], 1e3 * s["t"][1]
+        a, b = (1e3 * end for end in s[axis])
         ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
         if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue

@@ -166,11 +166,11 @@ def _measurement_sections(results: Results, draw: SvgEmbedder) -> dict[str, Any]
     found = {run.name: run.budget for run in results.runs if run.budget}
     return {
         "films": _first_frames(results),
-        "motions": draw(plots.motions(results.runs)),
+        "motions": Markup("") if _of_points(results) else draw(plots.motions(results.runs)),
         "filters": draw(plots.filters(results.runs[0])) if smoothed else Markup(""),
         "cutoffs": draw(plots.cutoffs(smoothed)) if smoothed else Markup(""),
         "smoothing": measurement_quality.smoothing(results),
-        "friction": draw(plots.friction(results.runs)) if _has_force(results) else None,
+        "friction": draw(plots.friction(results.runs)) if _has_force(results) and not _of_points(results) else None,
         "has_measured_friction": fit_text.has_measured_friction(results),
         "budgets": draw(plots.budgets(found)) if found else Markup(""),
         "budget_sentences": tables.budget_sentences(results.runs),
@@ -196,6 +196,11 @@ def _first_frame(run: RunResults, *, wide: bool) -> Markup:
     return Markup('<img alt="first frame of {} with the track" src="data:image/png;base64,{}">').format(run.name, data)
 
 
+def _of_points(results: Results) -> bool:
+    """Whether the runs are points (v, F), which have no motion to draw."""
+    return any(run.is_of_points for run in results.runs)
+
+
 def _has_force(results: Results) -> bool:
     return any(run.friction is not None for run in results.runs)
 
@@ -214,7 +219,7 @@ def _current_model(results: Results) -> list[ModelResults]:
 def _loops(results: Results, draw: SvgEmbedder) -> Markup:
     """Draw the loops of the friction force, if the current model was fitted to measured friction."""
     model = results.current
-    if model is None or model.summary["errors"].get("rms_N") is None:
+    if model is None or model.summary["errors"].get("rms_N") is None or _of_points(results):
         return Markup("")
     return draw(plots.loops(model, results.runs))
 
