@@ -133,6 +133,13 @@ class FittedEffect:
         return float(piece.mass / piece.path.mass_ratio * GRAVITY)
 
     @property
+    def stated_incline(self) -> float:
+        """Incline of the run in which the effect is largest as the study states it, rad; 0 where it states none."""
+        piece = self._largest[0].piece
+        driven = 0.0 if piece.path.drive is None else piece.path.drive[0] / piece.mass
+        return float(np.arcsin(np.clip((driven - piece.known[0]) / GRAVITY, -1.0, 1.0)))
+
+    @property
     def last_run(self) -> tuple[str, float]:
         """Name and duration (s since release) of the run that lasts longest."""
         longest = max(self.solution.responses, key=lambda r: float(r.piece.t[-1]))

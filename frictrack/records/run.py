@@ -37,8 +37,9 @@ class Run(NotebookView):
         measured friction can be identified.
     name
         Name of the run.
-    incline
-        Angle of the course, rad; positive if it rises toward +x.
+    incline, sigma_incline
+        Angle of the course and its standard deviation, rad; positive if it rises toward +x. With a standard deviation
+        the angle is one unknown of the fit: `slope`, with that prior.
     normal_load
         Normal load, N; by default m g cos(incline).
     drive, friction_N
@@ -80,6 +81,7 @@ class Run(NotebookView):
     name: str = "run"
     sigma_mass: float = scalar("kg", default=0.0)
     incline: float = scalar("rad", default=0.0)
+    sigma_incline: float = scalar("rad", default=0.0)
     normal_load: float | None = scalar("N", default=None)
     drive: Array | None = None  # N, at displacement.t
     friction_N: Array | None = None  # N, at displacement.t

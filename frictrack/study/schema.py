@@ -145,10 +145,10 @@ def read_frame_rate(raw: Any) -> float:
         raise
 
 
-def _angle(raw: Any, info: ValidationInfo) -> float:
-    """Read an angle below 90 degrees; a number is in rad."""
+def _angle(raw: Any, info: ValidationInfo) -> Value:
+    """Read an angle below 90 degrees with its standard deviation; a number is in rad."""
     try:
-        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
+        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)
     except ValueError as e:
         degrees = isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < 90
         hint = f'; a number is in rad: write "{raw:g} deg" for degrees' if degrees else ""
@@ -472,7 +472,7 @@ Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
-Angle = Annotated[float, BeforeValidator(_angle)]
+Angle = Annotated[Value, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
 Pause = Annotated[float, _number("s", above=0.0)]
 
@@ -712,7 +712,8 @@ class RunTable(Keys):
     filter, cutoff, order, window, causal
         As in ``[motion]``, where they differ.
     incline
-        Angle by which the course rises toward +x; negative where it falls.
+        Angle by which the course rises toward +x; negative where it falls. With its error ("3.6 +/- 0.1 deg") it is one
+        unknown of the fit: `slope`, held to the stated angle within the error.
     normal_load
         Normal load, where it is not m g cos(incline).
     drive
