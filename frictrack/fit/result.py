@@ -28,6 +28,7 @@ from frictrack.fit.uncertainty import (
     UncertaintyAnalysis,
     level_remarks,
     reported_by_address,
+    rolling_remarks,
     with_misfit,
     with_stated_errors,
 )
@@ -385,7 +386,7 @@ class Fit(FittedRuns, StorableFit):
                 "correlations": [list(c) for c in self.estimates.correlations],
                 "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": [
-                    *(() if self.measured else noise_free_remark(self.runs)),
+                    *(() if self.measured else (*rolling_remarks(self), *noise_free_remark(self.runs))),
                     *([searched.remark] if searched is not None and searched.remark else []),
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),

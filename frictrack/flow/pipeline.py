@@ -401,6 +401,7 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         incline=incline,
         sigma_incline=sigma_incline,
         has_incline=run.incline is not None,
+        rolling=run.rolling,
         normal_load=run.normal_load,
         drive=sensors.drive,
         friction_N=sensors.friction_N,

@@ -19,6 +19,7 @@ from frictrack.errors import FrictrackError
 from frictrack.filters import STRUCTURAL, FilterChoice
 from frictrack.polygons import Polygon, polygon, polygons
 from frictrack.priors import Prior
+from frictrack.records import rolling_inertia
 from frictrack.remote import RemoteFile, is_address, locate
 from frictrack.repairs import Repair, read_repairs
 from frictrack.search import METHODS, read_settings
@@ -472,6 +473,7 @@ Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
+Rolling = Annotated[float, BeforeValidator(rolling_inertia)]
 Angle = Annotated[Value, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
 Pause = Annotated[float, _number("s", above=0.0)]
@@ -714,6 +716,9 @@ class RunTable(Keys):
     incline
         Angle by which the course rises toward +x; negative where it falls. With its error ("3.6 +/- 0.1 deg") it is one
         unknown of the fit: `slope`, held to the stated angle within the error.
+    rolling
+        Shape of a body that rolls without slipping ("disc", "ball", "hollow ball", "ring"), or its moment of inertia
+        over m r^2; default one that slides.
     normal_load
         Normal load, where it is not m g cos(incline).
     drive
@@ -766,6 +771,7 @@ class RunTable(Keys):
     window: int | None = None
     causal: bool | None = None
     incline: Angle | None = None
+    rolling: Rolling = 0.0
     normal_load: Load | None = None
     drive: Drive | None = None
     sensor: Sensor | None = None
