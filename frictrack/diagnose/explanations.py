@@ -488,8 +488,9 @@ def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explan
 
 
 def behind(one: Explanation, best: Explanation) -> float:
-    """How much less a set explains than the best one; priors that prefer the best are left out."""
-    return min(one.criterion - best.criterion, -one.evidence(best))
+    """How much less a set explains than the best one; a prior that prefers an incline is left out."""
+    gap = one.criterion - best.criterion
+    return min(gap, -one.evidence(best)) if any(e.same_cause_as for e in best.effects) else gap
 
 
 def names_in_place_of(name: str, best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
