@@ -360,7 +360,7 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
         "force": lambda value: to_si(value, "N", "force")[0],
         "area": lambda value: to_si(value, "m^2", "area", above=0.0)[0],
         "columns": lambda value: _headers(value, ("t", *wanted)),
-        "until": lambda value: value if value == "release" else _time(value, '"release"', "until"),
+        "until": _until,
         "offset": lambda value: value if value == "auto" else _time(value, '"auto"', "offset"),
     }
     return {key: read[key](value) for key, value in raw.items()}
@@ -372,6 +372,16 @@ def _time(raw: Any, keyword: str, what: str) -> float:
         return to_si(raw, "s", what)[0]
     except ValueError as e:
         raise ValueError(f'expected {what} as {keyword} or a time like "1.2 ms" but got {raw!r}') from e
+
+
+def _until(raw: Any) -> Any:
+    """Read when a drive ends: "release", a time in s, or {"x": the place in m at which it ends}."""
+    if raw == "release":
+        return raw
+    try:
+        return {"x": to_si(raw, "m", "until")[0]} if isinstance(raw, str) else _time(raw, '"release"', "until")
+    except ValueError:
+        return _time(raw, '"release", a place like "30 cm"', "until")
 
 
 def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
