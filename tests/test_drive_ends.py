@@ -13,7 +13,7 @@ MASS, COULOMB, VISCOUS, DRIVE, ENDS = 0.5, 0.4, 0.15, 1.1, 0.4213
 
 
 def pulled(folder, until):
-    """A study of SciPy's motion of a mass that is pulled up to a time between two frames; the place where it is then."""
+    """A study of SciPy's motion of a mass that is pulled up to a time, or to the place where it is then."""
 
     def integrate(drive, span, start):
         law = lambda t, y: (y[1], (drive - COULOMB - VISCOUS * y[1]) / MASS)  # noqa: E731
@@ -41,7 +41,7 @@ def test_the_law_is_found_within_two_deviations(tmp_path, until):
 
 
 def test_a_place_beyond_the_way_is_refused(tmp_path):
-    with pytest.raises(FrictrackError, match="expected until at a place that the mass passes, .* but got 3 m"):
+    with pytest.raises(FrictrackError, match=r"expected until at a place that the mass passes, .* but got 3 m"):
         pulled(tmp_path, "3 m").fit()
 
 
