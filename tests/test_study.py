@@ -102,7 +102,7 @@ per_run = ["phase"]
     assert (first.role, first.x_offset, first.targets) == ("fit", 0.0, {})
     assert heavy.mass == (0.7, 0.0)
     assert (heavy.fps, heavy.scale, heavy.cutoff) == (8000, 5e-4, 200)
-    assert heavy.incline == pytest.approx(-22 * math.pi / 180)
+    assert heavy.incline == pytest.approx((-22 * math.pi / 180, 0.0))
     assert heavy.free == pytest.approx((0.01, 0.2))
     assert (heavy.clamp_x, heavy.x_offset, heavy.normal_load, heavy.impact_energy) == (0.02, -0.005, 7, 2)
     assert heavy.targets == {"beam": (1, 2, 3, 4)}

@@ -44,9 +44,8 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
         out.print(escape(line))
     if result.get("scale_error"):
         out.print(
-            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, and so has every "
-            "force above that was computed from acceleration; this error is common to all runs of a camera and not "
-            "included in the ±"
+            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
+            "runs of a camera and included in every ±"
         )
     if motion:
         own_motion(out, result)

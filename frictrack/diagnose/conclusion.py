@@ -241,7 +241,7 @@ class Conclusion:
             n_found=len(found),
             misfit_left=search.last.leaves_misfit,
             has_objection=any(t.objection for t in found),
-            has_rivals=any(t.indistinguishable_from for t in found),
+            has_rivals=any(t.indistinguishable_from for t in found) or bool(search.alternatives and found),
             error_ratio=after / before,
             reduced_chi2=self._noise[1],
             gaps=find_undetermined(self.fit, search.first, curves, found[-1].law if found else None),

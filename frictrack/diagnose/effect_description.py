@@ -130,7 +130,15 @@ class FittedEffect:
     def reference_weight(self) -> float:
         """Weight of the reference mass, N."""
         piece = self.solution.problem.pieces[0]
-        return float(piece.mass / piece.path.mass_ratio * GRAVITY)
+        return float((piece.path.mass or piece.mass) / piece.path.mass_ratio * GRAVITY)
+
+    @property
+    def stated_incline(self) -> float:
+        """Incline of the run in which the effect is largest as the study states it, rad; 0 where it states none."""
+        piece = self._largest[0].piece
+        driven = 0.0 if piece.path.drive is None else piece.path.drive[0]
+        weight = (piece.path.mass or piece.mass) * GRAVITY
+        return float(np.arcsin(np.clip((driven - piece.mass * piece.known[0]) / weight, -1.0, 1.0)))
 
     @property
     def last_run(self) -> tuple[str, float]:

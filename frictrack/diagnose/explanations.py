@@ -32,6 +32,7 @@ from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
+from frictrack.fit.parameters import prior_residual
 from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
@@ -103,6 +104,11 @@ class Explanation:
         return self.solution is not None and not self.objection
 
     @property
+    def n_causes(self) -> int:
+        """Effects that are causes, and no settings of a record."""
+        return sum(not e.of_record for e in self.effects)
+
+    @property
     def last(self) -> Effect:
         """The effect that was added last."""
         return self.effects[-1]
@@ -149,8 +155,11 @@ class Explanations:
 
     def of_size(self, size: int) -> list[Explanation]:
         """All sets of some effects, best first; those with an objection at the end."""
-        own = [one for names, one in self.known.items() if len(names) == size]
-        return sorted(own, key=lambda one: (bool(one.objection), one.criterion))
+        return [one for one in self.all() if len(one.effects) == size]
+
+    def all(self) -> list[Explanation]:
+        """All sets, best first; those with an objection at the end."""
+        return sorted(self.known.values(), key=lambda one: (bool(one.objection), one.criterion))
 
     def laws(self, size: int) -> list[Explanation]:
         """Those of a size that were simulated and have no objection, best first."""
@@ -179,7 +188,8 @@ class Explanations:
             self.expand(centre)
         if size == 2:
             rivals = [one.criterion for one in [*self.of_size(2), *self.laws(1)] if not one.objection]
-            self._propose_pairs(min(rivals, default=np.inf) + MIN_CHI2_SEPARATED)
+            limit = min(rivals, default=np.inf) + MIN_CHI2_SEPARATED
+            self._propose_pairs(lambda pair: limit)
         self.refine(size)
         self._exchange_law(size)
         while True:
@@ -274,10 +284,10 @@ class Explanations:
         misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
         trials = try_effects(law, scanned, data)
         for t in deepen_trials(law, trials) if search_again else trials:
-            self._enter(centre, law, t, law.solution.objective / misfit)
+            self._enter(centre, law, t, _misfit_of_data(law.solution) / misfit)
 
-    def _propose_pairs(self, limit: float) -> None:
-        """Try pairs of effects, those first that promise most, while one may reach a criterion.
+    def _propose_pairs(self, limit: Callable[[Sequence[Effect]], float]) -> None:
+        """Try pairs of effects, those first that promise most, that may reach the criterion of such a pair.
 
         Pairs with an effect to which all others have been added are known already.
         """
@@ -289,7 +299,7 @@ class Explanations:
         law = tried[-1][0]
         trials = {t.effect.title: t for mine, t in tried if mine is law and {t.effect.title} not in self._expanded}
         misfit, problem = baseline_misfit(law), law.solution.problem
-        scale, error = law.solution.objective / misfit, MIN_ERROR_OF_PROMISE
+        scale, error = _misfit_of_data(law.solution) / misfit, MIN_ERROR_OF_PROMISE
         by_scatter = most_by_smaller_scatter(law.solution)
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
         own = parameter_penalty(problem.layout, problem)
@@ -299,7 +309,10 @@ class Explanations:
         }
         for (first, second), (criterion, left) in sorted(promises.items(), key=lambda own: own[1])[:N_PAIRS]:
             excess = max(left - problem.n_frames, 0.0)
-            if criterion - error * scale * excess - by_scatter > limit or self._budget.stops():
+            effects = trials[first].effect, trials[second].effect
+            if criterion - error * scale * excess - by_scatter > limit(effects):
+                continue
+            if self._budget.stops():
                 break
             pair = try_pair(law, trials[first], trials[second])
             self._enter(empty, law, pair, scale, trials[first].effect)
@@ -315,6 +328,7 @@ class Explanations:
         """
         solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
         gain = solution.objective - scale * trial.misfit + gain_by_smaller_scatter(law, trial)
+        gain -= float(np.sum(prior_residual(trial.layout, trial.p) ** 2))
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
         new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
@@ -325,20 +339,30 @@ class Explanations:
             self.known[new.names] = new
 
     def pair_instead(self, single: Explanation) -> Explanation:
-        """Return two effects that together explain decisively more than one that imitates them, or that one."""
-        limit = single.criterion - MIN_CHI2_SEPARATED
-        self._propose_pairs(limit)
-        self.refine(2, below=limit)
-        pair = next(iter(self.laws(2)), single)
-        return pair if pair.criterion < limit else single
+        """Return two effects that together explain decisively more than one that imitates them, or that one.
 
-    def refine(self, size: int, below: float = np.inf) -> None:
+        An effect with another incline is one cause too, and only has to explain more.
+        """
+        decisive, near = single.criterion - MIN_CHI2_SEPARATED, single.criterion + MAX_BIC_EQUAL
+
+        def limit(effects: Sequence[Effect]) -> float:
+            in_its_place = not single.names <= {e.title for e in effects}
+            return near if in_its_place and sum(not e.of_record for e in effects) <= single.n_causes else decisive
+
+        self._propose_pairs(limit)
+        self.refine(2, below=lambda one: limit(one.effects))
+        better = [o for o in self.laws(2) if o.criterion < min(limit(o.effects), single.criterion)]
+        return better[0] if better else single
+
+    def refine(self, size: int, below: Callable[[Explanation], float] = lambda one: np.inf) -> None:
         """Simulate the sets of a size, best first, until no other may explain as much as the best, and fall `below`."""
         while True:
             laws = self.laws(size)
-            limit = laws[0].criterion + MIN_CHI2_SEPARATED * dispersion(laws[0].law) if laws else np.inf
             waiting = [one for one in self.of_size(size) if one.solution is None and not one.objection]
-            waiting = [one for one in waiting if self._may_reach(one, min(limit, below))]
+            if laws:
+                reach = MIN_CHI2_SEPARATED * dispersion(laws[0].law)
+                waiting = [o for o in waiting if self._may_reach(o, o.criterion - behind(o, laws[0]) + reach)]
+            waiting = [one for one in waiting if self._may_reach(one, below(one))]
             if not waiting:
                 break
             if self._budget.stops():
@@ -405,6 +429,11 @@ class Explanations:
         return one
 
 
+def _misfit_of_data(solution: Solution) -> float:
+    """The objective without what parameters depart from their priors."""
+    return solution.objective - float(np.sum(prior_residual(solution.problem.layout, solution.p) ** 2))
+
+
 def _excess(one: Explanation) -> float:
     """Misfit above the noise that is left along the measured motion."""
     return 0.0 if one.trial is None else max(one.trial[1].misfit - one.trial[0].solution.problem.n_frames, 0.0)
@@ -426,21 +455,22 @@ def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effec
 
 
 def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explanation]:
-    """Find the sets of as many effects that may be the cause in place of the best one.
+    """Find the sets of as many effects, or causes, that may be the explanation in place of the best one.
 
     They explain the runs about as well (BIC within `MAX_BIC_EQUAL`), or their best fit to the predictions of `best`
     differs by less than `MIN_CHI2_SEPARATED`. An effect that needs decisively more parameters (an amplitude per run) is
     no equal explanation. Neither is one that contains the best one as a special case: it predicts the same data
     whatever these are, with more parameters. A rival need not be significant by itself: the true cause may be less
     significant than its imitation. A set that was promising but not refined, because the budget was spent, counts as a
-    rival: how much it explains is not known.
+    rival: how much it explains is not known. That a wrong incline is more likely than a cause makes it the best, but
+    excludes no other.
 
     Parameters
     ----------
     best
         The explanation.
     others
-        Explanations of the same size.
+        Explanations.
 
     Returns
     -------
@@ -449,16 +479,24 @@ def find_rivals(best: Explanation, others: Sequence[Explanation]) -> list[Explan
 
     """
     unit = dispersion(best.law)
-    near = [one for one in others if one.names != best.names and not one.objection and not _contains(one, best)]
-    near = [one for one in near if one.is_unrefined or one.criterion - best.criterion < MIN_CHI2_SEPARATED * unit]
-    return [
-        one for one in near if one.criterion - best.criterion < MAX_BIC_EQUAL * unit or _would_explain(one, best, unit)
-    ]
+    size, causes = len(best.effects), best.n_causes
+    near = [one for one in others if len(one.effects) == size or (one.is_law and one.n_causes == causes)]
+    near = [one for one in near if not (one.objection or _contains(one, best))]
+    near = [one for one in near if not (best.names <= one.names or one.names < best.names)]
+    near = [one for one in near if one.is_unrefined or behind(one, best) < MIN_CHI2_SEPARATED * unit]
+    return [one for one in near if behind(one, best) < MAX_BIC_EQUAL * unit or _would_explain(one, best, unit)]
+
+
+def behind(one: Explanation, best: Explanation) -> float:
+    """How much less a set explains than the best one; a prior that prefers an incline is left out."""
+    gap = one.criterion - best.criterion
+    return min(gap, -one.evidence(best)) if any(e.same_cause_as for e in best.effects) else gap
 
 
 def names_in_place_of(name: str, best: Explanation, rivals: Sequence[Explanation]) -> tuple[str, ...]:
-    """Effects that stand in place of one of the best set in its rivals."""
-    others = [e.title for one in rivals if name not in one.names for e in one.effects if e.title not in best.names]
+    """Effects that stand in place of one of the best set in its rivals of as many effects."""
+    rivals = [one for one in rivals if name not in one.names and len(one.effects) == len(best.effects)]
+    others = [e.title for one in rivals for e in one.effects if e.title not in best.names]
     return tuple(dict.fromkeys(others))
 
 
@@ -488,11 +526,12 @@ def _would_explain(other: Explanation, best: Explanation, unit: float) -> bool:
 
 
 def alternatives_of(best: Explanation, rivals: Sequence[Explanation]) -> list[dict[str, Any]]:
-    """Return the sets that stand in place of several effects; another single effect is named with the one found."""
-    if len(best.effects) < 2:
-        return []
+    """Return the sets that stand in place of the best, where one of both has several effects.
+
+    Another single effect is named with the single one found.
+    """
     return [
         {"effects": sorted(one.names), "delta_bic": one.criterion - best.criterion}
         for one in rivals
-        if one.solution is not None
+        if one.solution is not None and max(len(one.effects), len(best.effects)) > 1
     ]

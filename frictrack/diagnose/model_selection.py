@@ -91,11 +91,11 @@ def event_penalty(problem: LeastSquaresProblem, layout: ParameterLayout, effect:
 def log_prior_of_effects(effects: Sequence[Effect]) -> float:
     """Logarithm of the prior probability of one set of effects, over that of any one effect.
 
-    An origin that runs share is an assumption, not a law: every record may be set up anew. Its own value in every run
-    is as likely as all causes of the library together.
+    The incline, and an origin that runs share, are settings of a record and no causes: that one is wrong is as likely
+    as all causes of the library together, and changes nothing in how likely the causes are.
     """
-    origins = sum(bool(e.frees) and e.parameter(e.frees).per_run for e in effects)
-    return (log_prior_of_set(len(effects)) if effects else 0.0) + origins * log(len(LIBRARY))
+    causes = sum(not e.of_record for e in effects)
+    return log_prior_of_set(causes) if causes else 0.0
 
 
 def log_prior_of_set(count: int) -> float:

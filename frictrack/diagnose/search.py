@@ -113,7 +113,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
     found = _found(space, best, first)
-    rivals = find_rivals(best, space.of_size(len(best.effects))) if found else []
+    rivals = find_rivals(best, space.all()) if found else []
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations

@@ -256,6 +256,11 @@ class Effect:
         return f"{self.name}.{self.frees}" if self.frees else self.name
 
     @property
+    def of_record(self) -> bool:
+        """Whether it is a setting of the record that may be wrong (its incline, its origin), and no cause."""
+        return self.same_cause_as == "incline" or (bool(self.frees) and self.parameter(self.frees).per_run)
+
+    @property
     def kind(self) -> str:
         """The library name: `vibration` of the instance `vibration:2`."""
         return self.name if self.name.startswith("atm2") else self.name.split(":")[0]
@@ -317,12 +322,17 @@ class Effect:
         return next(p for p in self.parameters if p.name == name)
 
     def freed(self, name: str) -> Effect:
-        """The version, in place of this one, that fits a fixed parameter, or in every run a value of its own."""
+        """The version, in place of this one, that fits a fixed parameter or one that a stated setting holds.
+
+        Any other gets a value of its own in every run.
+        """
         p = self.parameter(name)
         if p.fixed is not None:
             change: dict[str, Any] = {"fixed": None}
             what = f"{name} of {self.name} is held at {p.fixed:g} {p.unit}".removesuffix(" 1")
             what += "; it is fitted"
+        elif self.same_cause_as and p.prior is not None:
+            return replace(self.adjusted(**{name: {"prior": None}}), replaces=self.replaces | {self.kind}, frees=name)
         else:
             change = {"per_run": True}
             what = f"{name} of {self.name} differs from run to run, as the origins of two records do; each has its own"

@@ -91,6 +91,10 @@ class EffectInStudy(Protocol):
         """Weight of the reference mass, N."""
 
     @property
+    def stated_incline(self) -> float:
+        """Incline of the main run as the study states it, rad; 0 where it states none."""
+
+    @property
     def last_run(self) -> tuple[str, float]:
         """Name and duration (s since release) of the run that lasts longest."""
 

@@ -49,7 +49,7 @@ from frictrack.fit.pieces import (
     spans_of,
 )
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior
+from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
@@ -238,8 +238,10 @@ def _fit_motion(
     if prior is not None:
         law = apply_prior(law, prior, None if mass_unknown else reference.load, route.domain)
     whole = pieces_of(fitted, reference, through_reversals=law.turns)
+    guess = guess_mass([p for own in whole for p in own]) if mass_unknown else reference.mass
+    if route.domain == "displacement":
+        law = with_stated_incline(law, fitted, guess)
     if mass_unknown:
-        guess = guess_mass([p for own in whole for p in own])
         law, whole = with_mass(law), [[p.in_mass_units(guess) for p in own] for own in whole]
     lengths = tuple(piece_frames(law, own, run) for own, run in zip(whole, fitted, strict=True))
     pieces = _cut(whole, lengths)

@@ -27,7 +27,7 @@ from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import without_mass
 from frictrack.fit.pieces import Piece, Reference, whole_piece
 from frictrack.measure.friction import count_flights
-from frictrack.records import Array, Run
+from frictrack.records import GRAVITY, Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement
 
 FIRST_FRAMES = (20, 200)  # frames of a driven record to which its first state is fitted: least, most
@@ -163,7 +163,7 @@ def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
         load=float(path.load) * level,
         mass_ratio=float(path.mass_ratio),
         pixel_pitch=path.pixel_pitch,
-        incline=run.incline,
+        incline=float(np.arcsin(-run.pull / GRAVITY)),
         drive=path.drive_at,
         lift=read(path.lift),
         angle=read(path.angle),

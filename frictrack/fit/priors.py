@@ -14,7 +14,7 @@ Box, G. E. P. (1980). Sampling and Bayes' inference in scientific modelling and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,13 +23,19 @@ import numpy as np
 from frictrack.base.distributions import chi2_sf
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.effects import Effect, Parameter, carries_over, scales_with_load
+from frictrack.effects import LIBRARY, Effect, Parameter, carries_over, scales_with_load
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, white_noise_covariance
 from frictrack.fit.parameters import MASS, prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.uncertainty import Estimates, Misfit, reported_names, reported_values_and_jacobian
-from frictrack.records import Array
+from frictrack.fit.uncertainty import (
+    Estimates,
+    Misfit,
+    reported_names,
+    reported_values_and_jacobian,
+    stated_error_changes,
+)
+from frictrack.records import GRAVITY, Array, Run
 from frictrack.settings.priors import Prior
 
 PRIOR_NEEDS_NOISE = (
@@ -73,6 +79,21 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
             usage=True,
         )
     return Model(tuple(e.adjusted(**changes[e.name]) if e.name in changes else e for e in model.effects))
+
+
+def with_stated_incline(model: Model, runs: Sequence[Run], mass: float) -> Model:
+    """Make an incline that is stated with an error an unknown of the fit: `slope`, with that prior.
+
+    Runs of one course share it; runs with different inclines have one each. `mass`: of the reference, kg.
+    """
+    slope = next((e for e in model.effects if e.name == "slope"), LIBRARY["slope"])
+    force, sigma = slope.parameter("F"), max(run.sigma_incline for run in runs)
+    if not sigma or not force.free or force.prior:
+        return model
+    prior = (0.0, mass * GRAVITY * float(np.cos(runs[0].incline)) * sigma)
+    several = len({run.incline for run in runs}) > 1
+    held = slope.adjusted(F={"prior": prior, "per_run": force.per_run or several})
+    return Model((*(e for e in model.effects if e.name != "slope"), held))
 
 
 def _free(model: Model, address: str) -> tuple[Effect, Parameter] | None:
@@ -124,8 +145,10 @@ def prior_of(
     jacobian = reported_values_and_jacobian(problem, fitted.solution.p, names)[1]
     covariance = estimates.covariance + (0.0 if misfit is None else misfit.covariance)
     matrix = _regular(jacobian @ covariance @ jacobian.T)
-    for error in _common_errors(fitted, own, from_motion):
-        matrix += np.outer(error * values, error * values)
+    load_from_mass = all(r.normal_load is None for r in fitted.runs)  # a mass error then cancels in what goes with load
+    of_mass = np.array(["N" in q.unit and not (load_from_mass and scales_with_load(e, q)) for e, q in own])
+    changes = stated_error_changes(fitted, {name: q.unit for name, (_, q) in zip(names, own, strict=True)}, of_mass)
+    matrix += changes.T @ changes
     load = reference.load
     load_known = np.isfinite(load) and (reference.mass != 1.0 or not from_motion or load != 1.0)
     return Prior(
@@ -162,41 +185,6 @@ def _regular(matrix: Array) -> Array:
     size, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
     size = np.maximum(size, MIN_RELATIVE_EIGENVALUE)
     return np.asarray((vectors * size) @ vectors.T * std * std[:, None], dtype=np.float64)
-
-
-def _common_errors(
-    fitted: FittedRuns, parameters: list[tuple[Effect, Parameter]], from_motion: bool
-) -> Iterator[Array]:
-    """Yield relative errors (K,) that are common to all runs: of the scale, and of the mass.
-
-    A mass error cancels in a value that scales with the load, if the load is that of the mass.
-    """
-    scale = max(r.displacement.relative_scale_error for r in fitted.runs)
-    yield scale * np.array([_length_power(q.unit, force_has_length=from_motion) for _, q in parameters])
-    if from_motion:
-        mass = max((r.sigma_mass / r.mass for r in fitted.runs if r.mass), default=0.0)
-        load_from_mass = all(r.normal_load is None for r in fitted.runs)
-        cancels = [load_from_mass and scales_with_load(e, q) for e, q in parameters]
-        is_force = ["N" in q.unit for _, q in parameters]
-        yield mass * (np.array(is_force) & ~np.array(cancels))
-
-
-def _length_power(unit: str, *, force_has_length: bool) -> float:
-    """Return the power of length in a unit: 1 of m/s; 0 of N s/m, where forces were computed from the motion.
-
-    Examples
-    --------
-    >>> [_length_power(unit, force_has_length=True) for unit in ("N", "m/s", "N s/m", "N s^2/m^2", "1")]
-    [1.0, 1.0, 0.0, -1.0, 0.0]
-
-    """
-    power = 0.0
-    for sign, part in zip((1, -1), unit.partition("/")[::2], strict=True):
-        for factor in part.split():
-            symbol, _, exponent = factor.partition("^")
-            if symbol == "m" or (symbol == "N" and force_has_length):
-                power += sign * float(exponent or 1)
-    return power
 
 
 MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior

@@ -31,7 +31,9 @@ from frictrack.fit.uncertainty import (
     UncertaintyAnalysis,
     level_remarks,
     reported_by_address,
+    rolling_remarks,
     with_misfit,
+    with_stated_errors,
 )
 from frictrack.fit.velocity_law import law_branches
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
@@ -204,9 +206,11 @@ class Fit(FittedRuns, StorableFit):
 
     @cached_property
     def estimates(self) -> Estimates:
-        """Estimates of the parameters, with the misfit of a rejected model and with computed intervals."""
+        """Estimates of the parameters, with computed intervals, the misfit of a rejected model and stated errors."""
         found = self.observation.estimates(self).with_intervals(self.uncertainty.intervals)
-        return found if self.misfit is None else with_misfit(found, self.solution, self.misfit.covariance)
+        if self.misfit is not None:
+            found = with_misfit(found, self.solution, self.misfit.covariance)
+        return with_stated_errors(found, self)
 
     @cached_property
     def misfit(self) -> Misfit | None:
@@ -381,7 +385,7 @@ class Fit(FittedRuns, StorableFit):
                 "correlations": [list(c) for c in self.estimates.correlations],
                 "misfit": None if self.misfit is None else self.misfit.summary(),
                 "remarks": [
-                    *(() if self.measured else noise_free_remark(self.runs)),
+                    *(() if self.measured else (*rolling_remarks(self), *noise_free_remark(self.runs))),
                     *([searched.remark] if searched is not None and searched.remark else []),
                     *self.estimates.remarks,
                     *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
@@ -411,6 +415,9 @@ class Fit(FittedRuns, StorableFit):
         if not next(e for e in self.model.effects if e.name == effect).parameter(parameter).loaded:
             return {}
         std = found.reported_std
+        if std is not None and all(run.drive is None and run.normal_load is None for run in self.runs):
+            weighing = max(run.sigma_mass / run.mass for run in self.runs if run.mass)  # load and force have the same
+            std = float(np.sqrt(max(std**2 - (weighing * found.value) ** 2, 0.0)))
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
     def _optima(self, searched: SearchedOptima) -> list[dict[str, Any]]:

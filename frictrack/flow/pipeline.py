@@ -384,14 +384,17 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
             'expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider'
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
+    incline, sigma_incline = run.incline or (0.0, 0.0)
     return Run(
         displacement,
         motion,
         mass=mass,
         sigma_mass=sigma,
         name=run.name,
-        incline=run.incline or 0.0,
+        incline=incline,
+        sigma_incline=sigma_incline,
         has_incline=run.incline is not None,
+        rolling=run.rolling,
         normal_load=run.normal_load,
         drive=sensors.drive,
         friction_N=sensors.friction_N,

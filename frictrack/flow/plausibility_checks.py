@@ -255,7 +255,7 @@ def _entered_numbers(run: RunTable, bare: frozenset[str]) -> EnteredValues:
         mass=run.mass[0] if isinstance(run.mass, tuple) else None,
         pitch=pitch if np.isfinite(pitch) else None,
         fps=run.fps,
-        incline=run.incline,
+        incline=run.incline and run.incline[0],
         bare=bare,
     )
 

@@ -101,18 +101,21 @@ class _SensorReader:
             self._acceleration(SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
 
     def add_drive(self, spec: dict[str, Any]) -> None:
-        """Read a drive: a constant force or a table, perhaps only up to some time."""
+        """Read a drive: a constant force or a table, perhaps only up to some time or place."""
         t, until = self.displacement.t, spec.get("until", np.inf)
-        motion = None if "force" in spec and until != "release" else differentiate(low_pass(self.displacement))
-        if until == "release":
-            assert motion is not None
-            until = release_time(Run(self.displacement, motion, mass=1.0))
-            self.notes.append(f"drive: none after the release at {until:.4g} s")
-        acting = t <= until
+        needed = "table" in spec or not isinstance(until, float)
+        motion = differentiate(low_pass(self.displacement)) if needed else None
+        if motion is not None and not isinstance(until, float):
+            at_release = until == "release"
+            until = (
+                release_time(Run(self.displacement, motion, mass=1.0)) if at_release else _time_at(motion, until["x"])
+            )
+            self.notes.append(f"drive: none after {'the release at ' if at_release else ''}{until:.4g} s")
         if "force" in spec:
-            self.found["drive"] = np.where(acting, spec["force"], 0.0)
+            self.found["drive"] = spec["force"] * _share_until(t, until)
             return
         assert motion is not None
+        acting = t <= until
         series = _drive_force(spec)
         found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
@@ -176,6 +179,28 @@ class _SensorReader:
         if missing := len(rows) - len(measured):
             self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")
         return np.where(acting, np.interp(t, t[measured], values[measured]), 0.0)
+
+
+def _time_at(motion: Motion, place: float) -> float:
+    """Time at which the mass first passes a place, s."""
+    before = motion.x - place
+    passed = np.flatnonzero(np.diff(np.sign(before)))
+    if not len(passed):
+        span = f"{motion.x.min():.4g} to {motion.x.max():.4g} m"
+        raise FrictrackError(f"drive: expected until at a place that the mass passes, {span}, but got {place:.4g} m")
+    i = int(passed[0])
+    share = before[i] / (before[i] - before[i + 1])
+    return float(motion.t[i] + share * (motion.t[i + 1] - motion.t[i]))
+
+
+def _share_until(t: Array, until: float) -> Array:
+    """Share (n,) of a drive that acts at frames t until a time between two of them, so that its impulse is right."""
+    share = np.asarray(t <= until, dtype=float)
+    i = int(np.sum(share)) - 1
+    if 0 <= i < len(t) - 1:
+        late = (until - t[i]) / (t[i + 1] - t[i]) - 0.5  # frames beyond the middle of the interval
+        share[i + (late > 0)] += late
+    return share
 
 
 def _drive_force(spec: dict[str, Any]) -> SensorRecord:

@@ -178,14 +178,14 @@ def _stage_table(*head: Stage) -> dict[str, Stage]:
         Stage(
             "friction",
             ("displacement", "motion", "sensors"),
-            ("mass", "incline", "normal_load", "free"),
+            ("mass", "incline", "rolling", "normal_load", "free"),
             make_friction,
             Friction,
         ),
         Stage(
             "events",
             ("displacement", "motion", "sensors"),
-            ("mass", "incline", "normal_load", "free"),
+            ("mass", "incline", "rolling", "normal_load", "free"),
             make_events,
             RunEvents,
         ),

@@ -1,6 +1,6 @@
 """Compute the friction force where nothing else acts on the slider, and find the events of a run.
 
-    F = D - m a,   D = drive - m g sin(incline)
+    F = D - m a,   D = drive - m g sin(incline)     (m + I/r^2 in place of m in m a, of a body that rolls)
 
 F > 0 resists motion toward +x; the incline is positive when the course rises toward +x.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import noise_level
-from frictrack.records import GRAVITY, Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
+from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
 MAX_PAUSE_SHARE = 0.1  # of the shorter neighbouring span: longest pause at the reversal of a swing
@@ -240,15 +240,15 @@ def friction(run: Run) -> Friction:
         white = white_noise(run.friction_N) if run.noise is None else run.noise
         sigma = np.full(len(force), white) if run.sigma_friction is None else run.sigma_friction
         return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
-    assert run.mass is not None  # Run checks this
-    acceleration = run.motion.a + GRAVITY * np.sin(run.incline)
+    assert run.inertia is not None  # Run checks this
+    acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
     sigma_drive = white_noise(drive)
-    sigma_scale = run.displacement.relative_scale_error * run.mass * run.motion.a
-    variance = (
-        (run.mass * run.motion.sigma_a) ** 2 + (run.sigma_mass * acceleration) ** 2 + sigma_scale**2 + sigma_drive**2
-    )
-    return Friction(run.motion.t, drive - run.mass * acceleration, np.sqrt(variance), mask, reason, run.motion.repaired)
+    sigma_scale = run.displacement.relative_scale_error * run.inertia * run.motion.a
+    sigma_weight = run.sigma_mass * (1.0 + float(run.rolling)) * acceleration
+    variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + sigma_drive**2
+    force = drive - run.inertia * acceleration
+    return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
 
 
 def white_noise(series: Array) -> float:

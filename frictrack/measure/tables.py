@@ -489,6 +489,9 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     displacement, forces = displacement_of_even_table(table), table.data
     given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
     given |= {name: in_si_units(name, value) for name, value in settings.items()}
+    if "incline" in settings:
+        stated = parse_quantity(settings["incline"], "rad", "incline")
+        given = {"has_incline": True, "sigma_incline": stated[1]} | given
     run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))

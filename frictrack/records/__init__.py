@@ -15,7 +15,7 @@ from frictrack.records.frame_table import (
     scalar,
     stretches,
 )
-from frictrack.records.run import GRAVITY, EarlierRuns, Run
+from frictrack.records.run import GRAVITY, ROLLING, EarlierRuns, Run, rolling_inertia
 from frictrack.records.series import (
     INTERPOLATED,
     MEASURED,
@@ -35,6 +35,7 @@ __all__ = [
     "GRAVITY",
     "INTERPOLATED",
     "MEASURED",
+    "ROLLING",
     "Array",
     "Curve",
     "CutoffTradeOff",
@@ -53,6 +54,7 @@ __all__ = [
     "Track",
     "away_from_ends",
     "column",
+    "rolling_inertia",
     "scalar",
     "stretches",
 ]

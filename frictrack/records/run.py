@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 GRAVITY = 9.80665  # m/s^2, standard
 SERIES = ("drive", "friction_N", "sigma_friction", "loads")  # one value per frame of the displacement
+ROLLING = {"disc": 0.5, "ball": 0.4, "hollow ball": 2 / 3, "ring": 1.0}  # I / (m r^2)
 EarlierRuns = tuple[tuple[float, float], ...]  # (s since its end, m slid in it) of every run before
 
 
@@ -38,8 +39,12 @@ class Run(NotebookView):
         measured friction can be identified.
     name
         Name of the run.
-    incline
-        Angle of the course, rad; positive if it rises toward +x.
+    incline, sigma_incline
+        Angle of the course and its standard deviation, rad; positive if it rises toward +x. With a standard deviation
+        the angle is one unknown of the fit: `slope`, with that prior.
+    rolling
+        Moment of inertia over m r^2 of a body that rolls without slipping: "disc", "ball", "hollow ball", "ring", or a
+        number; 0 for one that slides.
     normal_load
         Normal load, N; by default m g cos(incline).
     drive, friction_N
@@ -85,6 +90,8 @@ class Run(NotebookView):
     name: str = "run"
     sigma_mass: float = scalar("kg", default=0.0)
     incline: float = scalar("rad", default=0.0)
+    sigma_incline: float = scalar("rad", default=0.0)
+    rolling: float | str = 0.0
     normal_load: float | None = scalar("N", default=None)
     drive: Array | None = None  # N, at displacement.t
     friction_N: Array | None = None  # N, at displacement.t
@@ -104,6 +111,12 @@ class Run(NotebookView):
     def __post_init__(self) -> None:
         faults = []
         self._cut_to_motion()
+        try:
+            object.__setattr__(self, "rolling", rolling_inertia(self.rolling))
+        except ValueError as e:
+            faults.append(str(e))
+        if self.rolling and self.mass is None:
+            faults.append("expected a mass of a body that rolls but got none; weigh it and give mass")
         if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
             faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
         if self.mass is None and self.friction_N is None and self.drive is None:
@@ -357,6 +370,16 @@ class Run(NotebookView):
         return self.displacement.pixel_pitch
 
     @property
+    def inertia(self) -> float | None:
+        """What resists acceleration, kg: the mass, and I / r^2 of a body that rolls; None without a mass."""
+        return None if self.mass is None else self.mass * (1.0 + float(self.rolling))
+
+    @property
+    def pull(self) -> float:
+        """Acceleration toward +x by gravity alone, m/s^2."""
+        return -GRAVITY * float(np.sin(self.incline)) / (1.0 + float(self.rolling))
+
+    @property
     def load(self) -> float | None:
         """Normal load, N: as given (of points, their mean), else m g cos(incline); None without a mass."""
         if self.loads is not None:
@@ -364,3 +387,25 @@ class Run(NotebookView):
         if self.normal_load is not None:
             return self.normal_load
         return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))
+
+
+def rolling_inertia(shape: float | str) -> float:
+    """Read the moment of inertia over m r^2 of a body that rolls.
+
+    Raises
+    ------
+    ValueError
+        If it is no known shape, and no number from 0 to 1.
+
+    Examples
+    --------
+    >>> rolling_inertia("disc"), rolling_inertia(0.45)
+    (0.5, 0.45)
+
+    """
+    value = ROLLING.get(shape, float("nan")) if isinstance(shape, str) else float(shape)
+    if isinstance(shape, bool) or not 0 <= value <= 1:
+        raise ValueError(
+            f"expected rolling to be {', '.join(ROLLING)} or a number from 0 to 1, I/(m r^2), but got {shape!r}"
+        )
+    return value

@@ -177,6 +177,8 @@ def _row(
     own = sorted({name.partition("[")[0] for name in c.get("parameters", {}) if "[" in name})
     values = [f"{name} {format_quantity(q['value'], q['std'], q['unit'])}" for name, q in shared.items()]
     values += [f"one {' and one '.join(own)} per run"] if own else []
+    if c["effect"].startswith("slope") and (here := c.get("words", {}).get("here")):
+        values.append(here.partition(":")[0].lower())  # the incline is 0.4 degrees, not 0
     share = "" if c.get("share") is None else f"{100 * c['share']:.1f} %"
     return CandidateRow(
         c["effect"], kind, standing + added, c["delta_bic"], p, bare if before is None else before, after,

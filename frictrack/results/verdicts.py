@@ -89,9 +89,17 @@ def certain_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     ['texture']
 
     """
+    if sets := _sets_of_other_size(diagnosis):
+        return [name for name in diagnosis["missing"] if all(name in one for one in sets)]
     rivals = _rivals(diagnosis)
     unclear = indistinguishable_effects(diagnosis)
     return [name for name in diagnosis["missing"] if not rivals.get(name) and name not in unclear]
+
+
+def _sets_of_other_size(diagnosis: Mapping[str, Any]) -> list[list[str]]:
+    """Sets of more or fewer effects that explain as much as the missing ones."""
+    sets = [one["effects"] for one in diagnosis.get("alternatives") or []]
+    return [one for one in sets if len(one) != len(diagnosis["missing"])]
 
 
 def _rivals(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -118,10 +126,18 @@ def indistinguishable_effects(diagnosis: Mapping[str, Any]) -> list[str]:
     >>> found = {"missing": ["patch"], "candidates": [], "unexplained": {"rival": "a formula of place"}}
     >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
     ['patch', 'a formula of place']
+    >>> found = {"missing": ["asymmetry"], "candidates": [], "alternatives": [{"effects": ["slope", "viscous"]}]}
+    >>> indistinguishable_effects(found | {"verdict": "ambiguous"})
+    ['asymmetry', 'slope with viscous']
 
     """
     rivals, whole = _rivals(diagnosis), _formula_rival(diagnosis)
     names = diagnosis["missing"] or [diagnosis["candidates"][0]["effect"]]
+    if sets := _sets_of_other_size(diagnosis):
+        certain = certain_effects(diagnosis)
+        unlike = [[name for name in one if name not in certain] for one in (names, *sets)]
+        single = [name for one in names for name in rivals.get(one, []) if len(unlike[0]) == 1]
+        return [join_as_one(unlike[0]), *single, *(join_as_one(one) for one in unlike[1:] if one), *whole]
     first = next((name for name in names if rivals.get(name)), None)
     if first is None:
         return [*names, *whole] if whole else names[:1]
@@ -172,7 +188,7 @@ def describe_alternatives(diagnosis: Mapping[str, Any]) -> list[str]:
     for one in diagnosis.get("alternatives") or []:
         instead = [name for name in one["effects"] if name not in named]
         replaced = [name for name in named if name not in one["effects"]]
-        if instead and len(named) > 1 and max(len(instead), len(replaced)) > 1:
+        if instead and replaced and max(len(instead), len(replaced)) > 1:
             verb = "together explain" if len(instead) > 1 else "alone explains"
             out.append(f"{' and '.join(instead)} {verb} as much as {' and '.join(replaced)}")
     return out

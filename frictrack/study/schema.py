@@ -18,6 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.polygons import Polygon, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
 from frictrack.base.units import parse_quantity
+from frictrack.records import rolling_inertia
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
@@ -153,10 +154,10 @@ def read_frame_rate(raw: Any) -> float:
         raise
 
 
-def _angle(raw: Any, info: ValidationInfo) -> float:
-    """Read an angle below 90 degrees; a number is in rad."""
+def _angle(raw: Any, info: ValidationInfo) -> Value:
+    """Read an angle below 90 degrees with its standard deviation; a number is in rad."""
     try:
-        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)[0]
+        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)
     except ValueError as e:
         degrees = isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < 90
         hint = f'; a number is in rad: write "{raw:g} deg" for degrees' if degrees else ""
@@ -372,7 +373,7 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
         "force": lambda value: to_si(value, "N", "force")[0],
         "area": lambda value: to_si(value, "m^2", "area", above=0.0)[0],
         "columns": lambda value: _headers(value, ("t", *wanted)),
-        "until": lambda value: value if value == "release" else _time(value, '"release"', "until"),
+        "until": _until,
         "offset": lambda value: value if value == "auto" else _time(value, '"auto"', "offset"),
     }
     return {key: read[key](value) for key, value in raw.items()}
@@ -384,6 +385,16 @@ def _time(raw: Any, keyword: str, what: str) -> float:
         return to_si(raw, "s", what)[0]
     except ValueError as e:
         raise ValueError(f'expected {what} as {keyword} or a time like "1.2 ms" but got {raw!r}') from e
+
+
+def _until(raw: Any) -> Any:
+    """Read when a drive ends: "release", a time in s, or {"x": the place in m at which it ends}."""
+    if raw == "release":
+        return raw
+    try:
+        return {"x": to_si(raw, "m", "until")[0]} if isinstance(raw, str) else _time(raw, '"release"', "until")
+    except ValueError:
+        return _time(raw, '"release", a place like "30 cm"', "until")
 
 
 def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
@@ -485,7 +496,8 @@ Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
-Angle = Annotated[float, BeforeValidator(_angle)]
+Rolling = Annotated[float, BeforeValidator(rolling_inertia)]
+Angle = Annotated[Value, BeforeValidator(_angle)]
 Times = Annotated[Pair, _span("s")]
 Pause = Annotated[float, _number("s", above=0.0)]
 
@@ -726,7 +738,11 @@ class RunTable(Keys):
     filter, cutoff, order, window, causal
         As in ``[motion]``, where they differ.
     incline
-        Angle by which the course rises toward +x; negative where it falls.
+        Angle by which the course rises toward +x; negative where it falls. With its error ("3.6 +/- 0.1 deg") it is one
+        unknown of the fit: `slope`, held to the stated angle within the error.
+    rolling
+        Shape of a body that rolls without slipping ("disc", "ball", "hollow ball", "ring"), or its moment of inertia
+        over m r^2; default one that slides.
     normal_load
         Normal load, where it is not m g cos(incline).
     drive
@@ -779,6 +795,7 @@ class RunTable(Keys):
     window: int | None = None
     causal: bool | None = None
     incline: Angle | None = None
+    rolling: Rolling = 0.0
     normal_load: Load | None = None
     drive: Drive | None = None
     sensor: Sensor | None = None

@@ -17,10 +17,14 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 
 def describe(effect: EffectInStudy) -> str:
-    """Incline that would make the force."""
-    lean = effect.value("F") / effect.reference_weight
-    degrees = format_number(float(np.rad2deg(1.0)) * lean)
-    return f"as a course that rises by {format_number(1e3 * lean)} mm in a metre toward +x ({degrees} degrees)"
+    """Incline that would make the force, and the stated one."""
+    stated, lean = effect.stated_incline, effect.value("F") / effect.reference_weight
+    angle = np.arcsin(np.clip(np.sin(stated) + lean, -1.0, 1.0))
+    was, found = (f"{np.rad2deg(one):.3g}" for one in (stated, angle))
+    return (
+        f"the incline is {found} degrees, not {was}: the course rises toward +x by {format_number(1e3 * lean)} mm in a "
+        "metre more than stated"
+    )
 
 
 def level_signal(effect: EffectInStudy) -> float:

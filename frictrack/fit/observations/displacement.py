@@ -290,7 +290,7 @@ def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
     a_error, f_error, f_measured = [], [], []
     for c in curves:
         run, unsmeared = by_name[c.run]
-        mass, rows = run.mass or 1.0, _rows(run, c)
+        mass, rows = run.inertia or 1.0, _rows(run, c)
         kept, force = unsmeared[rows], c.F_as_measured
         error = run.motion.a[rows] - c.a_model + (force - c.F_model) / mass
         a_error.append(error[kept])

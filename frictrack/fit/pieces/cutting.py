@@ -141,7 +141,7 @@ def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
 
 def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) -> Piece:
     """The piece of some rows of a run."""
-    mass = float(run.mass or context.reference.mass)
+    mass = float(run.inertia or context.reference.mass)
     t, times = run.displacement.t[rows] - context.release, run.motion.t - context.release
     edges, at = panel_edges(t, 1)
     panels = Panels(edges)
@@ -159,7 +159,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
         x_hat=CubicSpline(times, run.motion.x)(panels.t),
         v_hat=CubicSpline(times, run.motion.v)(panels.t),
         a_hat=np.interp(panels.t, times, run.motion.a),
-        known=drive / mass - GRAVITY * np.sin(run.incline),
+        known=drive / mass + run.pull,
         path=path,
         mass=mass,
         way=context.way,

@@ -22,6 +22,8 @@ from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, Progress, 
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.remarks import level_remarks
 from frictrack.fit.uncertainty.reported_values import reported_by_address, reported_names, reported_values_and_jacobian
+from frictrack.fit.uncertainty.rolling import rolling_remarks
+from frictrack.fit.uncertainty.stated_errors import stated_error_changes, with_stated_errors
 
 __all__ = [
     "Bootstrap",
@@ -43,7 +45,10 @@ __all__ = [
     "reported_by_address",
     "reported_names",
     "reported_values_and_jacobian",
+    "rolling_remarks",
+    "stated_error_changes",
     "with_misfit",
+    "with_stated_errors",
 ]
 
 Interval = tuple[float | None, float | None]

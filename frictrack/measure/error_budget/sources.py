@@ -39,7 +39,7 @@ from frictrack.measure.motion import (
     stencil_weights,
     unit_responses,
 )
-from frictrack.records import GRAVITY, Array, Filtered, Mask, Motion, Run
+from frictrack.records import Array, Filtered, Mask, Motion, Run
 
 if TYPE_CHECKING:
     from frictrack.results import RecordingInfo
@@ -249,8 +249,8 @@ class _RunErrors:
     """Effect of every source of error on one run."""
 
     def __init__(self, run: Run, free: Mask, weights: Array) -> None:
-        assert run.mass is not None
-        self.run, self.free, self.weights, self.mass = run, free, weights, run.mass
+        assert run.inertia is not None
+        self.run, self.free, self.weights, self.mass = run, free, weights, run.inertia
 
     def effect(self, rows: Array) -> tuple[float, float]:
         """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
@@ -273,8 +273,8 @@ class _RunErrors:
 
     def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:
         """Errors that all runs share: of the scale, of the mass, and of the frame rate, squared in the acceleration."""
-        inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a + GRAVITY * np.sin(self.run.incline)
-        scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / self.mass
+        inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a - self.run.pull
+        scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / (self.run.mass or 1.0)
         rate, rate_from = frame_rate_error(film)
         length = "standard deviation of the calibrated length of the path"
         return [
@@ -288,7 +288,7 @@ class _RunErrors:
         if not error:
             known_from += f"; each 0.1 % would add {format_number(1e-3 * self.effect(force)[1], 2)} N"
             return Contribution(source, None, unit, known_from, None, None, ALL_RUNS)
-        size = error * (1e3 * self.mass if unit == "g" else 100.0)
+        size = error * (1e3 * (self.run.mass or 1.0) if unit == "g" else 100.0)
         return Contribution(source, size, unit, known_from, *self.effect(error * force), ALL_RUNS)
 
     def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:

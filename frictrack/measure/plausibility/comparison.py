@@ -29,7 +29,7 @@ from frictrack.measure.plausibility.slide import (
     estimate_slide,
     fit_columns,
 )
-from frictrack.records import GRAVITY, Array, Run
+from frictrack.records import Array, Run
 
 MAX_RELATIVE_DIFFERENCE = 0.01  # of frame rates; forces are then wrong by twice as much
 CONTRADICTION = "one of the two is wrong and every force goes with its square"
@@ -446,7 +446,7 @@ def _check_against_drive(run: Run, mass: float) -> Finding | None:
     moving = run.displacement.valid & is_moving(run)
     if np.count_nonzero(moving) < MIN_FRAMES:
         return None
-    a = run.motion.a[moving] + GRAVITY * np.sin(run.incline)
+    a = run.motion.a[moving] - run.pull
     x, v, drive = run.motion.x[moving], run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
     found, std, _ = fit_columns(np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1), drive)
     fitted, is_known = float(found[0]), CORRELATION_FACTOR * std[0] < MAX_RELATIVE_STD * found[0]

@@ -9,7 +9,7 @@ of gravity even if each of them decelerates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import asin, degrees, sin
+from math import asin, degrees
 
 import numpy as np
 
@@ -123,7 +123,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     words = "runs toward +x {} and runs toward -x {}".format(*changes)
     if any(run.has_incline for run in free):
         incline = stated.pop()
-        gravity = -GRAVITY * sin(incline)
+        gravity = free[0].pull
         is_opposite = gravity * (gravity + pull) < 0 and abs(gravity + pull) >= abs(gravity) / MAX_PULL_RATIO
         return (_sign_error(incline, words),) if is_opposite else ()
     least, most = sorted((forth, back))
@@ -149,7 +149,7 @@ def _fit_pull(runs: Sequence[Run]) -> tuple[float, float, float] | None:
     s = np.array([one.direction for _, one in strokes])
     if len(strokes) < MIN_STROKES or abs(np.sum(s)) == len(strokes):
         return None
-    a = np.array([one.a + GRAVITY * sin(run.incline) for run, one in strokes])
+    a = np.array([one.a - run.pull for run, one in strokes])
     speed = np.array([one.mid_speed / (run.mass or np.nan) for run, one in strokes])  # viscous friction over mass
     design = np.stack([np.ones_like(s), -s, -s * speed], axis=1)
     if np.linalg.matrix_rank(design / np.linalg.norm(design, axis=0), rtol=1e-9) < design.shape[1]:
@@ -184,7 +184,7 @@ def _gravity_pull(strokes: tuple[Stroke, ...]) -> tuple[float, bool]:
 
 def _check_one_direction(run: Run, pull: float, longest: Stroke, *, slows_down: bool) -> Finding | None:
     """Check a stated incline against a mass that moves one way: friction must not push it along its longest stroke."""
-    stated, way = -GRAVITY * sin(run.incline), longest.direction
+    stated, way = run.pull, longest.direction
     if way * (stated - pull) >= -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a):
         return None
     if slows_down:
@@ -202,7 +202,7 @@ def _check_one_direction(run: Run, pull: float, longest: Stroke, *, slows_down: 
 
 def _check_both_directions(run: Run, pull: float) -> Finding | None:
     """Check a stated incline against motion in both directions."""
-    stated = -GRAVITY * sin(run.incline)
+    stated = run.pull
     if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
         return _sign_error(run.incline, _acceleration_text(pull), run.name)
     if abs(pull) >= GRAVITY or 1 / MAX_PULL_RATIO < pull / stated < MAX_PULL_RATIO:

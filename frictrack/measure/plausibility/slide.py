@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import log10, sin
+from math import log10
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from frictrack.measure.plausibility.findings import (
     WARNING,
     Finding,
 )
-from frictrack.records import GRAVITY, Array, Run, stretches
+from frictrack.records import Array, Run, stretches
 
 MIN_FRAMES = 10  # of a stroke, for a parabola
 TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
@@ -203,7 +203,9 @@ def estimate_slide(run: Run) -> SlideEstimate | None:
     if not strokes:
         return None
     deceleration, load = _deceleration(run, strokes), run.load
-    friction = None if deceleration is None or not load or not run.mass else run.mass * deceleration / load
+    friction = None  # of a body that rolls no range is known
+    if deceleration is not None and load and run.mass and not run.rolling:
+        friction = run.mass * deceleration / load
     return SlideEstimate(max(s.speed for s in strokes), max(s.distance for s in strokes), friction, deceleration)
 
 
@@ -220,7 +222,7 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
     goes_one_way = total_distance(one_way) >= (1 - MIN_SHARE_EACH_WAY) * total_distance(strokes)
     if not (goes_one_way and any(stroke.is_significant for stroke in free)):
         return None
-    deceleration = direction * (-GRAVITY * sin(run.incline) - mean_acceleration(free))
+    deceleration = direction * (run.pull - mean_acceleration(free))
     return deceleration if deceleration > 0 else None
 
 

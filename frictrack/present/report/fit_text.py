@@ -56,9 +56,8 @@ def scale_line(results: Results) -> str:
     error = scale_error(results)
     if error > 0:
         return (
-            f"{SCALE_LINE} The scale has a standard deviation of {format_number(100 * error, 2)} %, and so has every "
-            "force computed from acceleration. This error is common to all runs of one camera; the ± of the fit does "
-            "not include it."
+            f"{SCALE_LINE} The scale has a standard deviation of {format_number(100 * error, 2)} %. This error is "
+            "common to all runs of one camera; every ± includes it."
         )
     filmed = any(r.film is not None for r in results.runs)
     return f"{SCALE_LINE} {NO_SCALE_ERROR}" if filmed else SCALE_LINE
@@ -211,7 +210,7 @@ def _missing(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
 
 def _ambiguous(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
     rivals = indistinguishable_effects(diagnosis)
-    first = [*certain_effects(diagnosis), *rivals][0]
+    first = [*certain_effects(diagnosis), *diagnosis["missing"], *rivals][0]
     yield from _experiment(diagnosis) or _confirm(diagnosis, rivals)
     yield Markup("To see how much <b>{}</b> explains: {}.").format(first, _command("add", study, first))
     if formula := (diagnosis.get("unexplained") or {}).get("rival"):
