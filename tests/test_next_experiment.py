@@ -20,7 +20,6 @@ from frictrack.cli import diagnosis_output
 from frictrack.costs import Costs
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.experiments.candidates import candidate_experiments
 from frictrack.diagnose.experiments.forecast import (
     EvidenceForecast,
@@ -33,6 +32,8 @@ from frictrack.diagnose.experiments.proposals import (
     compare_all,
     describe_separation,
     direct_checks,
+    plan_for_candidates,
+    plan_for_unexplained,
     propose_experiments,
     rate_runs,
 )

@@ -103,10 +103,10 @@ class LocalForces:
         return float(self.law.r @ self.law.r - self.residual.r @ self.residual.r)
 
 
-def start_search(solution: Solution, kept: Sequence[int] | None = None) -> LocalForces:
-    """Prepare a search for local forces in the residual of a fit, with all of its unknowns or those `kept`."""
+def start_search(solution: Solution) -> LocalForces:
+    """Prepare a search for local forces in the residual of a fit."""
     model = linearise(solution)
-    law = model_projection(model.solution, kept)
+    law = model_projection(model.solution)
     return LocalForces([], law, law, solution, model, bump_grids(law, model.pieces))
 
 
