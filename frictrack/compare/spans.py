@@ -25,6 +25,7 @@ from frictrack.fit.least_squares import (
     ModelProjection,
     PieceResponse,
     Solution,
+    displacement_response,
     position_and_velocity,
     white_noise_covariance,
 )
@@ -174,25 +175,26 @@ def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
 def _spans_of_effect(solution: Solution, missing: str) -> list[FailingSpan]:
     """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
-    They share the misfit as they share the square of the force.
+    Pieces share the misfit as they share the square of its trace in the data, spans of a piece that of the force.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
-    forces = [_effect_force(solution, response, missing) for response in solution.responses]
-    total, spans = max(sum(float(force @ force) for force in forces), 1e-300), list[FailingSpan]()
+    forces, squares = zip(*(_force_and_square(solution, r, missing) for r in solution.responses), strict=True)
+    spans = []
     for i, (force, peak) in enumerate(zip(forces, _expected_peaks(solution, effect, forces), strict=True)):
+        share = squares[i] / max(sum(squares) * float(force @ force), 1e-300)
         p = _p_of_size(solution, effect, solution.responses[i].piece.run)
         for s in stretches(_close_gaps(np.abs(force) > TAIL_RATIO * peak)) if p < ALPHA else ():
-            spans.append(FailingSpan(i, np.arange(s.start, s.stop), float(force[s] @ force[s]) / total, p))
+            spans.append(FailingSpan(i, np.arange(s.start, s.stop), share * float(force[s] @ force[s]), p))
     return spans
 
 
-def _effect_force(solution: Solution, response: PieceResponse, name: str) -> Array:
-    """Force of one effect of the model at the frames of a piece, N, (n,)."""
+def _force_and_square(solution: Solution, response: PieceResponse, name: str) -> tuple[Array, float]:
+    """Force of one effect of the model at the frames of a piece, N, (n,), and the square of its trace in the data."""
     piece, motion = response.piece, response.motion
     values, level = solution.problem.layout.values(solution.p, piece.run)
     path = piece.path_at_nodes(motion.x, motion.v, level)
-    nodes = solution.problem.model.effect_contribution(name, path, values)
-    return np.interp(piece.t, path.t, nodes) if solution.problem.simulates else nodes[piece.at]
+    force = solution.problem.model.effect_contribution(name, path, values)
+    return np.interp(piece.t, path.t, force), float(np.sum(displacement_response(response, force[:, None]) ** 2))
 
 
 def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
