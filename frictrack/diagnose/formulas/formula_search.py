@@ -31,12 +31,13 @@ from frictrack.diagnose.formulas.terms import (
     FittedFormula,
     Term,
     build_effect,
+    coefficient_names,
     describe_formula,
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.smooth_forces import ResidualForces, forces_of
 from frictrack.errors import FrictrackError
-from frictrack.fit.least_squares import Solution
+from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.observations import keep_compared_frames
 from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
 
@@ -219,10 +220,19 @@ class FormulaSearch:
         return out
 
     def _exchange_term(self, best: FittedFormula, term: Term) -> FittedFormula | None:
-        """Replace the only term of a formula in its fit; None if it cannot be integrated."""
+        """Replace the only term of a formula, starting from its fit; None if it cannot be integrated."""
+        solution = best.solution
+        old = solution.problem.layout
+        layout = replace(old, model=old.model - EFFECT_NAME + build_effect(EFFECT_NAME, term))
+        names = [f"{EFFECT_NAME}.{name}" for name in (*term.shape.parameters, *coefficient_names(term))]
+        values = dict(zip(old.names, solution.p, strict=True))
+        values |= dict(zip(names, (*term.parameters, *term.coefficients), strict=True))
+        problem = solution.problem.rebuild(layout, solution.problem.pieces).beginning_at(solution.responses)
+        p = np.array([values[name] for name in layout.names])
         with suppress(FrictrackError):
-            bare = remove_effect(best.solution, EFFECT_NAME)
-            return self._evaluated((term,), refine_to_end(add_effect(bare, build_effect(EFFECT_NAME, term))))
+            tau = solution.tau or 0.03
+            fitted = fit_with_scatter(problem, p, solution.starts, tau, min_fall=MIN_CHI2_FALL)
+            return self._evaluated((term,), fitted)
         return None
 
     def _refit_model_effects(self, best: FittedFormula) -> FittedFormula:
