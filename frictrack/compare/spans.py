@@ -18,14 +18,16 @@ from frictrack.compare.local_forces import (
     find_local_forces,
     solve_sizes,
     width_limits,
+    without_model,
 )
 from frictrack.distributions import normal_sf
-from frictrack.effects import Effect
+from frictrack.effects import Effect, Path
 from frictrack.fit.least_squares import (
     ModelProjection,
     PieceResponse,
     Solution,
     displacement_response,
+    model_projection,
     position_and_velocity,
     white_noise_covariance,
 )
@@ -175,11 +177,19 @@ def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
 def _spans_of_effect(solution: Solution, missing: str) -> list[FailingSpan]:
     """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
-    Pieces share the misfit as they share the square of its trace in the data, spans of a piece that of the force.
+    Pieces share the misfit as they share the square of what the other effects cannot follow of its trace in the data,
+    spans of a piece that of the force.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
-    forces, squares = zip(*(_force_and_square(solution, r, missing) for r in solution.responses), strict=True)
-    spans = []
+    others = [i for i, slot in enumerate(solution.problem.layout.slots) if slot.effect != missing]
+    law = model_projection(solution, others)
+    forces, trace = [], np.zeros_like(law.r)
+    for rows, response in zip(law.rows, solution.responses, strict=True):
+        nodes, path = _effect_force(solution, response, missing)
+        trace[rows] = displacement_response(response, nodes[:, None])[:, 0]
+        forces.append(np.interp(response.piece.t, path.t, nodes))
+    left = without_model(law, trace)
+    squares, spans = [float(left[rows] @ left[rows]) for rows in law.rows], list[FailingSpan]()
     for i, (force, peak) in enumerate(zip(forces, _expected_peaks(solution, effect, forces), strict=True)):
         share = squares[i] / max(sum(squares) * float(force @ force), 1e-300)
         p = _p_of_size(solution, effect, solution.responses[i].piece.run)
@@ -188,13 +198,11 @@ def _spans_of_effect(solution: Solution, missing: str) -> list[FailingSpan]:
     return spans
 
 
-def _force_and_square(solution: Solution, response: PieceResponse, name: str) -> tuple[Array, float]:
-    """Force of one effect of the model at the frames of a piece, N, (n,), and the square of its trace in the data."""
-    piece, motion = response.piece, response.motion
-    values, level = solution.problem.layout.values(solution.p, piece.run)
-    path = piece.path_at_nodes(motion.x, motion.v, level)
-    force = solution.problem.model.effect_contribution(name, path, values)
-    return np.interp(piece.t, path.t, force), float(np.sum(displacement_response(response, force[:, None]) ** 2))
+def _effect_force(solution: Solution, response: PieceResponse, name: str) -> tuple[Array, Path]:
+    """Force of one effect of the model at the nodes of a piece, N, (m,), and the path there."""
+    values, level = solution.problem.layout.values(solution.p, response.piece.run)
+    path = response.piece.path_at_nodes(response.motion.x, response.motion.v, level)
+    return solution.problem.model.effect_contribution(name, path, values), path
 
 
 def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
