@@ -14,9 +14,16 @@ Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
 """
 
-from frictrack.diagnose.experiments.candidates import ExperimentSetup, candidate_runs, default_setup, fitted_setup
-from frictrack.diagnose.experiments.proposals import next_run
-from frictrack.diagnose.experiments.selection import RunPlan, choose_runs, summarise_plan
+from frictrack.diagnose.experiments import (
+    ExperimentSetup,
+    RunPlan,
+    candidate_runs,
+    choose_runs,
+    default_setup,
+    fitted_setup,
+    next_run,
+    summarise_plan,
+)
 
 __all__ = [
     "ExperimentSetup",

@@ -23,7 +23,7 @@ from frictrack.diagnose.auxiliary_signals import (
 from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Diagnosis, HeldOutErrors, importance_of_effects, tabulate_candidates
 from frictrack.diagnose.examination import ALPHA, Examination
-from frictrack.diagnose.experiments.proposals import plan_for_candidates, plan_for_unexplained
+from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.explanations import MAX_SIZE
 from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import shapes_of_functions
