@@ -215,7 +215,7 @@ def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
     ]
     std = np.sqrt(np.maximum(np.diag(white_noise_covariance(solution)[0])[own], 1e-300))
     z = float(np.max(np.abs(solution.p[own]) / std, initial=0.0 if own else np.inf))
-    return max(2 * float(normal_sf(z)), np.finfo(float).tiny)
+    return float(max(2 * normal_sf(z), np.finfo(float).tiny))
 
 
 def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:

@@ -240,7 +240,7 @@ class EvidenceForecast:
     (61, 139)
     >>> low, high = EvidenceForecast(100.0, 0.1).interval()
     >>> round(low), round(high)
-    (49, 159)
+    (50, 160)
 
     """
 

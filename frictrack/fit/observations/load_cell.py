@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,14 @@ from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
 from frictrack.fit.separable import (
     DataBlock,
+    ProjectedProblem,
     SeparableModel,
+    SeparableSolution,
     path_at_compared,
     rows_at_compared,
     variable_projection,
 )
 from frictrack.fit.smooth_functions import correlated_frames
-from frictrack.fit.stepwise import add_effect, refine_to_end, reorder_effects
 from frictrack.friction import free_section, is_moving, white_noise
 from frictrack.models import Model
 from frictrack.records import Array, Mask, Run, stretches
@@ -37,6 +39,8 @@ MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
 PATH_ARRAYS = ("t", "s", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
+MAX_GRID_STARTS = 3  # points of a grid that are refined
+MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
 BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
 MIN_BLOCKS = 8  # least number of blocks per run
 MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
@@ -285,19 +289,11 @@ def _direction(v: Array, held: float) -> Array:
 
 
 def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
-    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together.
-
-    Effects that no scan covers are added to the fit of the others.
-    """
-    later = [e for e in model.effects if e.modifies and not e.linear]
-    first = Model(tuple(e for e in model.effects if e not in later))
-    problem = friction_problem(first, pieces, names, fps)
+    """Fit a model from scratch: variable projection along the measured motion, then all unknowns together."""
+    problem = friction_problem(model, pieces, names, fps)
     separable = SeparableModel(problem.layout, [friction_block(p) for p in pieces])
-    state = variable_projection(separable)()
-    found = fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
-    for effect in later:
-        found = add_effect(found, effect)
-    return refine_to_end(reorder_effects(found, model)) if later else found
+    state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
+    return fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
 
 
 def friction_problem(
@@ -320,6 +316,34 @@ def friction_block(piece: Piece) -> DataBlock:
         friction=-piece.a_hat / piece.path.load,
         compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
     )
+
+
+def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
+    """Search the parameters of modifiers without a coefficient, which no scan covers, over a coarse grid."""
+    for g, group in enumerate(problem.separable.groups):
+        if not any(e.modifies and not e.linear for e in group.model.effects):
+            continue
+        found = [problem.at(values, state, {g}) for values in _grid(problem, state.nonlinear_values, g)]
+        best = sorted(found, key=lambda s: s.misfit)[:MAX_GRID_STARTS]
+        state = min((problem.refine(s) for s in [state, *best]), key=lambda s: s.misfit)
+    return state
+
+
+def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Array]:
+    """Parameter vectors (P,) at the points of a coarse grid over the scanned parameters of a group."""
+    layout = problem.layout
+    scanned = {}
+    for i in problem.separable.groups[g].nonlinear_slots:
+        slot = layout.slots[i]
+        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        if parameter.scan is not None:
+            scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
+    most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)  # points per axis
+    axes = [a[np.linspace(0, len(a) - 1, min(most, len(a))).round().astype(int)] for a in scanned.values()]
+    points = np.array(list(product(*axes)))
+    out = np.tile(nonlinear_values, (len(points), 1))
+    out[:, list(scanned)] = points
+    return list(out)
 
 
 def block_starts(responses: Sequence[PieceResponse], n_unknowns: int) -> list[Rows]:
