@@ -92,10 +92,10 @@ class LocalForces:
         return float(self.law.r @ self.law.r - self.residual.r @ self.residual.r)
 
 
-def start_search(solution: Solution) -> LocalForces:
-    """Prepare a search for local forces in the residual of a fit."""
+def start_search(solution: Solution, kept: Sequence[int] | None = None) -> LocalForces:
+    """Prepare a search for local forces in the residual of a fit, with all of its unknowns or those `kept`."""
     model = linearise(solution)
-    law = model_projection(model.solution)
+    law = model_projection(model.solution, kept)
     return LocalForces([], law, law, solution, model, bump_grids(law, model.pieces))
 
 

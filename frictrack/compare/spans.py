@@ -15,8 +15,10 @@ from frictrack.compare.local_forces import (
     LocalForces,
     bump_columns,
     bump_grid,
+    continue_search,
     find_local_forces,
     solve_sizes,
+    start_search,
     width_limits,
     without_model,
 )
@@ -27,7 +29,6 @@ from frictrack.fit.least_squares import (
     PieceResponse,
     Solution,
     displacement_response,
-    model_projection,
     position_and_velocity,
     white_noise_covariance,
 )
@@ -81,7 +82,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
         everywhere = not local.complete and not solution.problem.simulates
         found = _spans_of_measured_friction(local) if everywhere else _spans_of_bumps(local, runs)
     else:
-        found = _spans_of_effect(solution, missing)
+        found = _spans_of_effect(solution, runs, missing)
     found = [s for s in found if len(s.rows) > 1]
     # forces that make up for one another explain more, one by one, than together
     whole = max(1.0, sum(max(s.share, 0.0) for s in found))
@@ -174,21 +175,28 @@ def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
     return float(np.exp(np.average(np.log(widths), weights=np.exp((gains - gains.max()) / 2))))
 
 
-def _spans_of_effect(solution: Solution, missing: str) -> list[FailingSpan]:
+def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
     """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
     Pieces share the misfit as they share the square of what the other effects cannot follow of its trace in the data,
-    spans of a piece that of the force.
+    spans of a piece that of the force. A local effect is searched again in the model without it, over all widths: in
+    some run its fitted place may be wrong.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
     others = [i for i, slot in enumerate(solution.problem.layout.slots) if slot.effect != missing]
-    law = model_projection(solution, others)
+    search = start_search(solution, others)
+    law = search.law
     forces, trace = [], np.zeros_like(law.r)
     for rows, response in zip(law.rows, solution.responses, strict=True):
         nodes, path = _effect_force(solution, response, missing)
         trace[rows] = displacement_response(response, nodes[:, None])[:, 0]
         forces.append(np.interp(response.piece.t, path.t, nodes))
     left = without_model(law, trace)
+    if effect.acts_within is not None:
+        bare = replace(law, r=law.r + left)
+        found = continue_search(replace(search, law=bare, residual=bare))
+        if found.bumps:
+            return _spans_of_bumps(found, runs)
     squares, spans = [float(left[rows] @ left[rows]) for rows in law.rows], list[FailingSpan]()
     for i, (force, peak) in enumerate(zip(forces, _expected_peaks(solution, effect, forces), strict=True)):
         share = squares[i] / max(sum(squares) * float(force @ force), 1e-300)
