@@ -50,6 +50,20 @@ def test_what_is_missing_shows_where_it_acts(runs, fits):
         assert s["x"] == pytest.approx([PATCH["x_c"] - 2 * PATCH["w"], PATCH["x_c"] + 2 * PATCH["w"]], abs=PATCH["w"])
 
 
+def test_a_missing_effect_takes_the_share_of_the_misfit_that_each_run_has_without_it():
+    law = {name: BASE[name] for name in ("coulomb", "viscous")} | {
+        "texture": {"amplitude": 0.4, "period": 0.03, "phase": 0.5}
+    }
+    made, _ = study(models.of(list(law)), law, specs=PAIR, sigma=2e-6)
+    bare, grown = fit("coulomb,viscous", made), fit(list(law), made)
+    spans = failing_spans(grown.solution, made, missing="texture")
+    excess = {made[r.piece.run].name: float(r.r @ r.r) - len(r.r) for r in bare.solution.responses}
+    shares = {name: sum(s["share_of_error"] for s in spans if s["run"] == name) for name in excess}
+    assert sum(shares.values()) == pytest.approx(1.0, abs=0.05)
+    for name, share in shares.items():
+        assert share == pytest.approx(excess[name] / sum(excess.values()), abs=0.05)
+
+
 def test_errors_fall_in_the_order_tried(fits):
     table = to_builtins(compare(fits).summary())
     assert table.keys() == {"models", "fails_at"}

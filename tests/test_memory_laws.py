@@ -270,3 +270,17 @@ def test_a_fit_through_reversals_ends_where_one_from_the_truth_ends(swung):
     truth[5:] = 1.0
     other = refine(solution.problem, truth, solution.starts, max_steps=40)
     assert solution.objective < other.objective + 0.1
+
+
+def test_a_contact_that_bends_is_found_together_with_a_patch_in_measured_friction():
+    """Dahl's contact in closed form from reversal to reversal: 1 - s w falls by e over the length."""
+    rng, t, length = np.random.default_rng(0), np.arange(1500) / 500.0, 5e-4
+    x, v = 0.01 * np.sin(2 * np.pi * t), 0.02 * np.pi * np.cos(2 * np.pi * t)
+    s, w = np.sign(v), np.zeros(len(t))
+    for i in range(1, len(t)):
+        w[i] = s[i] * (1 - (1 - s[i] * w[i - 1]) * np.exp(-abs(x[i] - x[i - 1]) / length))
+    force = 2.0 * w + 3.0 * v + 0.5 * s * np.exp(-(((x - 0.004) / 0.001) ** 2) / 2)
+    run = measured(t, x, sigma=1e-7, friction_N=force + 0.01 * rng.standard_normal(len(t)), rng=rng)
+    found = fit(["coulomb", "viscous", "presliding", "patch"], [run])
+    assert found.reduced_chi2 < 2
+    assert found.parameters["patch.x_c"].value == pytest.approx(0.004, abs=1e-4)

@@ -19,8 +19,7 @@ from frictrack import effects
 from frictrack.cli import diagnosis_output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
-from frictrack.diagnose.experiments import candidate_runs, fitted_setup, plan_for_candidates, plan_for_unexplained
-from frictrack.diagnose.experiments import forecast as forecasts
+from frictrack.diagnose.experiments import candidate_runs, fitted_setup
 from frictrack.diagnose.experiments.candidates import candidate_experiments
 from frictrack.diagnose.experiments.forecast import (
     EvidenceForecast,
@@ -33,6 +32,8 @@ from frictrack.diagnose.experiments.proposals import (
     compare_all,
     describe_separation,
     direct_checks,
+    plan_for_candidates,
+    plan_for_unexplained,
     propose_experiments,
     rate_runs,
 )
@@ -47,7 +48,6 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects import models
 from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
-from frictrack.fit.least_squares import white_noise_covariance
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.present import plots
 from frictrack.present.report import tables
@@ -151,12 +151,12 @@ def test_the_interval_is_that_of_two_gaussian_models_of_uncertain_size():
         size = 1 + std * rng.normal(size=(20_000, 1))
         noise = rng.normal(size=(20_000, 1)) * np.linalg.norm(shape)  # of the data along the trace
         observed = (size**2 * mean + 2 * size * noise)[:, 0]  # chi-squared of the rival minus that of the truth
-        low, high = EvidenceForecast.of_size(mean, std).interval()
+        low, high = EvidenceForecast(mean, std).interval()
         assert np.mean((observed > low) & (observed < high)) == pytest.approx(0.95, abs=0.012)
 
 
 def test_an_unknown_size_leaves_the_interval_open():
-    low, high = EvidenceForecast.of_size(50.0, np.inf).interval()
+    low, high = EvidenceForecast(50.0, np.inf).interval()
     assert low == pytest.approx(50 - 1.96 * 2 * np.sqrt(50), rel=0.02)
     assert high is None
 
@@ -386,74 +386,6 @@ def test_terminal_and_report_say_the_same():
     drawn = plots.svg(plots.next_experiments(tables.separating_experiments(found)))
     assert "1. half mass" in drawn
     assert "if camera_shake is true" in drawn
-
-
-def test_the_interval_of_a_forecast_is_that_of_gaussian_models_of_uncertain_parameters():
-    """By Monte Carlo: the data of a truth whose parameters are drawn, and the least squares of its rival."""
-    rng = np.random.default_rng(5)
-    n, shape = 60, np.linspace(-1, 1, 60)
-    rival = np.column_stack([np.ones(n), shape])  # can follow a constant and a line
-    directions = np.column_stack([4 * np.ones(n), 9 * shape**2, 3 * shape**3])  # one standard deviation of each
-    mean = 14 * shape**2
-    q, _ = np.linalg.qr(rival)
-
-    def left(y):
-        return y - q @ (q.T @ y)
-
-    moved = left(directions)
-    curvatures, axes = np.linalg.eigh(moved.T @ moved)
-    forecast = EvidenceForecast(left(mean) @ left(mean), axes.T @ moved.T @ left(mean), np.maximum(curvatures, 0))
-    observed = []
-    for z in rng.standard_normal((20_000, 3)):
-        true, noise = mean + directions @ z, rng.standard_normal(n)
-        observed.append(np.sum(left(true + noise) ** 2) - np.sum(left(noise) ** 2))
-    observed = np.array(observed)
-    low, high = forecast.interval()
-    assert np.mean((observed > low) & (observed < high)) == pytest.approx(0.95, abs=0.015)
-    narrow = EvidenceForecast(forecast.expected).interval()
-    assert np.mean((observed > narrow[0]) & (observed < narrow[1])) < 0.6  # noise alone is not enough
-
-
-def test_what_is_uncertain_of_a_planned_run_is_what_other_parameters_make_of_it(pair):
-    """By simulation with the parameters moved by one standard deviation in each direction; the start is free."""
-    true, rival = pair[-1]
-    design = next(e.design for e in candidate_experiments(true.solution) if e.key == "repeat")
-    run = true.predicted_run(design, max(e.fine for e in rival.solution.problem.model.effects))
-    start = np.array(design.start)
-    q = run.response.q
-    covariance = np.diag(np.full(len(run.p), true.scatter_with(run) ** 2))  # of the friction level, where it has one
-    at = [run.layout.names.index(n) for n in true.conservative.problem.layout.names]
-    covariance[np.ix_(at, at)] = white_noise_covariance(true.conservative)[0]
-    variances, axes = np.linalg.eigh(covariance)
-    problem, together = LeastSquaresProblem(run.layout.model, run.layout, [run.piece]), 0.0
-    for step in (axes * np.sqrt(variances.clip(0))).T:
-        y = [problem.evaluate(run.p + sign * step, [start])[0].model_y for sign in (1, -1)]
-        moved = run.piece.whitened(y[0] - y[1]) / 2
-        together = together + np.outer(*[moved - q @ (q.T @ moved)] * 2)
-    told = true.uncertain_directions(run)
-    assert np.linalg.norm(told @ told.T - together) < 0.03 * np.linalg.norm(together)
-
-
-@pytest.mark.few(1)
-def test_a_forecast_knows_what_the_rival_cannot_follow(pair, monkeypatch):
-    """Slopes and curvatures, against the rival fitted anew to a planned run that is moved in each direction."""
-    monkeypatch.setattr(forecasts, "MIN_CHI2_FALL", 1e-9)
-    monkeypatch.setattr(forecasts, "MAX_STEPS", 60)
-    true, rival = pair[-1]
-    design = next(e.design for e in candidate_experiments(true.solution) if e.key == "double mass")
-    told = ModelDiscrimination(true, rival)
-    forecast = told.forecast_after(design)
-    run = true.predicted_run(design, max(e.fine for e in rival.solution.problem.model.effects))
-    plain, slopes, curvatures = run.piece, [], []
-    for one in true.uncertain_directions(run).T:
-        run.piece = replace(plain, y=plain.y + plain.sigma * one)
-        up = told.forecast_after(design).expected - forecast.expected
-        run.piece = replace(plain, y=plain.y - plain.sigma * one)
-        down = told.forecast_after(design).expected - forecast.expected
-        slopes.append((up - down) / 4)
-        curvatures.append((up + down) / 2)
-    assert np.sum(forecast.curvatures) == pytest.approx(np.sum(curvatures), rel=0.35)  # the rival bends
-    assert np.linalg.norm(forecast.slopes) == pytest.approx(np.linalg.norm(slopes), rel=0.1)
 
 
 def test_a_film_has_no_more_frames_than_the_camera_holds():

@@ -1,8 +1,6 @@
-"""A mass that is wrong in one run is named where no effect explains what it leaves."""
+"""A run whose mass is wrong is named where no effect explains what it leaves."""
 
 from __future__ import annotations
-
-import re
 
 import numpy as np
 import pytest
@@ -30,12 +28,12 @@ def remarks(masses: list[float], stated: list[float], frames: int = 300) -> list
     return suspect_run_remarks(fitted.solution, runs, np.random.default_rng(0))
 
 
-def test_the_run_whose_mass_is_wrong_is_named_with_the_mass_that_explains_it() -> None:
+def test_the_run_whose_mass_is_wrong_is_named() -> None:
     (line,) = remarks([0.35, 0.35, 0.7, 0.7], [0.35, 0.35, 0.7, 0.35])
-    assert line.startswith("one wrong mass would explain")
-    found = re.search(r"([\d.]+) kg instead of 0.350 kg for v6", line)
-    assert found, line
-    assert float(found[1]) == pytest.approx(0.7, rel=0.1)
+    assert line.startswith("without ")
+    assert "v6" in line.partition(" the model")[0]
+    assert "check " in line
+    assert "mass" in line
 
 
 @pytest.mark.slow

@@ -3,28 +3,24 @@
 Leaving rows out of a linear least-squares fit is exact and cheap when the whitened Jacobian is at hand: the remaining
 rows are fitted again, with the start of every piece free. Nonlinear parameters move along their tangents only.
 
-Where one run is at fault, the model explains all others without it; only the mass of such a run is fitted. Dry friction
-decelerates all masses alike, so a wrong mass shows only in the forces that do not grow with the load. What it leaves is
-small, and fits no effect. Often several masses would explain it; all are named.
+Where one run is at fault, the model explains all others without it. Dry friction decelerates all masses alike, so a
+wrong mass shows only in the forces that do not grow with the load. What it leaves is small, and fits no effect. Often
+it may be one of several runs; all are named.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, lack_of_fit
 from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.null_distribution import draw_null_ensemble
-from frictrack.effects.models import Model
-from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
@@ -33,12 +29,9 @@ MIN_EXCESS_SIGMAS = 4.0  # of chi-squared above its expectation, for a misfit to
 MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames
 ADVICE = 'look at them in the film, or repair them with how = "leave_out", and diagnose again'
 MIN_RUNS = 3  # two others show that they agree
-MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together; a mass takes about ten fits
+MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
-MAX_LOG_FACTOR = float(np.log(5.0))  # of a mass
-MIN_LOG_FACTOR = 0.05  # a smaller change is no mistake of a person
-LOG_TOLERANCE = 0.02
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
@@ -125,7 +118,7 @@ def chi2_without(solution: Solution, repaired: Repaired) -> float:
 
 
 def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[str]:
-    """Describe what may be wrong with one run: masses that would explain what is left, or the run that disagrees.
+    """Name the run that disagrees with all others, or the runs of which one does.
 
     `last`: the model with the effects found, which leaves a significant misfit. Returns at most one sentence. Empty for
     fewer than three runs, or where many runs or frames would make it slow.
@@ -134,15 +127,13 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     frames = sum(len(run.motion) for run in fitted)
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
         return []
-    odd = [run for run in fitted if _explains(_without(last, run.name), rng)]
-    masses = _masses_that_explain(last.problem.model, fitted, odd, rng)
-    if masses:
-        each = [f"{format_number(m)} kg instead of {format_number(run.mass)} kg for {run.name}" for run, m in masses]
-        return [f"one wrong mass would explain what the effects leave: {', or '.join(each)}; check the masses"]
-    if len(odd) != 1:
+    odd = [run.name for run in fitted if _explains(_without(last, run.name), rng)]
+    if not odd or len(odd) == len(fitted):
         return []
-    check = "check its mass, frame rate and scale, and whether its surface was the same"
-    return [f"without {odd[0].name} the model with the effects found explains all other runs: {check}"]
+    check = (
+        f"check {'its' if len(odd) == 1 else 'their'} mass, frame rate and scale, and whether the surface was the same"
+    )
+    return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
 
 
 def _without(last: Solution, run: str) -> Solution | None:
@@ -160,39 +151,6 @@ def _without(last: Solution, run: str) -> Solution | None:
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
     """Whether a model leaves no significant misfit."""
     return found is not None and lack_of_fit(draw_null_ensemble(found, rng, N_DRAWS)) >= MIN_P_EXPLAINED
-
-
-def _masses_that_explain(
-    model: Model, runs: Sequence[Run], odd: Sequence[Run], rng: np.random.Generator
-) -> list[tuple[Run, float]]:
-    """The odd ones among the runs with a mass that would explain what is left, kg; the best first."""
-    found = []
-    for run in odd:
-        if run.mass is not None and run.normal_load is None and run.drive is None:
-            mass, best = _best_mass(model, runs, run, run.mass)
-            if best is not None and MIN_LOG_FACTOR < abs(np.log(mass / run.mass)) < 0.98 * MAX_LOG_FACTOR:
-                found.append((best.reduced_chi2, run, mass, best))
-    found.sort(key=lambda one: one[0])
-    return [(run, mass) for _, run, mass, best in found if _explains(best.solution, rng)]
-
-
-def _best_mass(model: Model, runs: Sequence[Run], run: Run, stated: float) -> tuple[float, Fit | None]:
-    """The mass of one run with the smallest misfit, kg, and the fit with it."""
-
-    def fitted(log_factor: float) -> Fit | None:
-        mass = float(np.exp(log_factor)) * stated
-        try:
-            return fit(model, [replace(one, mass=mass) if one is run else one for one in runs])
-        except FrictrackError:
-            return None
-
-    def misfit(log_factor: float) -> float:
-        found = fitted(log_factor)
-        return np.inf if found is None else found.reduced_chi2
-
-    bounds = (-MAX_LOG_FACTOR, MAX_LOG_FACTOR)
-    best = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": LOG_TOLERANCE})
-    return float(np.exp(best.x)) * stated, fitted(best.x)
 
 
 def held_remarks(model: Solution, grown: Solution) -> list[str]:

@@ -216,11 +216,6 @@ class FailurePattern:
         return residual_figures(pieces, line, "x" if best is None else best.axis)
 
     @cached_property
-    def forces(self) -> ResidualForces:
-        """Smooth forces in the residual of the fit itself, with which effects and formulas are compared."""
-        return ResidualForces(self.fit)
-
-    @cached_property
     def _about_measurement(self) -> ResidualForces:
         """Smooth forces in the residual in which the local ones were found."""
         return ResidualForces(self.local.solution, about_measurement=True)

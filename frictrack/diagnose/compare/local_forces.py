@@ -33,15 +33,20 @@ from scipy.optimize import least_squares
 from frictrack.base.distributions import student_sf
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
-from frictrack.fit.least_squares import ModelProjection, Solution, model_projection, position_and_velocity, refine
+from frictrack.fit.least_squares import (
+    ModelProjection,
+    Solution,
+    fit_with_scatter,
+    hold,
+    model_projection,
+    position_and_velocity,
+)
 from frictrack.fit.linearised import LinearisedModel, LinearisedPiece, linearise
-from frictrack.fit.parameters import jacobian_basis, prior_jacobian
 from frictrack.fit.pieces import Piece
 from frictrack.measure.motion import CORRELATION_COST
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search
-ALPHA_PIECE = 0.2  # level in its own piece for a bump in time if other pieces have one
 MAX_ROUNDS = 4  # of adding bumps
 MAX_STEPS = 6  # of refining bumps
 MIN_CHI2_FALL = 0.1  # of a step of refining them
@@ -68,29 +73,13 @@ class LocalForces:
 
     @cached_property
     def significance(self) -> GlobalSignificance:
-        """Significance of the whole search; that in one piece alone is that of its grid."""
+        """Significance of the whole search."""
         parts = [grid.significance for grid in self.grids]
         return GlobalSignificance(sum(p.length for p in parts), sum(p.families for p in parts), parts[-1].dof)
 
     def p(self, bump: Bump) -> float:
-        """p-value of a bump: in the whole search, or in its piece alone where that suffices (see `is_credible`)."""
-        p = self.significance(bump.z)
-        return p if p < ALPHA or not self.is_credible(bump) else self.p_in_piece(bump)
-
-    def p_in_piece(self, bump: Bump) -> float:
-        """p-value of a bump in time in the search of its piece alone."""
-        return 1.0 if bump.piece is None else self.grids[bump.piece].significance(bump.z)
-
-    def is_credible(self, bump: Bump) -> bool:
-        """Whether noise alone rarely shows such a bump.
-
-        Where other pieces have a bump in time too, one more is judged by the search in its own piece.
-        """
-        if self.significance(bump.z) < ALPHA:
-            return True
-        others = {b.piece for b in self.bumps if not b.at_place} - {bump.piece}
-        stronger = [b for b in self.bumps if b.piece == bump.piece and abs(b.z) > abs(bump.z)]
-        return bool(others) and not stronger and self.p_in_piece(bump) < ALPHA_PIECE
+        """p-value of a bump in the whole search."""
+        return self.significance(bump.z)
 
     @property
     def complete(self) -> bool:
@@ -115,24 +104,24 @@ def find_local_forces(solution: Solution) -> LocalForces:
 
     Friction levels absorb misfit too: without a strong effect, a run may seem to have a twentieth of the friction. A
     large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
-    scatter of the levels is estimated again with them, and the model is refitted together with them. If significant
-    forces remain, the misfit is not local, and the search starts at the scatter of the fit.
+    model and the scatter of the levels are refitted together with them. If significant forces remain, the misfit is not
+    local, and the search starts at the scatter of the fit.
     """
     start = start_search(solution)
     if start.law.r @ start.law.r <= MIN_REDUCED_CHI2_FAR * len(start.law.r):
         return continue_search(start)
     found = continue_search(_with_scatter(start, MIN_LEVEL_SCATTER) if solution.levels_are_random else start)
     if found.bumps and found.explained > MIN_SHARE_LOCAL * float(found.law.r @ found.law.r):
-        found = continue_search(_refitted(_with_scatter(found, _level_scatter(found))))
+        found = continue_search(_refitted(found))
     return found if found.complete or not solution.levels_are_random else continue_search(start)
 
 
-def _with_scatter(found: LocalForces, tau: float) -> LocalForces:
-    """The search at another scatter of the friction levels."""
-    model = replace(found.model, solution=found.model.solution.with_scatter(tau))
-    law, solution = model_projection(model.solution), found.solution.with_scatter(tau)
-    scattered = LocalForces(found.bumps, law, law, solution, model, [replace(grid, model=law) for grid in found.grids])
-    return _prune(_fit_bumps(scattered)) if found.bumps else scattered
+def _with_scatter(start: LocalForces, tau: float) -> LocalForces:
+    """The same start of a search at another scatter of the friction levels."""
+    model = replace(start.model, solution=start.model.solution.with_scatter(tau))
+    law = model_projection(model.solution)
+    grids = [replace(grid, model=law) for grid in start.grids]
+    return LocalForces([], law, law, start.solution.with_scatter(tau), model, grids)
 
 
 def _refitted(found: LocalForces) -> LocalForces:
@@ -145,23 +134,15 @@ def _refitted(found: LocalForces) -> LocalForces:
         force = sum((b.size * b.derivatives(along.path)[0] for b in found.bumps if b.acts_in(i)), 0.0 * along.path.t)
         known = piece.known - np.interp(piece.panels.t, along.path.t, force) / piece.mass
         pieces.append(replace(piece, known=known))
-    bare, tau = solution.problem, solution.tau
+    bare = solution.problem
     try:
-        fit = refine(bare.rebuild(bare.layout, pieces), solution.p, solution.starts, tau=tau, max_steps=MAX_REFIT_STEPS)
-        start = start_search(refine(bare, fit.p, fit.starts, tau=tau, max_steps=0))
+        fit = fit_with_scatter(
+            bare.rebuild(bare.layout, pieces), solution.p, solution.starts, solution.tau, max_steps=MAX_REFIT_STEPS
+        )
+        start = start_search(hold(bare, fit.p, fit.starts, max(fit.tau, MIN_LEVEL_SCATTER)))
     except FrictrackError:
         return found
     return _prune(_fit_bumps(replace(start, bumps=found.bumps)))
-
-
-def _level_scatter(found: LocalForces) -> float:
-    """Estimate the scatter of the friction levels with the bumps."""
-    solution, layout = found.model.solution, found.solution.problem.layout
-    jac, data = solution.jac, solution.random_effect_data()
-    q, _ = np.linalg.qr(bump_columns(found, found.bumps)[: len(data), :, 0])
-    data = data - q @ (q.T @ data)
-    basis = jacobian_basis(jac - q @ (q.T @ jac), layout.levels, prior_jacobian(layout, solution.p))
-    return max(basis.spread(basis.u.T @ data, float(data @ data)), MIN_LEVEL_SCATTER)
 
 
 def continue_search(found: LocalForces) -> LocalForces:
@@ -187,10 +168,10 @@ def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
     while True:
         moment = _strongest_moment(found, {b.piece for b in moments})
         best = max(places, key=lambda b: b.z, default=moment)
-        if places and found.significance(best.z) < ALPHA and best.z**2 > moment.z**2 + MIN_CHI2_GAIN_PLACE:
-            return [[b] for b in places if found.significance(b.z) < ALPHA], found.significance(best.z)
-        p_remaining = min(p_remaining, found.significance(moment.z))
-        if not found.is_credible(moment):
+        if places and found.p(best) < ALPHA and best.z**2 > moment.z**2 + MIN_CHI2_GAIN_PLACE:
+            return [[b] for b in places if found.p(b) < ALPHA], found.p(best)
+        p_remaining = min(p_remaining, found.p(moment))
+        if found.p(moment) >= ALPHA:
             return [moments] if moments else [], p_remaining
         moments.append(moment)
         columns = bump_columns(found, [moment], derivatives=False)[:, :, 0]
@@ -299,7 +280,7 @@ def without_model(law: ModelProjection, columns: Array) -> Array:
 
 def _prune(found: LocalForces) -> LocalForces:
     """Remove bumps that are no longer significant, or that carry almost none of the misfit."""
-    kept = [b for b in found.bumps if found.is_credible(b) and b.z**2 > MIN_SHARE_PER_BUMP * found.explained]
+    kept = [b for b in found.bumps if found.p(b) < ALPHA and b.z**2 > MIN_SHARE_PER_BUMP * found.explained]
     if len(kept) == len(found.bumps) or not kept:
         return found
     return _prune(_fit_bumps(replace(found, bumps=kept)))

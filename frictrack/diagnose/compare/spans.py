@@ -12,22 +12,26 @@ import numpy as np
 from frictrack.base.distributions import chi2_sf, normal_sf
 from frictrack.diagnose.compare.local_forces import (
     ALPHA,
-    ALPHA_PIECE,
     Bump,
     LocalForces,
     bump_columns,
     bump_grid,
     continue_search,
     find_local_forces,
-    joint_significance,
     solve_sizes,
     start_search,
     width_limits,
     without_model,
 )
-from frictrack.effects import Effect
-from frictrack.fit.least_squares import ModelProjection, PieceResponse, Solution, position_and_velocity
-from frictrack.fit.linearised import LinearisedPiece
+from frictrack.effects import Effect, Path
+from frictrack.fit.least_squares import (
+    ModelProjection,
+    PieceResponse,
+    Solution,
+    displacement_response,
+    position_and_velocity,
+    white_noise_covariance,
+)
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.pieces import Rows
 from frictrack.records import Array, Mask, Run, stretches
@@ -39,6 +43,7 @@ MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
 MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
 MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
 N_WIDTHS = 60  # tried for the span of a bump
+SIZE_ROLES = ("amplitude", "depth")
 
 
 @dataclass(frozen=True)
@@ -189,36 +194,52 @@ def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
 def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
     """Spans in which the force of an effect acts: where it exceeds the tail of a Gaussian at two widths.
 
-    A local effect is searched again in the model that contains it, over all widths; its fitted place may be wrong.
+    Pieces share the misfit as they share the square of what the other effects cannot follow of its trace in the data,
+    spans of a piece that of the force. A local effect is searched again in the model without it, over all widths: in
+    some run its fitted place may be wrong.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
-    search, forces = _search_without(solution, effect)
-    if effect.acts_within is not None and (found := continue_search(search)).bumps:
-        return _spans_of_bumps(found, runs)
-    law, places = search.law, list[tuple[int, Rows]]()
-    for i, size in enumerate(_expected_peaks(solution, effect, forces)):
-        at = solution.responses[i].piece
-        acts = np.abs(forces[i][at.at // at.per_frame]) > TAIL_RATIO * size
-        places += [(i, np.arange(s.start, s.stop)) for s in stretches(_close_gaps(acts))]
-    if not places:
-        return []
-    columns = np.stack([_partial_trace(search, i, rows, forces[i]) for i, rows in places], axis=1)
-    total = max(excess_chi2(law), float(np.sum(without_model(law, columns.sum(axis=1)) ** 2)))
-    # what the runs share acts in all of them or in none
-    group = np.array([solution.responses[i].piece.run if _has_size_per_run(effect) else 0 for i, _ in places])
-    names, of = np.unique(group, return_inverse=True)
-    z = joint_significance(law, np.stack([columns[:, group == g].sum(axis=1) for g in names], axis=1))[of]
-    spans = [
-        FailingSpan(i, rows, float(column @ law.r) / total, _p_value(search, i, float(size)))
-        for (i, rows), column, size in zip(places, columns.T, z, strict=True)
+    others = [i for i, slot in enumerate(solution.problem.layout.slots) if slot.effect != missing]
+    search = start_search(solution, others)
+    law = search.law
+    forces, trace = [], np.zeros_like(law.r)
+    for rows, response in zip(law.rows, solution.responses, strict=True):
+        nodes, path = _effect_force(solution, response, missing)
+        trace[rows] = displacement_response(response, nodes[:, None])[:, 0]
+        forces.append(np.interp(response.piece.t, path.t, nodes))
+    left = without_model(law, trace)
+    if effect.acts_within is not None:
+        bare = replace(law, r=law.r + left)
+        found = continue_search(replace(search, law=bare, residual=bare))
+        if found.bumps:
+            return _spans_of_bumps(found, runs)
+    squares, spans = [float(left[rows] @ left[rows]) for rows in law.rows], list[FailingSpan]()
+    for i, (force, peak) in enumerate(zip(forces, _expected_peaks(solution, effect, forces), strict=True)):
+        share = squares[i] / max(sum(squares) * float(force @ force), 1e-300)
+        p = _p_of_size(solution, effect, solution.responses[i].piece.run)
+        for s in stretches(_close_gaps(np.abs(force) > TAIL_RATIO * peak)) if p < ALPHA else ():
+            spans.append(FailingSpan(i, np.arange(s.start, s.stop), share * float(force[s] @ force[s]), p))
+    return spans
+
+
+def _effect_force(solution: Solution, response: PieceResponse, name: str) -> tuple[Array, Path]:
+    """Force of one effect of the model at the nodes of a piece, N, (m,), and the path there."""
+    values, level = solution.problem.layout.values(solution.p, response.piece.run)
+    path = response.piece.path_at_nodes(response.motion.x, response.motion.v, level)
+    return solution.problem.model.effect_contribution(name, path, values), path
+
+
+def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
+    """p-value of the size of an effect in a run; the least of several sizes."""
+    sizes = {p.name for p in effect.parameters if p.linear or p.role in SIZE_ROLES}
+    own = [
+        i
+        for i, s in enumerate(solution.problem.layout.slots)
+        if s.effect == effect.name and s.parameter in sizes and s.run in (None, run)
     ]
-    return [s for s in spans if s.p < ALPHA_PIECE]
-
-
-def _p_value(search: LocalForces, piece: int, z: float) -> float:
-    """p-value of a span in the whole search, or in its piece if that search is not significant."""
-    p = search.significance(z)
-    return p if p < ALPHA else min(p, search.grids[piece].significance(z))
+    std = np.sqrt(np.maximum(np.diag(white_noise_covariance(solution)[0])[own], 1e-300))
+    z = float(np.max(np.abs(solution.p[own]) / std, initial=0.0 if own else np.inf))
+    return float(max(2 * normal_sf(z), np.finfo(float).tiny))
 
 
 def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
@@ -234,34 +255,7 @@ def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array])
 
 def _has_size_per_run(effect: Effect) -> bool:
     """Whether every run has its own size of the effect."""
-    return any(p.per_run and (p.linear or p.role in ("amplitude", "depth")) for p in effect.parameters)
-
-
-def _search_without(solution: Solution, effect: Effect) -> tuple[LocalForces, list[Array]]:
-    """A search in the residual of a model without one of its effects, and the force of the effect along each piece."""
-    kept = [i for i, s in enumerate(solution.problem.layout.slots) if s.effect != effect.name]
-    search = start_search(solution, kept)
-    forces = [_effect_force(piece, effect.name) for piece in search.model.pieces]
-    trace = np.zeros((len(search.law.r), 1))
-    for rows, piece, force in zip(search.law.rows, search.model.pieces, forces, strict=True):
-        trace[rows] = piece.data_of(force[None], is_measurement=False).T
-    law = replace(search.law, r=search.law.r + without_model(search.law, trace)[:, 0])
-    return replace(search, law=law, residual=law), forces
-
-
-def _effect_force(piece: LinearisedPiece, name: str) -> Array:
-    """Force of one effect of the model along a piece, N, (m,)."""
-    path = replace(piece.path, load=piece.path.load * piece.level / piece.path_level)
-    return piece.problem.model.effect_contribution(name, path, piece.values)
-
-
-def _partial_trace(search: LocalForces, i: int, rows: Rows, force: Array) -> Array:
-    """Trace of a force (m,) over some frames of one piece, over all frames (N + m,)."""
-    piece, out = search.model.pieces[i], np.zeros_like(search.law.r)
-    t, at = piece.path.t, piece.response.piece.t[rows]
-    inside = np.where((t >= at[0]) & (t <= at[-1]), force, 0.0)
-    out[search.law.rows[i]] = piece.data_of(inside[None], is_measurement=False)[0]
-    return out
+    return any(p.per_run and (p.linear or p.role in SIZE_ROLES) for p in effect.parameters)
 
 
 def _close_gaps(acts: Mask) -> Mask:

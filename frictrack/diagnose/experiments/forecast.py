@@ -3,9 +3,8 @@
 An explanation is a fitted effect, a freed value, or a free curve. One is taken to be true, and a rival is fitted to all
 runs without noise.
 
-This is the criterion of T-optimal designs. The misfit r that the rival leaves gives the evidence r'r. The prediction
-of the true explanation is uncertain: a change u of its parameters changes the planned run by J u. The rival can follow
-a part of J u; the rest is added to r.
+This is the criterion of T-optimal designs. The misfit r that the rival leaves gives the evidence r'r. It grows with the
+square of the size of the true effect, which the present runs know only to its standard deviation.
 
 The present runs answer linearly to the forces of the fitted rival: to every coefficient, times the friction level of
 the run if it carries the load. In the planned run the rival is linearised along the motion that it would have to
@@ -46,7 +45,6 @@ from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
     Solution,
-    model_projection,
     predicted_objective,
     refine,
     white_noise_covariance,
@@ -111,25 +109,16 @@ class FittedExplanation:
         """The effect as it was fitted."""
         return next(e for e in self.solution.problem.model.effects if e.name == self.effect)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the runs leave the size of the effect open."""
-        return self.conservative is not self.solution
-
-    @cached_property
-    def _covariance(self) -> Array:
-        return white_noise_covariance(self.conservative)[0]
-
     @cached_property
     def relative_size_std(self) -> float:
         """Relative standard deviation of the size of the effect; infinite where the runs leave its size open."""
-        if self.is_open:
+        if self.conservative is not self.solution:
             return np.inf
         sizes = {p.name for p in self.fitted_effect.parameters if p.linear or p.role in SIZE_ROLES}
         slots, p = self.solution.problem.layout.slots, self.solution.p
         own = [i for i, slot in enumerate(slots) if slot.effect == self.effect and slot.parameter in sizes]
-        std = np.sqrt(np.maximum(np.diag(self._covariance)[own], 0.0))
-        return float(np.min(std / np.maximum(np.abs(p[own]), 1e-300), initial=np.inf)) if own else 0.0
+        std = np.sqrt(np.maximum(np.diag(white_noise_covariance(self.conservative)[0])[own], 0.0))
+        return float(np.min(std / np.maximum(np.abs(p[own]), 1e-3 * std + 1e-300), initial=np.inf)) if own else 0.0
 
     def predicted_run(self, design: RunDesign, fine: int) -> VirtualRun:
         """Predict a planned run with at least `fine` panels per frame; the result is kept."""
@@ -137,25 +126,6 @@ class FittedExplanation:
         if key not in self._simulated:
             self._simulated[key] = simulate_run(self.conservative, design, fine)
         return self._simulated[key]
-
-    def scatter_with(self, run: VirtualRun) -> float:
-        """Scatter of the friction levels with a planned run."""
-        return expected_scatter(self.conservative, run.piece.run + 1)
-
-    def uncertain_directions(self, run: VirtualRun) -> Array:
-        """Whitened change (n, k) of a planned run for one standard deviation along each axis of what is uncertain.
-
-        Uncertain are the unknowns of the fit, by their covariance, and the friction level of the run, by its scatter.
-        """
-        old = {name: i for i, name in enumerate(self.conservative.problem.layout.names)}
-        active = run.response.active
-        names = [run.layout.names[i] for i in active]
-        covariance = np.diag([self.scatter_with(run) ** 2 * (i in run.layout.levels) for i in active])
-        known = [k for k, name in enumerate(names) if name in old]
-        before = [old[names[k]] for k in known]
-        covariance[np.ix_(known, known)] = self._covariance[np.ix_(before, before)]
-        variances, axes = np.linalg.eigh(covariance)
-        return np.asarray(run.response.jac @ (axes * np.sqrt(np.maximum(variances, 0.0))))
 
 
 def make_explanation(name: str, solution: Solution, bare: Solution) -> FittedExplanation:
@@ -251,75 +221,56 @@ def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) ->
 class EvidenceForecast:
     """The evidence that an experiment is expected to give if one explanation is true.
 
-    With z standard normal, the evidence is ``expected + 2 slopes'z + curvatures'z^2``. The noise of the new data adds
+    With z standard normal, the evidence is ``known + growing * (1 + relative_std z)^2``. The noise of the new data adds
     a normal deviation, whose variance is four times the evidence.
 
     Parameters
     ----------
-    expected
-        Difference of BIC if the fitted values are true.
-    slopes
-        Half of its derivative with respect to each component of z, (k,).
-    curvatures
-        Half of its second derivative, (k,).
-    open_above
-        Whether the size of the effect is unknown: `expected` is computed for a small one.
+    growing
+        Evidence that grows with the square of the size of the true effect, at the fitted size.
+    relative_std
+        Relative standard deviation of that size; infinite where it is unknown, and `growing` is that of a small one.
+    known
+        Evidence that does not depend on it.
 
     Examples
     --------
     >>> low, high = EvidenceForecast(100.0).interval()
     >>> round(low), round(high)
     (61, 139)
-    >>> low, high = EvidenceForecast.of_size(100.0, 0.1).interval()
+    >>> low, high = EvidenceForecast(100.0, 0.1).interval()
     >>> round(low), round(high)
-    (49, 159)
+    (50, 160)
 
     """
 
-    expected: float
-    slopes: Array = field(default_factory=lambda: np.zeros(0))
-    curvatures: Array = field(default_factory=lambda: np.zeros(0))
-    open_above: bool = False
+    growing: float
+    relative_std: float = 0.0
+    known: float = 0.0
 
-    @classmethod
-    def of_size(cls, expected: float, relative_std: float) -> EvidenceForecast:
-        """Forecast of evidence that grows with the square of a size, known to `relative_std` (infinite: unknown)."""
-        if not np.isfinite(relative_std):
-            return cls(expected, open_above=True)
-        mean = max(expected, 0.0)
-        return cls(expected, np.array([mean * relative_std]), np.array([mean * relative_std**2]))
+    @property
+    def expected(self) -> float:
+        """Expected difference of BIC if the fitted values are true."""
+        return self.growing + self.known
 
     def shifted(self, by: float) -> EvidenceForecast:
         """Return the forecast with a known amount of evidence added."""
-        return replace(self, expected=self.expected + by)
+        return replace(self, known=self.known + by)
 
     def interval(self) -> tuple[float, float | None]:
         """95 % interval, from a fixed sample of z and of the noise; None above if the size of the effect is unknown.
 
-        It includes the interval that the noise alone gives at the fitted values, because a parameter may be too
-        uncertain for a linear model of its effect.
+        It includes the interval that the noise alone gives at the fitted values.
         """
-        deviates = np.random.default_rng(0).standard_normal((N_DEVIATES, len(self.slopes) + 1))
-        noise, z = deviates[:, 0], deviates[:, 1:]
-        change = 2 * z @ self.slopes + z**2 @ self.curvatures
-        without_noise = self.expected + np.array([np.zeros(N_DEVIATES), change])
-        evidence = without_noise + 2 * np.sqrt(np.maximum(without_noise, 0.0)) * noise
+        noise, z = np.random.default_rng(0).standard_normal((2, N_DEVIATES))
+        is_open = not np.isfinite(self.relative_std)
+        size = 1 + (0.0 if is_open else self.relative_std) * z
+        evidence = (
+            self.known + max(self.growing, 0.0) * np.array([np.ones(N_DEVIATES), size**2]) + min(self.growing, 0.0)
+        )
+        evidence = evidence + 2 * np.sqrt(np.maximum(evidence, 0.0)) * noise
         low, high = np.quantile(evidence, QUANTILES_95, axis=1)
-        return float(low.min()), None if self.open_above else float(high.max())
-
-
-def forecast_directions(rival: Solution, planned: Array) -> tuple[Array, Array]:
-    """Slopes and curvatures (k,) of the evidence of a planned run, the last response of a rival fitted to all runs.
-
-    `planned` (n, k) is the whitened change of the run for one standard deviation of each uncertain quantity.
-    """
-    law, q = model_projection(rival, np.flatnonzero(~rival.held).tolist()), rival.responses[-1].q
-    moved = np.zeros((len(law.u), planned.shape[1]))
-    moved[law.rows[-1]] = planned - q @ (q.T @ planned)  # its start is free
-    for _ in range(2):  # once more, since what is left is far smaller than what was there
-        moved -= law.u @ (law.u.T @ moved)
-    curvatures, axes = np.linalg.eigh(moved.T @ moved)
-    return axes.T @ (moved.T @ law.r), np.maximum(curvatures, 0.0)
+        return float(low.min()), None if is_open else float(high.max())
 
 
 @dataclass(frozen=True)
@@ -345,31 +296,25 @@ class ModelDiscrimination:
         truth = self.truth.conservative
         return self._bic(self.fitted_rival, truth.problem.layout, truth.p, truth.tau_of_other_runs)
 
-    def forecast_after(self, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
+    def forecast_after(self, design: RunDesign) -> EvidenceForecast:
         """Forecast the difference of BIC once a planned run is filmed too, positive for the truth.
 
-        With `simulate`, the rival is simulated too: slower, and right where its non-linear parameters change much.
         Raises FrictrackError if the run is too short, or if its motion cannot be integrated under the rival.
         """
         run = self.truth.predicted_run(design, max(e.fine for e in self.rival.solution.problem.model.effects))
-        tau = self.truth.scatter_with(run)
+        tau = expected_scatter(self.truth.conservative, run.piece.run + 1)
         layout, p = extend_layout(self.fitted_rival, run.layout.spans[-1], design.phase, free=True)
         planned = LinearisedRun(layout, run.piece, design.start)
         tied = self._fit(planned, start_rival(planned, p, tau), tau)
-        free = self._with_amplitude_per_run(tied, planned)
-        best = min([tied, *free], key=lambda s: self._bic(s, run.layout, run.p, tau))
-        if simulate:
-            problem = self.rival.solution.problem.rebuild(
-                best.problem.layout, [*self.fitted_rival.problem.pieces, run.piece]
-            )
-            best = _refine(problem, best.p, best.starts, tau)
-        slopes, curvatures = forecast_directions(best, self.truth.uncertain_directions(run))
-        return EvidenceForecast(self._bic(best, run.layout, run.p, tau), slopes, curvatures, self.truth.is_open)
+        found = [tied, *self._with_amplitude_per_run(tied, planned)]
+        least = min(self._bic(rival, run.layout, run.p, tau) for rival in found)
+        return EvidenceForecast(least, self.truth.relative_size_std)
 
     def _fit(self, planned: LinearisedRun, p: Array, tau: float) -> Solution:
         """The rival fitted to all runs from unknowns p (P,)."""
         problem = RivalOfAllRuns(self.fitted_rival, self._compressed, planned)
-        return _refine(problem, p, [*self.fitted_rival.starts, planned.first_start], tau)
+        starts = [*self.fitted_rival.starts, planned.first_start]
+        return refine(problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 
     def _bic(self, rival: Solution, layout: ParameterLayout, p: Array, tau: float) -> float:
         """Difference of BIC between a rival and a truth that explains everything but the penalties of its unknowns."""
@@ -399,11 +344,6 @@ class ModelDiscrimination:
 def count_unknowns(layout: ParameterLayout) -> int:
     """Number of parameters without the friction levels."""
     return len(layout.slots) - len(layout.levels)
-
-
-def _refine(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
-    """Refine all unknowns of a rival as far as the choice of a run needs."""
-    return refine(problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 
 
 class RivalOfAllRuns(LeastSquaresProblem):

@@ -256,7 +256,7 @@ def rate_direct_checks(
             plain = RatedExperiment(check.key, check.instruction, {}, costs.of_check(check.key))
             evidence = made.setdefault(check.key, plain).evidence
             for true, rival, chi2 in zip((one, other), (other, one), expected, strict=True):
-                evidence[true.name, rival.name] = EvidenceForecast.of_size(chi2, true.relative_size_std)
+                evidence[true.name, rival.name] = EvidenceForecast(max(chi2, 0.0), true.relative_size_std)
     yield from (experiment for experiment in made.values() if isfinite(experiment.cost))
 
 
@@ -368,20 +368,10 @@ def _value(experiment: RatedExperiment, questions: Sequence[Question]) -> tuple[
     return sum(q.progress(after) for q, after in pairs) / experiment.cost, gain / experiment.cost
 
 
-def _added_to_measured(pair: ModelDiscrimination, design: RunDesign, *, simulate: bool = False) -> EvidenceForecast:
+def _added_to_measured(pair: ModelDiscrimination, design: RunDesign) -> EvidenceForecast:
     """Evidence after a planned run: what the present runs give, and what the run is expected to add."""
     measured = pair.truth.gain - pair.rival.gain
-    return pair.forecast_after(design, simulate=simulate).shifted(measured - pair.expected_delta_bic_now)
-
-
-def _simulated(experiment: RatedExperiment, questions: Sequence[Question]) -> RatedExperiment:
-    """The same run, its evidence on some questions from rivals that are simulated, too."""
-    evidence = dict(experiment.evidence)
-    for q in questions:
-        if q.pair is not None and experiment.design is not None:
-            with suppress(FrictrackError):  # a motion that cannot be integrated
-                evidence[q.true, q.rival] = _added_to_measured(q.pair, experiment.design, simulate=True)
-    return replace(experiment, evidence=evidence)
+    return pair.forecast_after(design).shifted(measured - pair.expected_delta_bic_now)
 
 
 @one_thread()
@@ -423,7 +413,6 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     if sum(q.gain(_after(best, q).expected) for q in open_now) < MIN_GAIN * sum(q.weight for q in questions):
         return None
     likely = [q for q in open_now if q.weight >= MIN_WEIGHT_RATIO * max(q.weight for q in open_now)]
-    best = _simulated(best, likely)
     predicted = [(q, q.prediction(_after(best, q))) for q in likely]
     separated = [(q, p) for q, p in predicted if p["expected"] >= MIN_CHI2_SEPARATED] or predicted
     weightiest = max(q.weight for q, _ in separated)
