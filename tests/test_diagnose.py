@@ -17,11 +17,12 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.diagnose import diagnose, examination
-from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS_FEW, examine, examine_again
+from frictrack.diagnose.examination import MIN_P_CLEAR, examine, examine_again
 from frictrack.diagnose.explanations import Explanation, find_rivals
-from frictrack.diagnose.null_distribution import N_DRAWS
+from frictrack.diagnose.null_distribution import N_DRAWS, N_DRAWS_FEW, draw_null_ensemble
 from frictrack.effects import models
 from frictrack.fit import fit
+from frictrack.fit.stepwise import scan_effects
 from frictrack.results import to_builtins
 
 FOUR = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.05))
@@ -65,12 +66,12 @@ def test_a_later_examination_takes_few_draws_where_these_decide(texture_missing)
         return examine_again(solution, [], np.random.default_rng(1), first)
 
     done = examined(fit([*LAW, "texture"], texture_missing[0].runs).solution)
-    assert done.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
+    assert done.draws.series.coordinates.shape[1] == 1 + N_DRAWS_FEW
     assert not done.leaves_misfit
     assert not done.something_is_missing
     assert min(done.p.values()) >= MIN_P_CLEAR
     going_on = examined(start)
-    assert going_on.draws.series.residuals.shape[1] == 1 + N_DRAWS_FEW
+    assert going_on.draws.series.coordinates.shape[1] == 1 + N_DRAWS_FEW
     assert going_on.leaves_misfit
     assert going_on.scanned == []  # the best set with one effect more is judged by its own gain
     assert going_on.p_of_excess("texture", 1000.0) == 1 / (1 + N_DRAWS)
@@ -82,8 +83,36 @@ def test_a_later_examination_takes_all_draws_where_few_do_not_decide(monkeypatch
     first = examine(solution, [], np.random.default_rng(0), 0.005)
     monkeypatch.setattr(examination, "MIN_P_CLEAR", 2.0)  # no p-value is clear
     again = examine_again(solution, [], np.random.default_rng(1), first)
-    assert again.draws.series.residuals.shape[1] == 1 + N_DRAWS
+    assert again.draws.series.coordinates.shape[1] == 1 + N_DRAWS
     assert again.level == first.level
+
+
+def test_few_draws_decide_a_first_examination_or_all_are_taken(texture_missing, monkeypatch):
+    start = texture_missing[0].solution
+    few = examine(start, [], np.random.default_rng(0), 0.005)
+    assert len(few.null) == N_DRAWS_FEW
+    monkeypatch.setattr(examination, "MIN_CHI2_CLEAR", np.inf)  # no effect is clear
+    whole = examine(start, [], np.random.default_rng(0), 0.005)
+    assert len(whole.null) == N_DRAWS
+    assert few.gains == whole.gains
+    assert few.p_lack_of_fit == whole.p_lack_of_fit
+    for some, every in zip(few.scanned, whole.scanned, strict=True):
+        np.testing.assert_array_equal(every.statistic[: 1 + N_DRAWS_FEW], some.statistic)
+    draws = draw_null_ensemble(start, np.random.default_rng(0))
+    at_once = scan_effects(draws.law, [s.effect for s in whole.scanned[:3]], draws.series)
+    for every, (_, scans) in zip(whole.scanned, at_once, strict=False):
+        np.testing.assert_allclose(np.sort(every.statistic), np.sort(scans[0].max_gains), rtol=1e-3, atol=1e-3)
+
+
+def test_draws_are_divided_evenly_between_their_groups(texture_missing):
+    series = draw_null_ensemble(texture_missing[0].solution, np.random.default_rng(0)).series
+    some, others = series.divided(N_DRAWS_FEW)
+    assert some.residuals.shape[1] - 1 == N_DRAWS_FEW
+    assert some.residuals.shape[1] + others.residuals.shape[1] == 1 + series.residuals.shape[1]
+    for group, own in zip(series.groups, some.groups, strict=True):
+        size = group.stop - group.start
+        assert own.stop - own.start == pytest.approx(size * N_DRAWS_FEW / N_DRAWS, abs=2)
+    np.testing.assert_array_equal(some.residuals[:, 0], others.residuals[:, 0])
 
 
 @pytest.mark.slow

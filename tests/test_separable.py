@@ -20,7 +20,7 @@ from frictrack.fit.separable import (
     force_block,
     variable_projection,
 )
-from frictrack.fit.separable.blocks import double_integral
+from frictrack.fit.separable.blocks import double_integral, tiled_path
 from frictrack.fit.separable.bounded import bounded_coefficients
 from frictrack.fit.separable.scan import ScanTable
 from frictrack.simulate import Conditions, simulate
@@ -429,3 +429,15 @@ def test_normal_equations_are_those_of_differences_of_the_residual(linearised, n
         below, above = (problem.at(p + sign * h * np.eye(len(p))[i]).misfit for sign in (-1, 1))
         slope = -0.5 * (above - below) / (2 * h)
         assert gradient[position] == pytest.approx(slope, rel=1e-3, abs=1e-4 * np.abs(gradient).max())
+
+
+def test_only_the_last_short_path_of_a_population_is_kept() -> None:
+    t = np.linspace(0.0, 1.0, 1000)
+    path = Path(t=t, x=t, v=1 - t / 2, s=np.ones(1000), mass=0.35, load=1.0)
+    short = tiled_path(path, 3)
+    np.testing.assert_array_equal(short.x, np.tile(t, 3))
+    assert short.starts == (0, 1000, 2000)
+    assert tiled_path(path, 3) is short
+    tiled_path(path, 5)
+    assert tiled_path(path, 3) is not short  # only the last one is kept
+    assert tiled_path(path, 50) is not tiled_path(path, 50)  # a long one takes megabytes

@@ -96,7 +96,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     -------
     Diagnosis
         The verdict, the candidates with their evidence, the detection limits and the next experiment. p-values account
-        for the whole search (999 draws).
+        for the whole search (up to 999 draws).
 
     Raises
     ------

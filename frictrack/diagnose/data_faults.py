@@ -26,7 +26,7 @@ from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 
 MIN_EXCESS_SIGMAS = 4.0  # of chi-squared above its expectation, for a misfit to stand without the repaired frames
-MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames
+MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames, or on one run
 ADVICE = 'look at them in the film, or repair them with how = "leave_out", and diagnose again'
 MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
@@ -127,13 +127,24 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     frames = sum(len(run.motion) for run in fitted)
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
         return []
-    odd = [run.name for run in fitted if _explains(_without(last, run.name), rng)]
+    odd = [run.name for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
     if not odd or len(odd) == len(fitted):
         return []
     check = (
         f"check {'its' if len(odd) == 1 else 'their'} mass, frame rate and scale, and whether the surface was the same"
     )
     return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
+
+
+def _may_be_odd(last: Solution, run: str) -> bool:
+    """Whether the other runs agree far better without one, in linear approximation; a refit shows by how much."""
+    names = last.problem.layout.run_names
+    others = replace(last, responses=[r for r in last.responses if names[r.piece.run] != run])
+    rows, right = others.penalised_rows_and_residual
+    unit = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    left = np.sum((right - unit @ np.linalg.lstsq(unit, right, rcond=1e-8)[0]) ** 2)
+    n_frames = sum(len(r.r) for r in others.responses)
+    return bool(left - n_frames <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
 
 
 def _without(last: Solution, run: str) -> Solution | None:

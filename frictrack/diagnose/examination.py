@@ -12,7 +12,7 @@ from scipy.fft import dct
 from frictrack import effects
 from frictrack.base.distributions import chi2_isf
 from frictrack.diagnose.model_selection import event_penalty, information_criterion, likelihood_gain
-from frictrack.diagnose.null_distribution import NullEnsemble, count_draws, draw_null_ensemble
+from frictrack.diagnose.null_distribution import N_DRAWS_FEW, NullEnsemble, count_draws, draw_null_ensemble
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution
@@ -22,8 +22,8 @@ from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half for candidates
 COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
-N_DRAWS_FEW = 299  # which show whether a misfit is left, at a level of 0.005
-MIN_P_CLEAR = 0.05  # from which so few draws show that p is not below a level of 0.005, but for one case in a million
+MIN_P_CLEAR = 0.05  # from which few draws show that p is not below a level of 0.005, but for one case in a million
+MIN_CHI2_CLEAR = 10.0  # beyond all draws, from which more of them would not reach it: by chance, one in exp(5) would
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,8 @@ class Examination:
         The scanned candidates.
     null
         Largest excess of any candidate in every draw of the null hypothesis, (D - 1,).
+    least_p
+        Smallest p-value: that of a gain far beyond all draws.
     quantiles
         Quantile of every candidate's own null distribution.
     gains
@@ -87,6 +89,7 @@ class Examination:
     p_lack_of_fit: float
     scanned: Sequence[ScannedCandidate]
     null: Array
+    least_p: float
     quantiles: Mapping[str, float]
     gains: Mapping[str, float]
     excluded: Mapping[str, str]
@@ -113,7 +116,9 @@ class Examination:
 
     def p_of_excess(self, name: str, gain: float) -> float:
         """p-value of a gain of chi-squared by an effect; one that was not scanned gains by chance what any does."""
-        return _p_value(self.null, gain - self.quantiles.get(name, max(self.quantiles.values(), default=0.0)))
+        excess = gain - self.quantiles.get(name, max(self.quantiles.values(), default=0.0))
+        p = _p_value(self.null, excess)
+        return min(p, self.least_p) if excess > self.null.max() + MIN_CHI2_CLEAR else p
 
     def p_of_gain(self, effect: Effect, gain: float) -> float:
         """Return the p-value of an effect: of its scan, or of what its fit gains if something is missing.
@@ -161,6 +166,9 @@ class Examination:
 def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float) -> Examination:
     """Test a model for every effect that it may lack.
 
+    The effects are scanned over some of the draws, and over the others only where these do not decide whether the
+    strongest effect is significant (sequential Monte Carlo).
+
     Parameters
     ----------
     solution
@@ -176,27 +184,44 @@ def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator,
     -------
     Examination
 
+    References
+    ----------
+    Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
+
     """
     library, excluded = list_candidates(solution, own)
-    draws = draw_null_ensemble(solution, rng, count_draws(level))
-    scanned = []
-    for effect, scans in scan_effects(draws.law, library, draws.series):
-        statistic = _statistic(draws.law, scans)
-        scanned.append(
-            ScannedCandidate(effect, scans, statistic, float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE)))
-        )
-    n_draws = draws.series.residuals.shape[1] - 1
+    draws, scanned = draw_null_ensemble(solution, rng, count_draws(level)), list[ScannedCandidate]()
+    for series in draws.series.divided(count_draws(level, N_DRAWS_FEW)):
+        scanned = [
+            _more_draws(scanned[i] if scanned else None, draws.law, *found)
+            for i, found in enumerate(scan_effects(draws.law, library, series))
+        ]
+        null = np.max([s.excess[1:] for s in scanned], axis=0) if scanned else np.zeros(1)
+        strongest = max((float(s.excess[0]) for s in scanned), default=0.0)
+        if _p_value(null, strongest) >= MIN_P_CLEAR or strongest > null.max() + MIN_CHI2_CLEAR:
+            break
     return Examination(
         solution,
-        draws,
+        draws.without_residuals(),
         level,
         p_lack_of_fit=lack_of_fit(draws),
         scanned=scanned,
-        null=np.max([s.excess[1:] for s in scanned], axis=0) if scanned else np.zeros(n_draws),
+        null=null,
+        least_p=1 / draws.series.coordinates.shape[1],
         quantiles={s.effect.title: s.quantile for s in scanned},
         gains={s.effect.title: float(s.statistic[0]) for s in scanned},
         excluded=excluded,
     )
+
+
+def _more_draws(
+    before: ScannedCandidate | None, law: LinearisedModel, effect: Effect, scans: list[CandidateScan]
+) -> ScannedCandidate:
+    """A candidate with the draws of one more scan."""
+    statistic = _statistic(law, scans)
+    if before is not None:
+        statistic, scans = np.append(before.statistic, statistic[1:]), before.scans
+    return ScannedCandidate(effect, scans, statistic, float(np.quantile(statistic[1:], COMMON_SCALE_QUANTILE)))
 
 
 def examine_again(
@@ -222,12 +247,8 @@ def examine_again(
     -------
     Examination
 
-    References
-    ----------
-    Besag, J. & Clifford, P. (1991). Sequential Monte Carlo p-values. Biometrika 78, 301-304.
-
     """
-    draws = draw_null_ensemble(solution, rng, N_DRAWS_FEW)
+    draws = draw_null_ensemble(solution, rng, count_draws(before.level, N_DRAWS_FEW))
     p = lack_of_fit(draws)
     if before.level <= p < MIN_P_CLEAR:
         draws = draw_null_ensemble(solution, rng, count_draws(before.level))
@@ -236,7 +257,7 @@ def examine_again(
     if p >= before.level:
         scanned = scan_effects(draws.law, list_candidates(solution, own)[0], measured_series(draws.law))
         gains = {effect.title: float(_statistic(draws.law, scans)[0]) for effect, scans in scanned}
-    return replace(before, solution=solution, draws=draws, p_lack_of_fit=p, scanned=[], gains=gains)
+    return replace(before, solution=solution, draws=draws.without_residuals(), p_lack_of_fit=p, scanned=[], gains=gains)
 
 
 def lack_of_fit(draws: NullEnsemble) -> float:

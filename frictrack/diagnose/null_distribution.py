@@ -12,7 +12,7 @@ Efron & Tibshirani (1993), An Introduction to the Bootstrap, section 6.5.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +32,7 @@ from frictrack.measure.motion import (
 from frictrack.records import Array, Mask
 
 N_DRAWS = 999
+N_DRAWS_FEW = 399  # that decide most tests at a level of 0.005
 MIN_DRAWS_BELOW_LEVEL = 2  # p-values that a level must leave below it; a small level takes more draws
 TAU_GRID = np.geomspace(2e-4, 0.32, 13)  # spreads of friction levels at which a draw is estimated
 
@@ -58,9 +59,13 @@ class NullEnsemble:
         own_group = next(i for i, columns in enumerate(self.series.groups) if columns.start == 0 < columns.stop)
         return self.law.unbounded_projector(float(self.series.taus[own_group]))
 
+    def without_residuals(self) -> NullEnsemble:
+        """Return the draws without their residuals, which take tens of megabytes and only tests of them need."""
+        return NullEnsemble(self.law, replace(self.series, residuals=self.series.residuals[:, :1].copy()))
 
-def count_draws(level: float) -> int:
-    """Number of draws of a test at a significance level: `N_DRAWS`, or more where these cannot show such a level.
+
+def count_draws(level: float, at_least: int = N_DRAWS) -> int:
+    """Number of draws of a test at a significance level: `at_least`, or more where these cannot show such a level.
 
     Examples
     --------
@@ -68,7 +73,7 @@ def count_draws(level: float) -> int:
     (999, 1999)
 
     """
-    return max(N_DRAWS, int(np.ceil(MIN_DRAWS_BELOW_LEVEL / level)) - 1)
+    return max(at_least, int(np.ceil(MIN_DRAWS_BELOW_LEVEL / level)) - 1)
 
 
 def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:

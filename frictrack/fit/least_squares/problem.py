@@ -212,7 +212,8 @@ class LeastSquaresProblem:
         motion, linear = self._simulate(simulation, law, begin)
         g = law.sensitivities(motion)
         edges = linear.edge_states(*_with_starts(g))
-        simulation.guess, simulation.near, simulation.is_first = motion.a, linear, False
+        simulation.guess, simulation.is_first = motion.a, False
+        simulation.near = linear if law.remembers else None  # it takes more memory than all else
         responses, split = [], split_motions(joined, motion, linear)
         for piece, columns, rows_of_edges, own in zip(
             joined.pieces, simulation.columns, joined.edges, split, strict=True

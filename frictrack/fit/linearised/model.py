@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -173,6 +174,26 @@ class ScannedSeries:
         if ("projected", t) not in self.kept:
             self.kept["projected", t] = self.residual_projectors[t] @ self.coordinates
         return np.asarray(self.kept["projected", t])
+
+    def divided(self, count: int) -> Iterator[ScannedSeries]:
+        """Divide the draws into `count` of them, evenly from all groups, and the others; each with the measured one."""
+        draws = self.residuals.shape[1] - 1
+        is_first = np.zeros(draws, dtype=bool)
+        is_first[np.linspace(0, draws - 1, min(count, draws)).round().astype(int)] = True
+        for part in (is_first, ~is_first):
+            if part.any():
+                yield self._of(np.append(0, 1 + np.flatnonzero(part)))
+
+    def _of(self, kept: NDArray[np.int_]) -> ScannedSeries:
+        ends = [np.searchsorted(kept, (own.start, own.stop)).tolist() for own in self.groups]
+        return replace(
+            self,
+            residuals=self.residuals[:, kept],
+            coordinates=self.coordinates[:, kept],
+            groups=[slice(*own) for own in ends],
+            profile=self.profile[:, kept],
+            kept={},
+        )
 
 
 def measured_series(law: LinearisedModel) -> ScannedSeries:

@@ -21,6 +21,7 @@ from frictrack.records import Array
 
 PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
 SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
+MAX_SAMPLES_KEPT = 20_000  # of a tiled path: to evaluate an effect along a longer one takes far longer than to tile it
 MIN_SAMPLES_PER_COMPARED = 2  # samples per compared frame from which a separate path is worth its cost
 Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 
@@ -237,19 +238,22 @@ def _map_rows(rows: Array, chain: Callable[[Array], Array]) -> Array:
 
 
 def tiled_path(path: Path, count: int) -> Path:
-    """Return a path `count` times end to end, for a population; kept with the path, since it is needed again."""
+    """Return a path `count` times end to end, for a population; the last short one is kept with the path."""
     if count == 1:
         return path
-    tiled: dict[int, Path] = vars(path).setdefault("_tiled", {})
-    if count not in tiled:
-        n = len(path.t)
-        repeated: dict[str, Any] = {
-            one.name: np.tile(value, count)
-            for one in fields(path)
-            if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
-        }
-        tiled[count] = replace(path, starts=tuple(n * i for i in range(count)), **repeated)
-    return tiled[count]
+    kept: tuple[int, Path] | None = vars(path).get("_tiled")
+    if kept is not None and kept[0] == count:
+        return kept[1]
+    n = len(path.t)
+    repeated: dict[str, Any] = {
+        one.name: np.tile(value, count)
+        for one in fields(path)
+        if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
+    }
+    tiled = replace(path, starts=tuple(n * i for i in range(count)), **repeated)
+    if n * count <= MAX_SAMPLES_KEPT:
+        vars(path)["_tiled"] = count, tiled
+    return tiled
 
 
 def repeat_values(values: Any, n: int, is_depth: bool) -> Any:

@@ -23,6 +23,7 @@ from frictrack.records import Array
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
+MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
 MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
 STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
@@ -64,20 +65,24 @@ def try_effects(
     trials: list[CandidateTrial] = []
     misfit = baseline_misfit(linearised)
     for effect, scans in sorted(scanned, key=lambda own: -sum(float(s.gains.max()) for s in own[1])):
-        trial = try_effect(linearised, effect, scans, data, below=_near_best(linearised, trials))
+        trial = try_effect(linearised, effect, scans, data, below=_near_best(linearised, trials, misfit))
         trials.append(replace(trial, misfit=min(trial.misfit, misfit)))  # without the effect it has that
     return trials
 
 
-def _near_best(linearised: LinearisedModel, trials: Sequence[CandidateTrial]) -> float:
-    """Misfit above which a trial does not come near the best one, which may need more unknowns."""
+def _near_best(linearised: LinearisedModel, trials: Sequence[CandidateTrial], misfit: float) -> float:
+    """Misfit above which a trial does not come near the best one, which may need more unknowns.
+
+    `misfit` is that of the model without any effect.
+    """
     if not trials:
         return np.inf
     frames = sum(len(b.data) for b in linearised.blocks)
     best = min(trials, key=lambda t: t.misfit)
     more = len(best.layout.slots) - len(linearised.solution.problem.layout.slots)
     excess = max(best.misfit - frames, 0.0)
-    return frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * excess + bic_penalty(more, frames)
+    near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * excess + bic_penalty(more, frames)
+    return min(near, misfit - MIN_SHARE_OF_BEST * (misfit - best.misfit))
 
 
 def try_effect(
@@ -282,7 +287,7 @@ def _best_of_starts(
         first = first or state
         # friction levels first: until they give back what they took up of the effect, it has no size to refine
         state = problem.refine(state, (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
-        found.append(problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL))
+        found.append(problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL, below=below))
     found.sort(key=lambda state: state.misfit)
     best = _refined(problem, found[0], below)
     if best.misfit < below:
