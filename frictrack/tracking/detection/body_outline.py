@@ -26,6 +26,8 @@ MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it
 MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
 MIN_MEDIAN_FRAMES = 5  # with fewer frames the mean replaces the median
+SHARP_SHARE = 0.3  # of the steepest change of brightness, in a sharp edge
+MIN_ENCLOSED_SHARE = 0.15  # of what moves, that sharp edges enclose
 MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body, away from its edge
 
 
@@ -45,6 +47,8 @@ class Body:
         Match scores.
     merit : float
         How suitable it is as a target; 0 for a body that does not move.
+    rotates : bool
+        Whether it was found by its shape alone.
 
     """
 
@@ -53,6 +57,7 @@ class Body:
     corner: Array  # (k, 2) px, NaN where not seen
     score: Array  # (k,)
     merit: float
+    rotates: bool = False
 
     @property
     def seen(self) -> Mask:
@@ -91,6 +96,8 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
         Number of the frame.
 
     """
+    if body.rotates:
+        return _rotating_outline(scene, body, frame)
     appearance = _register_body(scene, body.box, body.row, body.corner)
     x, y, w, h = _rectangle(appearance)
     at = _choose_row(scene, appearance, frame)
@@ -126,7 +133,7 @@ def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array)
     stack = np.stack([read_subpixel(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
     backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
-    member = _body_pixels(stack, backgrounds, picture)
+    member = without_shadow(_body_pixels(stack, backgrounds, picture), stack, backgrounds)
     return BodyAppearance(
         picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member])
     )
@@ -151,6 +158,33 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
             np.asarray((similar > 0) & (differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance))), close=5
         )
     )
+
+
+def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
+    """Remove what darkens the background without a sharp edge: a body is what sharp edges enclose.
+
+    Parameters
+    ----------
+    member : array of bool (h, w)
+        Pixels that move together.
+    stack, backgrounds : array (k, h, w)
+        Registered frames and the background behind them, DN.
+
+    Returns
+    -------
+    array of bool (h, w)
+        All pixels where sharp edges enclose little of them.
+
+    """
+    change = np.median(np.log(np.maximum(stack, 0) + 1) - np.log(np.maximum(backgrounds, 0) + 1), axis=0)
+    slope = np.hypot(*np.gradient(cv2.GaussianBlur(change, (0, 0), 0.7)))
+    sharp = (slope > SHARP_SHARE * np.quantile(slope[member], 0.98)).astype(np.uint8)
+    sharp = cv2.morphologyEx(sharp, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(np.pad(1 - sharp, 1, constant_values=1), connectivity=4)
+    enclosed = _largest_patches(clean_mask(member & (labels[1:-1, 1:-1] != labels[0, 0]), close=3))
+    left = member & ~enclosed
+    is_shadow = enclosed.sum() > MIN_ENCLOSED_SHARE * member.sum() and left.any() and np.median(change[left]) < 0
+    return enclosed if is_shadow else member
 
 
 def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
@@ -249,75 +283,18 @@ def inner_rectangle(member: Mask) -> Rectangle:
     return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
 
 
-MAX_AREA_DEVIATION = 0.25  # relative to the typical area: shadows, and objects that it passes
-MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show the region
-MIN_TRAVEL = 0.5  # of the region's centre, over the root of its area
-MAX_STEP_SHARE = 0.4  # of the whole travel; a longer step between two samples is a jump to another object
-MAX_KNOWN_AREA_SHARE = 0.25  # of the region; a smaller body with a constant appearance is background that it uncovers
-MIN_AREA_SHARE = 0.6  # of the largest inner rectangle, for that of the first frame to be used
-
-
-def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
-    """Find a rectangle inside the one travelling region of foreground.
-
-    Parameters
-    ----------
-    scene : SampledScene
-        Sampled frames.
-    found_area : float
-        Area of a body that was already found, reduced px.
-
-    Returns
-    -------
-    tuple or None
-        Rectangle (x, y, w, h) px and the number of its frame. None where no region of constant size travels, or where
-        the
-        body already found is more than a small part of it.
-
-    """
-    areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
-    if not np.any(areas):
-        return None
-    typical_area = float(np.median(areas[areas > 0]))
-    rows = np.flatnonzero(np.abs(areas - typical_area) < MAX_AREA_DEVIATION * typical_area)
-    if found_area >= MAX_KNOWN_AREA_SHARE * typical_area or len(rows) < max(MIN_FRAMES, MIN_FRAME_SHARE * len(areas)):
-        return None
-    masks = {row: _largest(scene, row) for row in rows.tolist()}
-    return _rectangle_in_region(scene, masks) if _travels(masks, typical_area) else None
-
-
-def _largest(scene: SampledScene, row: int) -> Mask:
-    """The largest region of foreground in a sampled frame."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
-    blob = scene.blobs[row][0]
-    same = [k for k in range(1, len(stats)) if tuple(stats[k, :4]) == blob.box and stats[k, 4] == blob.area]
-    return np.asarray(labels == same[0])
-
-
-def _travels(masks: dict[int, Mask], area: float) -> bool:
-    """Whether the centre of a region moves by a good part of its size, without jumps."""
-    middle = np.array([_middle(mask) for mask in masks.values()])
-    distance = float(np.hypot(*np.ptp(middle, axis=0)))
-    step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
-    return distance > MIN_TRAVEL * np.sqrt(area) and step < MAX_STEP_SHARE * distance
-
-
-def _middle(mask: Mask) -> Array:
-    rows, columns = np.nonzero(mask)
-    return np.array([columns.mean(), rows.mean()])
-
-
-def _rectangle_in_region(scene: SampledScene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
-    """Largest rectangle inside the region: in the first frame, unless it is much smaller than in another one."""
-    found = {row: inner_rectangle(mask) for row, mask in masks.items()}
-    first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
-    row = first if _area(found[first]) > MIN_AREA_SHARE * _area(found[best]) else best
-    x, y, w, h = found[row]
-    if min(w, h) * scene.factor < MIN_SIDE_PX:
-        return None
-    at = np.rint((np.array([x, y]) + scene.shake[row]) * scene.factor).astype(int)
-    return (int(at[0]), int(at[1]), w * scene.factor, h * scene.factor), scene.index[row]
-
-
-def _area(rectangle: Rectangle) -> int:
-    return rectangle[2] * rectangle[3]
+def _rotating_outline(scene: SampledScene, body: Body, frame: int | None) -> tuple[Rectangle, int]:
+    """Rectangle inside the region of a body that rotates: in the wanted frame or the first that shows it."""
+    index, seen = np.array(scene.index), np.flatnonzero(body.seen)
+    row = int(np.flatnonzero(index == frame)[0]) if frame in index else int(seen[0])
+    x0, y0 = np.rint(body.corner[row]).astype(int).tolist()
+    size = body.box[3], body.box[2]
+    mask = cut_window(scene.foreground[row].astype(np.uint8), np.array([x0, y0]), size) > 0
+    shown, still = (cut_window(p, np.array([x0, y0]), size) for p in (scene.small[row], scene.background))
+    mask = without_shadow(mask, shown[None] / np.float32(scene.light[row]), still[None])
+    x, y, w, h = inner_rectangle(mask)
+    at = np.rint((np.array([x0 + x, y0 + y]) + scene.shake[row]) * scene.factor).astype(int)
+    height, width = scene.frames[0].shape
+    left, top = np.clip(at, 0, (width - MIN_SIDE_PX, height - MIN_SIDE_PX)).tolist()
+    w, h = (max(side * scene.factor, MIN_SIDE_PX) for side in (w, h))
+    return (left, top, min(w, width - left), min(h, height - top)), scene.index[row]
