@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.polygons import Polygon
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle, best_match
 from frictrack.tracking.detection.sampled_scene import (
@@ -26,6 +27,9 @@ MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it
 MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
 MIN_MEDIAN_FRAMES = 5  # with fewer frames the mean replaces the median
+ROUND_MARGIN_PX = 1.0  # round a disc: half of its blurred edge, and hardly any background
+# A body is round where this share of its edge lies within this share of the radius of a circle.
+MIN_ROUND_SHARE, MAX_ROUGHNESS, N_ROUND_CORNERS = 0.85, 0.06, 24
 SHARP_SHARE = 0.3  # of the steepest change of brightness, in a sharp edge
 MIN_ENCLOSED_SHARE = 0.15  # of what moves, that sharp edges enclose
 MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body, away from its edge
@@ -281,6 +285,92 @@ def inner_rectangle(member: Mask) -> Rectangle:
         x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
     inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
     return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
+
+
+def foreground_at(scene: SampledScene, rectangle: Rectangle, frame: int) -> Mask:
+    """Mark the pixels of the body in and about a rectangle of a sampled frame.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    rectangle : tuple of int
+        x, y, w, h on the full picture, px.
+    frame : int
+        Number of the frame, one of the sampled ones.
+
+    Returns
+    -------
+    array of bool (H, W)
+        The region that holds most of the rectangle, to the middle of its blurred edge; empty without one.
+
+    """
+    row = scene.index.index(frame)
+    height, width = scene.frames[row].shape
+    x, y, w, h = rectangle
+    reach = max(w, h)
+    x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
+    size = y1 - y0, x1 - x0
+    still = (np.array([x0, y0]) + 0.5) / scene.factor - 0.5 - scene.shake[row]
+    matrix = np.array([[1 / scene.factor, 0, still[0]], [0, 1 / scene.factor, still[1]]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    background = cv2.warpAffine(scene.background, matrix, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    shown = scene.frames[row][y0:y1, x0:x1].astype(np.float32) / np.float32(scene.light[row])
+    change = cv2.GaussianBlur(np.abs(shown - background), (0, 0), 1.0)
+    level = 0.5 * float(np.median(change[y - y0 : y - y0 + h, x - x0 : x - x0 + w]))
+    bits = cv2.morphologyEx((change > level).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    bits = cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(bits)
+    inside = labels[y - y0 : y - y0 + h, x - x0 : x - x0 + w]
+    counts = np.bincount(inside.ravel())
+    counts[0] = 0
+    found = np.zeros((height, width), np.bool_)
+    if counts.any():
+        found[y0:y1, x0:x1] = labels == int(np.argmax(counts))
+    return found
+
+
+def round_outline(mask: Mask) -> Polygon:
+    """Compute the outline of a round body, a little outside its edge.
+
+    Parameters
+    ----------
+    mask : array of bool (H, W)
+        Pixels of the body.
+
+    Returns
+    -------
+    tuple of tuple of float
+        Corners (x, y) px; empty where the body is not round or its outline leaves the picture.
+
+    """
+    edges, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not edges:
+        return ()
+    edge = max(edges, key=len)[:, 0].astype(np.float64)
+    if np.ptp(edge, axis=0).min() < MIN_SIDE_PX:
+        return ()
+    middle, radius = _circle(edge)
+    off = np.abs(np.hypot(*(edge - middle).T) - radius)
+    turn = np.arange(N_ROUND_CORNERS) * 2 * np.pi / N_ROUND_CORNERS
+    circumscribed = (radius + 0.5 + ROUND_MARGIN_PX) / np.cos(np.pi / N_ROUND_CORNERS)
+    corners = middle + circumscribed * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    leaves = np.any(corners < 0) or np.any(corners > np.array(mask.shape[::-1]) - 1)
+    if np.mean(off < max(1.0, MAX_ROUGHNESS * radius)) < MIN_ROUND_SHARE or leaves:
+        return ()
+    return tuple((round(float(x), 1), round(float(y), 1)) for x, y in corners)
+
+
+def _circle(edge: Array) -> tuple[Array, float]:
+    """Middle (2,) and radius of the circle that most points (n, 2) of an edge lie on, by reweighted least squares."""
+    weight = np.ones(len(edge))
+    for _ in range(10):  # x^2 + y^2 = 2 a x + 2 b y + c
+        columns = np.column_stack([edge, np.ones(len(edge))]) * weight[:, None]
+        a, b, c = np.linalg.lstsq(columns, weight * np.sum(edge**2, axis=1), rcond=None)[0]
+        middle = np.array([a, b]) / 2
+        radius = float(np.sqrt(max(c + middle @ middle, 1.0)))
+        weight = 1 / (1 + (np.hypot(*(edge - middle).T) - radius) ** 2)
+    return middle, radius
 
 
 def _rotating_outline(scene: SampledScene, body: Body, frame: int | None) -> tuple[Rectangle, int]:

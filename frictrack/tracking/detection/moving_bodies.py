@@ -38,12 +38,6 @@ MIN_RIVAL_SIDE_PX, MIN_RIVAL_MERIT, MIN_RIVAL_FRAMES = 12, 0.1, 0.3
 MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows, reflections and attached rods do not
 
 
-RESTS = (
-    "expected a moving target but the place that was found rests while something else moves; draw the target, or give "
-    "target = [x, y, w, h]"
-)
-
-
 def find_target(recording: Recording) -> Rectangle:
     """Find the rectangle of the moving body.
 
@@ -105,8 +99,8 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
     return body_outline(scene, bodies[0])
 
 
-def rests_while_others_move(recording: Recording, track: Track) -> bool:
-    """Return whether a target that was found automatically rests, while something outside it moves in the film.
+def rests_while_others_move(recording: Recording, track: Track) -> str:
+    """Return why a target that was found automatically is none: it rests while something outside it moves.
 
     Its match score says nothing then: an empty place before a plain wall matches itself perfectly.
 
@@ -117,18 +111,30 @@ def rests_while_others_move(recording: Recording, track: Track) -> bool:
     track : Track
         Track of the target.
 
+    Returns
+    -------
+    str
+        What moves where, and what to do; empty where the target moves or nothing else does.
+
     """
     found = track.found
     low, high = np.quantile(np.stack([track.x_px[found], track.y_px[found]]), (0.02, 0.98), axis=1)
     if track.target is None or np.hypot(*(high - low)) > MIN_TRAVEL_PX:
-        return False
+        return ""
     scene = sample_scene(recording)
     x, y, w, h = np.array(track.target) / scene.factor
     outside = [
         [b for b in blobs if min(b.box[2:]) >= scene.min_side_reduced and not _overlaps(b.box, (x, y, w, h))]
         for blobs in scene.blobs
     ]
-    return bool(np.mean([len(blobs) > 0 for blobs in outside]) > MIN_BUSY_SHARE)
+    if np.mean([len(blobs) > 0 for blobs in outside]) <= MIN_BUSY_SHARE:
+        return ""
+    row = int(np.argmax([blobs[0].area if blobs else 0 for blobs in outside]))
+    at = (np.array(outside[row][0].box) * scene.factor).tolist()
+    return (
+        f"expected a moving target but the place that was found, {[round(v) for v in track.target]}, rests while "
+        f"something else moves, in frame {scene.index[row]} at {at}; draw the target, or give target = [x, y, w, h]"
+    )
 
 
 def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:
@@ -245,8 +251,9 @@ def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
                 nearest = int(np.argmin([np.hypot(*(middle - last)) for middle in middles]))
                 last = middles[nearest]
                 corner[k], score[k] = last - size / 2, same[nearest][1]
-    at = corner[np.isfinite(corner[:, 0])]
-    distance, step = _span(at), float(np.max(np.hypot(*np.diff(at, axis=0).T), initial=0.0))
+    rows = np.flatnonzero(np.isfinite(corner[:, 0]))
+    distance = _span(corner[rows])
+    step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
     travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
     merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and _is_sharp(scene, row, blob.box))
     return Body(blob.box, row, corner, score, merit, rotates=True)
@@ -323,7 +330,7 @@ def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axe
     if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
-    similarity = np.sum((score[seen] - MIN_SCORE) ** 2)
+    similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 

@@ -29,7 +29,9 @@ NOISE_QUANTILE = (
 )
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture; more is a body that moves without leaving its place
 MIN_GHOST_FRAMES = 2  # that show a place without the body
-GHOST_REACH, CLEAR_OUTLINE = 6, 2.0  # px about the outline of a region, and ratio of a clear outline to another one
+GHOST_REACH = 6  # px about the outline of a region that are compared
+CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
+ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
 MIN_BUSY_INTERVALS = 10  # between samples in which something must change
 MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
 REDUCED_PIXELS = 40_000  # of a reduced picture
@@ -160,7 +162,9 @@ def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background
     lights = np.array([light_ratio(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
     noise = _noise(differences, background)
-    foreground = [_foreground(d, noise) for d in differences]
+    energies = [cv2.GaussianBlur((d / noise) ** 2, (0, 0), ENERGY_BLUR) for d in differences]
+    limit = _energy_limit(energies)
+    foreground = [clean_mask(np.asarray(energy > limit), close=7) for energy in energies]
     rim = [_rim(d, noise) for d in differences]
     return SampledScene(index, frames, factor, shake, small, background, foreground, lights, rim)
 
@@ -194,8 +198,8 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
             near = slice(top, y + h + GHOST_REACH), slice(left, x + w + GHOST_REACH)
             inside = np.zeros(picture[near].shape, np.uint8)
             inside[y - top : y - top + h, x - left : x - left + w] = blob.mask
-            outline, ghost = (_outline_strength(p[near], inside) for p in (picture, scene.background))
-            if ghost > CLEAR_OUTLINE * max(outline, 0.0):
+            (outline, _), (ghost, around) = (_outline_strength(p[near], inside) for p in (picture, scene.background))
+            if ghost > CLEAR_OUTLINE * max(outline, 0.0) + CLEAR_TEXTURE * around:
                 ghosts[near][inside > 0] = picture[near][inside > 0] / light
         if np.isfinite(ghosts).any():
             shown.append(ghosts)
@@ -207,14 +211,14 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
 
 
-def _outline_strength(picture: Picture, inside: NDArray[np.uint8]) -> float:
-    """How far gradients at some depth below the outline of a region exceed those around it, DN/px."""
+def _outline_strength(picture: Picture, inside: NDArray[np.uint8]) -> tuple[float, float]:
+    """How far gradients at some depth below the outline of a region exceed those around it, and these, DN/px."""
     gradient = cv2.magnitude(cv2.Sobel(picture, cv2.CV_32F, 1, 0), cv2.Sobel(picture, cv2.CV_32F, 0, 1)) / 8
     depth = cv2.distanceTransform(inside, cv2.DIST_L1, 3).astype(np.int64)
     depth = np.minimum(depth, GHOST_REACH)
     count = np.maximum(np.bincount(depth.ravel(), minlength=GHOST_REACH + 1), 1)
     mean = np.bincount(depth.ravel(), gradient.ravel(), GHOST_REACH + 1) / count
-    return float(mean[1:].max() - mean[0])
+    return float(mean[1:].max() - mean[0]), float(mean[0])
 
 
 def _middle_of_known(stack: Picture) -> Picture:
@@ -374,11 +378,15 @@ def light_ratio(picture: Picture, background: Picture) -> float:
     return ratio if 0.2 < ratio < 5 else 1.0
 
 
-def _foreground(difference: Picture, noise: Picture) -> Mask:
-    """Pixels that differ from the background by more than noise, as closed regions."""
-    energy = cv2.GaussianBlur((difference / noise) ** 2, (0, 0), 1.5)
-    # Smoothed squared noise scatters by about a quarter of its mean: noise never reaches nine times the mean.
-    return clean_mask(np.asarray(energy > 9), close=7)
+def _energy_limit(energies: list[Picture]) -> float:
+    """Smoothed squared difference, in variances of the noise, that noise does not reach.
+
+    White noise scatters by a quarter of its mean and never reaches nine times it. That of a codec scatters more: the
+    limit is extrapolated from the middle of a log-normal distribution to its tail.
+    """
+    middle, upper = np.quantile(np.stack(energies)[:, ::3, ::3], (0.5, 0.7))
+    tail = middle * (upper / max(middle, 1e-6)) ** (normal_ppf(1 - TAIL_PROBABILITY) / normal_ppf(0.7))
+    return float(np.clip(tail, *ENERGY_LIMITS))
 
 
 def clean_mask(mask: Mask, close: int) -> Mask:
