@@ -27,7 +27,8 @@ MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
 NOISE_QUANTILE = (
     0.3  # of the differences, which shows noise where a body covers a place in up to two thirds of the frames
 )
-MAX_NOISE_RATIO = 4.0  # to the least noise of a picture; more is a body that moves without leaving its place
+MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
+WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
@@ -182,6 +183,10 @@ def _noise(differences: list[Picture], background: Picture) -> Picture:
     if least <= 0.1 and lit.mean() >= 0.02:
         least = float(np.median(np.median(sparse[:, lit], axis=1)))
     least = max(MEDIAN_TO_SIGMA * least, 0.5)
+    # Where a wide place changes always, a body moves without leaving it; edges are narrow.
+    wide = cv2.morphologyEx(each, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    wide = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((WIDE_PX, WIDE_PX), np.uint8))
+    each[wide > WIDE_NOISE_RATIO * least] = least
     return np.clip(cv2.blur(each, (3, 3)), least, MAX_NOISE_RATIO * least)
 
 
