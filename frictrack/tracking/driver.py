@@ -286,9 +286,9 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
         )
     first_template = template_from_frame(cut, mask)
     rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
-    is_round = is_disc(mask)
+    is_round = mask is not None and is_disc(mask)
     turns = is_round and has_marks(cut)
-    if turns:
+    if turns and mask is not None:
         raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
     else:
         raw_track = follow_film(
@@ -313,9 +313,9 @@ def follow_known(
     film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, work: Work
 ) -> RawTrack:
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
-    if known.rotates and is_disc(known.template.mask):
-        disc = known.template.image, known.template.mask
-        upright = _follow_outline(film, disc, blocked, (start, template), work)
+    mask = known.template.mask
+    if known.rotates and mask is not None and is_disc(mask):
+        upright = _follow_outline(film, (known.template.image, mask), blocked, (start, template), work)
         rotatable = RotatableTemplate(known.template, blocked)
         return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
     if known.rotates:

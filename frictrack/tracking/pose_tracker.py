@@ -172,9 +172,9 @@ NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
 
 
-def is_disc(mask: Mask | None) -> bool:
+def is_disc(mask: Mask) -> bool:
     """Whether the pixels of a target make a disc that fills its rectangle."""
-    if mask is None or abs(mask.shape[0] - mask.shape[1]) > MAX_DISC_CHANGE * max(mask.shape):
+    if abs(mask.shape[0] - mask.shape[1]) > MAX_DISC_CHANGE * max(mask.shape):
         return False
     y, x = ((np.arange(n) - (n - 1) / 2) / (n / 2) for n in mask.shape)
     return bool(np.mean(mask ^ (np.hypot(y[:, None], x) <= 1)) < MAX_DISC_CHANGE)

@@ -366,7 +366,8 @@ def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
         second.merit < MIN_RIVAL_MERIT * first.merit
         or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
         or both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
-        or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in np.flatnonzero(second.seen)]) > 0.5
+        or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in np.flatnonzero(second.seen).tolist()])
+        > 0.5
     ):
         return False
     a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
