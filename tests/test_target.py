@@ -9,7 +9,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking import driver, find_reference, track
+from frictrack.tracking import Areas, driver, find_reference, track
 from frictrack.tracking.detection import resolve_target, rests_while_others_move
 
 
@@ -83,8 +83,8 @@ def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
     assert not rests_while_others_move(film, a_track(SLIDE))
     assert not rests_while_others_move(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
     x, y, w, h = (round(v) for v in a_track(empty).target)
-    monkeypatch.setattr(driver, "resolve_target", lambda *_: ((x, y, w, h), 0))
-    with pytest.raises(FrictrackError, match="the place that was found rests while something else moves"):
+    monkeypatch.setattr(driver, "resolve_areas", lambda *_: (Areas([x, y, w, h]), (x, y, w, h), 0))
+    with pytest.raises(FrictrackError, match=r"place that was found, \[.*\], rests while .* moves, in frame \d+ at \["):
         track(film)
     assert np.ptp(track(film, [x, y, w, h]).x_px) < 1  # what the user has drawn is tracked
 

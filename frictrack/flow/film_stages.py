@@ -61,20 +61,17 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
         Areas,
         contact_sheet,
-        is_polygon,
         learn_target,
         track_in_parallel,
         track_same_target,
     )
-    from frictrack.tracking.detection import RESTS, resolve_target, rests_while_others_move  # noqa: PLC0415
+    from frictrack.tracking.detection import resolve_areas, rests_while_others_move  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
         pipeline.progress(0, film.n_frames, "find the target")
         run = pipeline.run
-        rectangle, frame = resolve_target(opened, run.target, run.template or 0)
-        where = run.target if is_polygon(run.target) else rectangle
-        areas = Areas(where, run.exclude, run.obstacles)
+        areas, _, frame = resolve_areas(opened, Areas(run.target, run.exclude, run.obstacles), run.template or 0)
         how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
         known = _target_of_anchor(pipeline)
         shared = known and track_same_target(opened, areas, known, **how)
@@ -83,9 +80,9 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
             return found
         pipeline.lesson = learn_target(opened, areas, **how)
         found = track_in_parallel(opened, areas, known=pipeline.lesson, **how)
-        if run.target is None and rests_while_others_move(opened, found):
+        if run.target is None and (fault := rests_while_others_move(opened, found)):
             sheet = contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
-            raise FrictrackError(f"{RESTS}; {sheet} shows the place")
+            raise FrictrackError(f"{fault}; {sheet} shows the place")
         return found
 
 

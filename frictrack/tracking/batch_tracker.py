@@ -117,14 +117,19 @@ class BatchTracker:
         Template of the target.
     pattern : FixedPattern, optional
         Obstacles and fixed pattern of the picture.
+    typical_score : float
+        Match score that the target has at first.
 
     """
 
-    def __init__(self, film: Recording, template: Template, pattern: FixedPattern | None = None) -> None:
+    def __init__(
+        self, film: Recording, template: Template, pattern: FixedPattern | None = None, typical_score: float = 1.0
+    ) -> None:
         self.film, self.template, self.pattern = film, template, pattern
         self.size = template.weight.shape
         self.max_corner = np.array(film.shape[::-1]) - np.array(self.size[::-1])
-        self.typical_score, self.typical_misfit = 1.0, np.inf  # score and misfit of the last finds
+        self.first_score = typical_score
+        self.typical_score, self.typical_misfit = typical_score, np.inf  # score and misfit of the last finds
         self.template_frame, self.start = 0, np.zeros(2)
         low = template.image
         self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
@@ -469,7 +474,7 @@ def follow_film(tracker: BatchTracker, start: Array, frame: int, work: Work) -> 
     both = [np.arange(frame, n), *([np.arange(frame, -1, -1)] if frame else [])]
     if max(len(order) for order in both) < 2 * SEGMENT_FRAMES:
         return tracker.follow(start, frame, work.progress)
-    what = tracker.film, tracker.template, tracker.pattern
+    what = tracker.film, tracker.template, tracker.pattern, tracker.first_score
     result = empty_track(n)
     for order in both:
         segments = [_Segment(*what, piece, frame, None if k else start) for k, piece in enumerate(_cut_order(order))]
@@ -484,6 +489,7 @@ class _Segment:
     film: Recording
     template: Template
     pattern: FixedPattern | None
+    first_score: float
     order: NDArray[np.int64]
     template_frame: int
     start: Array | None
@@ -498,7 +504,7 @@ def _cut_order(order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 def _follow_segment(segment: _Segment) -> RawTrack | None:
     """Follow the target through a segment: one row per frame; None where it is not in the first frame."""
-    order, tracker = segment.order, BatchTracker(segment.film, segment.template, segment.pattern)
+    order, tracker = segment.order, BatchTracker(segment.film, segment.template, segment.pattern, segment.first_score)
     start = segment.start if segment.start is not None else _searched(tracker, int(order[0]))
     return None if start is None else tracker.follow_order(order, start, segment.template_frame)
 

@@ -13,12 +13,20 @@ from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
 from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
-from frictrack.tracking.correlation import Rectangle
-from frictrack.tracking.detection import RESTS, Target, resolve_target, rests_while_others_move
+from frictrack.tracking.correlation import Patch, Rectangle
+from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
 from frictrack.tracking.pose import RotatableTemplate
-from frictrack.tracking.pose_tracker import min_frames_if_rotating, track_known_rotating, track_rotating
+from frictrack.tracking.pose_tracker import (
+    has_marks,
+    is_disc,
+    min_frames_if_rotating,
+    outline_template,
+    track_disc,
+    track_known_rotating,
+    track_rotating,
+)
 from frictrack.tracking.shared_target import adapt_known_target, match_near, place_known_target
 from frictrack.tracking.subpixel_fit import RawTrack
 from frictrack.tracking.template import TargetModel
@@ -88,9 +96,9 @@ def track(
         else:
             followed = _follow_known_target(film, drawn, template, known, Work(progress))
         followed = replace(followed, rereadable=not once)
-        track = measure_track(recording, film, drawn, followed, name, Work(progress))
-        if drawn.target is None and rests_while_others_move(film, track):
-            raise FrictrackError(f"{recording.path.name}: {RESTS}")
+        track = measure_track(recording, film, followed, name, Work(progress))
+        if drawn.target is None and (fault := rests_while_others_move(film, track)):
+            raise FrictrackError(f"{recording.path.name}: {fault}")
         return track
 
 
@@ -140,7 +148,7 @@ def track_in_parallel(
             followed = _learn_and_track(film, drawn, template, work)
         else:
             followed = _follow_known_target(film, drawn, template, known, work)
-        return measure_track(recording, film, drawn, followed, "target", work)
+        return measure_track(recording, film, followed, "target", work)
 
 
 def track_same_target(
@@ -183,8 +191,8 @@ def track_same_target(
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
             return None
-        followed = Followed(placed, template, raw_track, adapted, np.arange(0))
-        return measure_track(recording, film, Areas(), followed, "target", work), adapted
+        followed = Followed(Areas(), placed, template, raw_track, adapted, np.arange(0))
+        return measure_track(recording, film, followed, "target", work), adapted
 
 
 def _follow_known_target(film: Recording, drawn: Areas, template: int, known: TargetModel, work: Work) -> Followed:
@@ -196,7 +204,7 @@ def _follow_known_target(film: Recording, drawn: Areas, template: int, known: Ta
     raw_track = follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
     can_follow = target_model.pattern is not None and not target_model.rotates
     rows = np.flatnonzero(raw_track.found & can_follow)
-    return Followed(rectangle, template, raw_track, target_model, rows)
+    return Followed(drawn, rectangle, template, raw_track, target_model, rows)
 
 
 def learn_target(
@@ -267,7 +275,7 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
     """Find the target, follow it roughly and learn its model."""
     work.report(0, film.n_frames, "find the target")
     drawn.check(film.shape)
-    rectangle, template = resolve_target(film, drawn.target, template)
+    drawn, rectangle, template = resolve_areas(film, drawn, template)
     x, y, w, h = rectangle
     blocked, mask = drawn.obstacle_mask(film.shape), drawn.target_mask(rectangle)
     cut = film.frame(template)[y : y + h, x : x + w]
@@ -278,25 +286,51 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
         )
     first_template = template_from_frame(cut, mask)
     rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
-    tracker = BatchTracker(film, first_template, with_obstacles(None, blocked))
-    raw_track = follow_film(tracker, start, template, work)
-    min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template) if may_rotate else None
-    if min_frames is not None:
-        pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
-        if pose_track is not None:
-            model = TargetModel(pose_track.template, rotates=True)
-            return Followed(rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
+    is_round = mask is not None and is_disc(mask)
+    turns = is_round and has_marks(cut)
+    if turns and mask is not None:
+        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
+    else:
+        raw_track = follow_film(
+            BatchTracker(film, first_template, with_obstacles(None, blocked)), start, template, work
+        )
+    pose_track = None
+    if turns:
+        pose_track = track_disc(film, rotatable, raw_track, template)
+    elif may_rotate and not is_round:
+        min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
+        if min_frames is not None:
+            pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
+    if pose_track is not None and (not is_round or pose_track.explains_more(raw_track)):
+        model = TargetModel(pose_track.template, rotates=True)
+        return Followed(drawn, rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
     model = learn_target_model(film, raw_track, first_template, blocked)
-    return Followed(rectangle, template, raw_track, model, np.flatnonzero(raw_track.found))
+    model = replace(model, rotation_seen=not is_round)
+    return Followed(drawn, rectangle, template, raw_track, model, np.flatnonzero(raw_track.found))
 
 
 def follow_known(
     film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, work: Work
 ) -> RawTrack:
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
+    mask = known.template.mask
+    if known.rotates and mask is not None and is_disc(mask):
+        upright = _follow_outline(film, (known.template.image, mask), blocked, (start, template), work)
+        rotatable = RotatableTemplate(known.template, blocked)
+        return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
     if known.rotates:
         return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, work.progress)
     return follow_film(BatchTracker(film, known.template, with_obstacles(None, blocked)), start, template, work)
+
+
+def _follow_outline(
+    film: Recording, disc: tuple[Patch, Mask], blocked: Mask | None, where: tuple[Array, int], work: Work
+) -> RawTrack:
+    """Follow a disc, given by its picture and mask, by its outline alone, from a corner (2,) px in a frame."""
+    outline = outline_template(*disc)
+    shown = outline.weight > 0
+    score = float(np.corrcoef(outline.image[shown], disc[0][shown])[0, 1])
+    return follow_film(BatchTracker(film, outline, with_obstacles(None, blocked), score), *where, work)
 
 
 def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
@@ -367,4 +401,4 @@ def track_frames(
     rows = np.flatnonzero(raw_track.found & (not known.rotates))
     h, w = known.template.weight.shape
     rectangle = (round(float(start[0])), round(float(start[1])), w, h)
-    return measure_track(part, part, Areas(), Followed(rectangle, at, raw_track, known, rows), "target", Work())
+    return measure_track(part, part, Followed(Areas(), rectangle, at, raw_track, known, rows), "target", Work())

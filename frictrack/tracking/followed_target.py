@@ -219,16 +219,22 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
 # of noise.
 SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
 MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
+UNKNOWN_ANGLE_SIGMA = np.pi / np.sqrt(3)  # rad, of any angle in a turn
+ROTATION_UNSEEN = (
+    "the target is round and shows no marks that can be followed: whether and how far it turns is not seen; "
+    "a rolling body needs a mark for that"
+)
 MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A target that was followed: rectangle in frame `template`, track, model, and frames to be measured again.
+    """A target that was followed: its areas and rectangle in frame `template`, track, model, frames to measure again.
 
     `rereadable` tells whether any frame can still be read.
     """
 
+    drawn: Areas
     rectangle: Rectangle
     template: int
     raw_track: RawTrack
@@ -237,16 +243,24 @@ class Followed:
     rereadable: bool = True
 
 
-def measure_track(
-    recording: Recording, film: Recording, drawn: Areas, followed: Followed, name: str, work: Work
-) -> Track:
+def measure_track(recording: Recording, film: Recording, followed: Followed, name: str, work: Work) -> Track:
     """Measure the frames of a target that was followed, and state the errors of its positions."""
-    target_model, template, rectangle = followed.target_model, followed.template, followed.rectangle
+    drawn, target_model, template, rectangle = (
+        followed.drawn,
+        followed.target_model,
+        followed.template,
+        followed.rectangle,
+    )
     raw_track = followed.raw_track
     measured = raw_track if target_model.rotates else measure_all(film, raw_track, followed.rows, target_model, work)
     change = _frame_changes(film) if recording.interframe else None
     result = _to_track(recording, measured, rectangle, name)
     result = _with_systematic_error(result, target_model)
+    if not target_model.rotation_seen:
+        lost = np.where(result.found, 0.0, np.nan)
+        result = replace(
+            result, angle=lost, sigma_angle=lost + UNKNOWN_ANGLE_SIGMA, notes=(*result.notes, ROTATION_UNSEEN)
+        )
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
             f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "

@@ -33,6 +33,7 @@ ROUNDS, MAX_ROUNDS = 3, 5  # without and with a fixed pattern
 BACKGROUND_FRAMES = 15  # of which the background is the median
 MAX_MISFIT_RATIO = 25.0  # to the typical misfit; such a frame shows something else
 MIN_FOUND_SHARE = 0.95  # of the frames, in which a template with short waves must be found as well
+MAX_OUTLIER_SHARE = 0.5  # of the frames, in which a pixel may differ from the template
 N_STRETCHES = 8  # of the path; a template learnt from every second one is tested on the others
 MAX_BORDER_SLOPE_ERROR = 0.2  # relative error of the slopes at the border
 # Correlation of the two halves, in standard deviations. Short waves that improve positions by 5 % leave a tenth of the
@@ -156,9 +157,14 @@ def _learn(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPa
     if np.count_nonzero(usable) < MIN_USABLE_FRAMES:
         return found.template
     places = placed[usable]
-    half = (None if v is None else v[usable] for v in (cut_outs.scene, found.share))
-    cleaned = _remove_pattern(cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable], pattern)
-    return learn_template(cleaned, places, found.template, *half)
+    scene, share = (None if v is None else v[usable] for v in (cut_outs.scene, found.share))
+    corner = cut_outs.corner[usable]
+    cleaned = _remove_pattern(cut_outs.cuts[usable], corner, found.fit[usable], pattern)
+    if share is not None:  # what most frames do not show was something else in the first template, such as a hand
+        open_share = np.ones_like(share) if pattern is None else pattern.pixel_shares(corner, share.shape[1:])
+        wrong = np.mean((share < 0.5) & (open_share >= 0.5), axis=0) > MAX_OUTLIER_SHARE
+        share = np.where(wrong, open_share, share)
+    return learn_template(cleaned, places, found.template, scene, share)
 
 
 def _try_super_resolution(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> tuple[_Round, SmoothPath]:

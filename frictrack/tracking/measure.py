@@ -30,7 +30,7 @@ from frictrack.tracking.template import TargetModel, Template
 
 MISFIT_RATIO = 1.5  # to the typical misfit; above it the frame shows more than the target
 MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals
-MIN_REMAINING_SHARE = 0.25  # of the pixels
+MIN_REMAINING_SHARE = 0.25  # of the pixels, and of the squared slopes along either axis
 # residuals up to which a pixel has full weight, and from which it has none
 FULL_WEIGHT_SIGMAS, ZERO_WEIGHT_SIGMAS = 2.5, 4.5
 PREDICTION_NOISE_RATIO = 2.0  # residual scale of a predicted position over the noise
@@ -121,12 +121,15 @@ def refine_robust(
     initial_share = np.broadcast_to(counts, cuts.shape) if initial_share is None else initial_share * counts
     fit, scale = guess, np.full(len(cuts), PREDICTION_NOISE_RATIO * np.sqrt(typical_misfit))
     enough_pixels, share = np.ones(len(cuts), np.bool_), np.array(initial_share)
+    texture = np.stack([slope**2 * template.weight for slope in np.gradient(template.image)]).reshape(2, -1)
+    least = MIN_REMAINING_SHARE * (initial_share.reshape(len(cuts), -1) @ texture.T)  # a plain middle fits anywhere
     for k in range(MAX_REWEIGHTINGS):
         residuals = residual_images(cuts, fit, template)
         if k or np.isnan(typical_misfit):
             scale = _residual_scale(residuals, share)
         share = initial_share * inlier_weights(residuals / scale[:, None, None].astype(np.float32), initial_share)
         enough_pixels &= share.mean(axis=(1, 2)) > MIN_REMAINING_SHARE * float(counts.mean())
+        enough_pixels &= np.all(share.reshape(len(cuts), -1) @ texture.T >= least, axis=1)
         start = np.clip(np.nan_to_num(fit.unrotated()), -MAX_SHIFT_PX, MAX_SHIFT_PX)
         share[~enough_pixels] = initial_share[
             ~enough_pixels

@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
@@ -23,7 +24,7 @@ from frictrack.tracking.measure import MISFIT_RATIO, unexplained_share
 from frictrack.tracking.pose import Pose, RotatableTemplate, derotate, refine_pose, to_target_frame
 from frictrack.tracking.subpixel_fit import FLAT, LEAVES, NOT_CONVERGED, UNREAD, RawTrack, SubpixelFit, empty_track
 from frictrack.tracking.template import Template
-from frictrack.tracking.template_learning import learn_template, without_border
+from frictrack.tracking.template_learning import learn_template, template_from_frame, without_border
 
 MAX_ANGULAR_STEP = np.radians(25.0)  # rad per frame
 SEARCH_RADIUS_PX = 24  # round the prediction
@@ -161,7 +162,51 @@ MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
 MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
 N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
 CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
+CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
+MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
+# What changes when a disc is rotated is a mark: in a blurred picture, within this share of the radius, by this many
+# standard deviations of noise and this share of the contrast to the surroundings.
+N_ANGLES = 256  # of a disc that are compared
+MARK_BLUR, MARKED_RADIUS, MIN_MARK_SIGMAS, MIN_MARK_SHARE = 1.0, 0.7, 1.3, 0.04
+NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
+
+
+def is_disc(mask: Mask) -> bool:
+    """Whether the pixels of a target make a disc that fills its rectangle."""
+    if abs(mask.shape[0] - mask.shape[1]) > MAX_DISC_CHANGE * max(mask.shape):
+        return False
+    y, x = ((np.arange(n) - (n - 1) / 2) / (n / 2) for n in mask.shape)
+    return bool(np.mean(mask ^ (np.hypot(y[:, None], x) <= 1)) < MAX_DISC_CHANGE)
+
+
+def outline_template(disc: Patch, mask: Mask) -> Template:
+    """Template of the outer ring of a disc (h, w), averaged along circles: it looks the same at any angle."""
+    y, x = (np.arange(n) - (n - 1) / 2 for n in disc.shape)
+    distance = np.hypot(y[:, None], x)
+    ring = np.rint(distance).astype(np.int64).ravel()
+    mean = np.bincount(ring, disc.ravel()) / np.maximum(np.bincount(ring), 1)
+    outer = mask & (distance > MARKED_RADIUS * min(disc.shape) / 2)
+    return template_from_frame(np.interp(distance, np.arange(len(mean)), mean), outer)
+
+
+def has_marks(cut: Patch) -> bool:
+    """Whether a disc (h, w) looks different when it is rotated, by more than its noise."""
+    picture = cut.astype(np.float32)
+    h, w = picture.shape
+    middle, side = ((w - 1) / 2, (h - 1) / 2), min(h, w) / 2
+    smooth = cv2.GaussianBlur(picture, (0, 0), MARK_BLUR)
+    y, x = np.mgrid[:h, :w]
+    distance = np.hypot(x - middle[0], y - middle[1])
+    inside = distance < MARKED_RADIUS * side
+    contrast = abs(float(np.median(picture[inside])) - float(np.median(picture[distance > side - 1])))
+    noise = robust_std(cv2.filter2D(picture, -1, NOISE_FILTER)[1:-1, 1:-1]) / 6  # Immerkaer 1996, CVIU 64:300
+    least = max(MIN_MARK_SIGMAS * noise, MIN_MARK_SHARE * contrast, 1.0)
+    for degrees in (60, 120, 180):
+        turned = cv2.warpAffine(smooth, cv2.getRotationMatrix2D(middle, degrees, 1.0), (w, h))
+        if np.quantile(np.abs(turned - smooth)[inside], 0.97) > least:
+            return True
+    return False
 
 
 def min_frames_if_rotating(
@@ -310,6 +355,12 @@ class PoseTrack:
     def count(self) -> int:
         """Number of frames in which the target was found."""
         return sum(pose is not None for pose in self.poses)
+
+    def explains_more(self, upright: RawTrack) -> bool:
+        """Whether rotation leaves clearly less of the pictures unexplained than the `upright` template does."""
+        score = np.array([pose.score for pose in self.poses if pose is not None])
+        left, other = (np.median(1 - q**2) for q in (score, upright.fit.score[upright.found]))
+        return bool(left < CLEARLY_LESS_UNEXPLAINED * other)
 
     def to_raw_track(self) -> RawTrack:
         """Convert to a track of the upper left corner of the rectangle; the rectangle itself does not rotate."""
@@ -472,6 +523,68 @@ def track_rotating(
         rough.poses[first] or start_pose, first, progress, min_frames
     )
     return track if track.count >= min_frames else None
+
+
+def track_disc(
+    film: Recording, rotatable: RotatableTemplate, raw_track: RawTrack, first: int, *, learn: bool = True
+) -> PoseTrack:
+    """Follow the rotation of a disc whose middle is known by its marks, however far it turns from frame to frame.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    rotatable : RotatableTemplate
+        Template of the disc.
+    raw_track : RawTrack
+        Track of the disc without rotation.
+    first : int
+        Number of the frame of the template.
+    learn : bool
+        Whether to learn the template from the film.
+
+    Returns
+    -------
+    PoseTrack
+        In the frames in which the disc was found.
+
+    """
+    inner = rotatable.with_template(without_border(rotatable.template)) if learn else rotatable
+    rough = _disc_poses(film, inner, raw_track, np.nan)
+    learnt = (_learn_rotatable(film, rough, rotatable, first) if learn else None) or inner
+    return _disc_poses(film, learnt, raw_track, _typical_misfit(film, rough, learnt, first))
+
+
+def _disc_poses(film: Recording, rotatable: RotatableTemplate, raw_track: RawTrack, misfit: float) -> PoseTrack:
+    """Refine the pose of a disc in every frame, from its middle and the angle at which its marks correlate best."""
+    rows = np.flatnonzero(raw_track.found)
+    track = PoseTrack([None] * film.n_frames, raw_track.reason.copy(), rotatable.template)
+    spectrum = np.conj(np.fft.rfft(_marks(rotatable.template.image, rotatable.middle, rotatable.radius), axis=0))
+    angles = np.zeros(len(rows))
+    for k, i in enumerate(rows.tolist()):
+        centre = raw_track.position[i] + rotatable.middle
+        seen = np.fft.rfft(_marks(film.frame(i), centre, rotatable.radius), axis=0)
+        angles[k] = 2 * np.pi / N_ANGLES * int(np.argmax(np.fft.irfft(seen * spectrum, N_ANGLES, axis=0).sum(axis=1)))
+    tracker = _PoseTracker(film, rotatable, misfit)
+    tracker.score = float(np.median(raw_track.fit.score[rows]))
+    for i, angle in zip(rows.tolist(), np.unwrap(angles).tolist(), strict=True):
+        fit = raw_track.fit
+        start = Pose(raw_track.position[i] + rotatable.middle, angle, float(fit.gain[i]), float(fit.offset[i]))
+        pose = refine_pose(film.frame(i), start, rotatable, misfit)
+        if tracker._is_good(pose):
+            track.poses[i], track.reason[i] = pose, tracker._doubt_reason(pose)
+        else:
+            track.reason[i] = NOT_CONVERGED
+    return track
+
+
+def _marks(picture: Patch, centre: Array, radius: float) -> Array:
+    """What differs along circles round a centre: grey values (angle, radius) less the mean of every circle."""
+    side = radius / np.sqrt(2)  # of the disc; `radius` is that of its rectangle's corners
+    size = max(round(0.75 * side), 4), N_ANGLES
+    at = float(centre[0]), float(centre[1])
+    unrolled = cv2.warpPolar(picture.astype(np.float32), size, at, 0.8 * side, cv2.INTER_LINEAR)
+    return np.asarray((unrolled - unrolled.mean(axis=0)) * np.sqrt(np.arange(size[0])), dtype=np.float64)
 
 
 def track_known_rotating(

@@ -356,6 +356,8 @@ class TargetModel:
         Covariance of slow position errors from a changing appearance, px^2.
     rotates : bool
         Whether the target rotates by more than small angles.
+    rotation_seen : bool
+        False for a round target without marks.
 
     """
 
@@ -369,3 +371,4 @@ class TargetModel:
         default_factory=lambda: np.zeros((2, 2))
     )  # px^2, of what the target's changing look adds
     rotates: bool = False  # the target turns by more than small rotations
+    rotation_seen: bool = True

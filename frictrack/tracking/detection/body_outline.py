@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.polygons import Polygon
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Rectangle, best_match
 from frictrack.tracking.detection.sampled_scene import (
@@ -26,6 +27,11 @@ MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it
 MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
 MIN_MEDIAN_FRAMES = 5  # with fewer frames the mean replaces the median
+ROUND_MARGIN_PX = 1.0  # round a disc: half of its blurred edge, and hardly any background
+# A body is round where this share of its edge lies within this share of the radius of a circle.
+MIN_ROUND_SHARE, MAX_ROUGHNESS, N_ROUND_CORNERS = 0.85, 0.06, 24
+SHARP_SHARE = 0.3  # of the steepest change of brightness, in a sharp edge
+MIN_ENCLOSED_SHARE = 0.15  # of what moves, that sharp edges enclose
 MIN_INSIDE_CONTRAST = 0.4  # share of the contrast that must lie inside the body, away from its edge
 
 
@@ -45,6 +51,8 @@ class Body:
         Match scores.
     merit : float
         How suitable it is as a target; 0 for a body that does not move.
+    rotates : bool
+        Whether it was found by its shape alone.
 
     """
 
@@ -53,6 +61,7 @@ class Body:
     corner: Array  # (k, 2) px, NaN where not seen
     score: Array  # (k,)
     merit: float
+    rotates: bool = False
 
     @property
     def seen(self) -> Mask:
@@ -91,6 +100,8 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
         Number of the frame.
 
     """
+    if body.rotates:
+        return _rotating_outline(scene, body, frame)
     appearance = _register_body(scene, body.box, body.row, body.corner)
     x, y, w, h = _rectangle(appearance)
     at = _choose_row(scene, appearance, frame)
@@ -126,7 +137,7 @@ def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array)
     stack = np.stack([read_subpixel(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
     backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
-    member = _body_pixels(stack, backgrounds, picture)
+    member = without_shadow(_body_pixels(stack, backgrounds, picture), stack, backgrounds)
     return BodyAppearance(
         picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member])
     )
@@ -151,6 +162,33 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
             np.asarray((similar > 0) & (differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance))), close=5
         )
     )
+
+
+def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
+    """Remove what darkens the background without a sharp edge: a body is what sharp edges enclose.
+
+    Parameters
+    ----------
+    member : array of bool (h, w)
+        Pixels that move together.
+    stack, backgrounds : array (k, h, w)
+        Registered frames and the background behind them, DN.
+
+    Returns
+    -------
+    array of bool (h, w)
+        All pixels where sharp edges enclose little of them.
+
+    """
+    change = np.median(np.log(np.maximum(stack, 0) + 1) - np.log(np.maximum(backgrounds, 0) + 1), axis=0)
+    slope = np.hypot(*np.gradient(cv2.GaussianBlur(change, (0, 0), 0.7)))
+    sharp = (slope > SHARP_SHARE * np.quantile(slope[member], 0.98)).astype(np.uint8)
+    sharp = cv2.morphologyEx(sharp, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(np.pad(1 - sharp, 1, constant_values=1), connectivity=4)
+    enclosed = _largest_patches(clean_mask(member & (labels[1:-1, 1:-1] != labels[0, 0]), close=3))
+    left = member & ~enclosed
+    is_shadow = enclosed.sum() > MIN_ENCLOSED_SHARE * member.sum() and left.any() and np.median(change[left]) < 0
+    return enclosed if is_shadow else member
 
 
 def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
@@ -249,75 +287,104 @@ def inner_rectangle(member: Mask) -> Rectangle:
     return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
 
 
-MAX_AREA_DEVIATION = 0.25  # relative to the typical area: shadows, and objects that it passes
-MIN_FRAME_SHARE, MIN_FRAMES = 0.6, 4  # share and number of the sampled frames that must show the region
-MIN_TRAVEL = 0.5  # of the region's centre, over the root of its area
-MAX_STEP_SHARE = 0.4  # of the whole travel; a longer step between two samples is a jump to another object
-MAX_KNOWN_AREA_SHARE = 0.25  # of the region; a smaller body with a constant appearance is background that it uncovers
-MIN_AREA_SHARE = 0.6  # of the largest inner rectangle, for that of the first frame to be used
-
-
-def rotating_body(scene: SampledScene, found_area: float = 0.0) -> tuple[Rectangle, int] | None:
-    """Find a rectangle inside the one travelling region of foreground.
+def foreground_at(scene: SampledScene, rectangle: Rectangle, frame: int) -> Mask:
+    """Mark the pixels of the body in and about a rectangle of a sampled frame.
 
     Parameters
     ----------
     scene : SampledScene
         Sampled frames.
-    found_area : float
-        Area of a body that was already found, reduced px.
+    rectangle : tuple of int
+        x, y, w, h on the full picture, px.
+    frame : int
+        Number of the frame, one of the sampled ones.
 
     Returns
     -------
-    tuple or None
-        Rectangle (x, y, w, h) px and the number of its frame. None where no region of constant size travels, or where
-        the
-        body already found is more than a small part of it.
+    array of bool (H, W)
+        The region that holds most of the rectangle, to the middle of its blurred edge; empty without one.
 
     """
-    areas = np.array([blobs[0].area if blobs and not blobs[0].cut else 0 for blobs in scene.blobs], dtype=np.float64)
-    if not np.any(areas):
-        return None
-    typical_area = float(np.median(areas[areas > 0]))
-    rows = np.flatnonzero(np.abs(areas - typical_area) < MAX_AREA_DEVIATION * typical_area)
-    if found_area >= MAX_KNOWN_AREA_SHARE * typical_area or len(rows) < max(MIN_FRAMES, MIN_FRAME_SHARE * len(areas)):
-        return None
-    masks = {row: _largest(scene, row) for row in rows.tolist()}
-    return _rectangle_in_region(scene, masks) if _travels(masks, typical_area) else None
+    row = scene.index.index(frame)
+    height, width = scene.frames[row].shape
+    x, y, w, h = rectangle
+    reach = max(w, h)
+    x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
+    size = y1 - y0, x1 - x0
+    still = (np.array([x0, y0]) + 0.5) / scene.factor - 0.5 - scene.shake[row]
+    matrix = np.array([[1 / scene.factor, 0, still[0]], [0, 1 / scene.factor, still[1]]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    background = cv2.warpAffine(scene.background, matrix, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    shown = scene.frames[row][y0:y1, x0:x1].astype(np.float32) / np.float32(scene.light[row])
+    change = cv2.GaussianBlur(np.abs(shown - background), (0, 0), 1.0)
+    level = 0.5 * float(np.median(change[y - y0 : y - y0 + h, x - x0 : x - x0 + w]))
+    bits = cv2.morphologyEx((change > level).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    bits = cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(bits)
+    inside = labels[y - y0 : y - y0 + h, x - x0 : x - x0 + w]
+    counts = np.bincount(inside.ravel())
+    counts[0] = 0
+    found = np.zeros((height, width), np.bool_)
+    if counts.any():
+        found[y0:y1, x0:x1] = labels == int(np.argmax(counts))
+    return found
 
 
-def _largest(scene: SampledScene, row: int) -> Mask:
-    """The largest region of foreground in a sampled frame."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(scene.foreground[row].astype(np.uint8))
-    blob = scene.blobs[row][0]
-    same = [k for k in range(1, len(stats)) if tuple(stats[k, :4]) == blob.box and stats[k, 4] == blob.area]
-    return np.asarray(labels == same[0])
+def round_outline(mask: Mask) -> Polygon:
+    """Compute the outline of a round body, a little outside its edge.
+
+    Parameters
+    ----------
+    mask : array of bool (H, W)
+        Pixels of the body.
+
+    Returns
+    -------
+    tuple of tuple of float
+        Corners (x, y) px; empty where the body is not round or its outline leaves the picture.
+
+    """
+    edges, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not edges:
+        return ()
+    edge = max(edges, key=len)[:, 0].astype(np.float64)
+    if np.ptp(edge, axis=0).min() < MIN_SIDE_PX:
+        return ()
+    middle, radius = _circle(edge)
+    off = np.abs(np.hypot(*(edge - middle).T) - radius)
+    turn = np.arange(N_ROUND_CORNERS) * 2 * np.pi / N_ROUND_CORNERS
+    circumscribed = (radius + 0.5 + ROUND_MARGIN_PX) / np.cos(np.pi / N_ROUND_CORNERS)
+    corners = middle + circumscribed * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    leaves = np.any(corners < 0) or np.any(corners > np.array(mask.shape[::-1]) - 1)
+    if np.mean(off < max(1.0, MAX_ROUGHNESS * radius)) < MIN_ROUND_SHARE or leaves:
+        return ()
+    return tuple((round(float(x), 1), round(float(y), 1)) for x, y in corners)
 
 
-def _travels(masks: dict[int, Mask], area: float) -> bool:
-    """Whether the centre of a region moves by a good part of its size, without jumps."""
-    middle = np.array([_middle(mask) for mask in masks.values()])
-    distance = float(np.hypot(*np.ptp(middle, axis=0)))
-    step = float(np.max(np.hypot(*np.diff(middle, axis=0).T)))
-    return distance > MIN_TRAVEL * np.sqrt(area) and step < MAX_STEP_SHARE * distance
+def _circle(edge: Array) -> tuple[Array, float]:
+    """Middle (2,) and radius of the circle that most points (n, 2) of an edge lie on, by reweighted least squares."""
+    weight = np.ones(len(edge))
+    for _ in range(10):  # x^2 + y^2 = 2 a x + 2 b y + c
+        columns = np.column_stack([edge, np.ones(len(edge))]) * weight[:, None]
+        a, b, c = np.linalg.lstsq(columns, weight * np.sum(edge**2, axis=1), rcond=None)[0]
+        middle = np.array([a, b]) / 2
+        radius = float(np.sqrt(max(c + middle @ middle, 1.0)))
+        weight = 1 / (1 + (np.hypot(*(edge - middle).T) - radius) ** 2)
+    return middle, radius
 
 
-def _middle(mask: Mask) -> Array:
-    rows, columns = np.nonzero(mask)
-    return np.array([columns.mean(), rows.mean()])
-
-
-def _rectangle_in_region(scene: SampledScene, masks: dict[int, Mask]) -> tuple[Rectangle, int] | None:
-    """Largest rectangle inside the region: in the first frame, unless it is much smaller than in another one."""
-    found = {row: inner_rectangle(mask) for row, mask in masks.items()}
-    first, best = min(found), max(found, key=lambda row: found[row][2] * found[row][3])
-    row = first if _area(found[first]) > MIN_AREA_SHARE * _area(found[best]) else best
-    x, y, w, h = found[row]
-    if min(w, h) * scene.factor < MIN_SIDE_PX:
-        return None
-    at = np.rint((np.array([x, y]) + scene.shake[row]) * scene.factor).astype(int)
-    return (int(at[0]), int(at[1]), w * scene.factor, h * scene.factor), scene.index[row]
-
-
-def _area(rectangle: Rectangle) -> int:
-    return rectangle[2] * rectangle[3]
+def _rotating_outline(scene: SampledScene, body: Body, frame: int | None) -> tuple[Rectangle, int]:
+    """Rectangle inside the region of a body that rotates: in the wanted frame or the first that shows it."""
+    index, seen = np.array(scene.index), np.flatnonzero(body.seen)
+    row = int(np.flatnonzero(index == frame)[0]) if frame in index else int(seen[0])
+    x0, y0 = np.rint(body.corner[row]).astype(int).tolist()
+    size = body.box[3], body.box[2]
+    mask = cut_window(scene.foreground[row].astype(np.uint8), np.array([x0, y0]), size) > 0
+    shown, still = (cut_window(p, np.array([x0, y0]), size) for p in (scene.small[row], scene.background))
+    mask = without_shadow(mask, shown[None] / np.float32(scene.light[row]), still[None])
+    x, y, w, h = inner_rectangle(mask)
+    at = np.rint((np.array([x0 + x, y0 + y]) + scene.shake[row]) * scene.factor).astype(int)
+    height, width = scene.frames[0].shape
+    left, top = np.clip(at, 0, (width - MIN_SIDE_PX, height - MIN_SIDE_PX)).tolist()
+    w, h = (max(side * scene.factor, MIN_SIDE_PX) for side in (w, h))
+    return (left, top, min(w, width - left), min(h, height - top)), scene.index[row]

@@ -5,7 +5,7 @@ All searches use reduced pictures; only the outline of the chosen body is found 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -15,29 +15,27 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.correlation import Rectangle, correlate, parabola_vertex
-from frictrack.tracking.detection.body_outline import Body, body_outline, rotating_body
-from frictrack.tracking.detection.sampled_scene import Blob, Picture, SampledScene, sample_scene, without_body
+from frictrack.tracking.detection.body_outline import Body, body_outline
+from frictrack.tracking.detection.sampled_scene import Blob, Picture, SampledScene, sample_scene
 from frictrack.tracking.detection.small_motion import most_moving_patch
 
 MIN_TRAVEL_PX = 1.5  # of a moving body
 MIN_BUSY_SHARE = 0.25  # of the samples, in which something must move outside a target that rests
 MIN_SCORE = 0.6  # of a find
 DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the picture must be better
-MAX_SHADING_SHARE = 0.15  # share of the contrast that a plane leaves; less is only a gradient of light
+MIN_SHARPNESS = 0.15  # steepest change of brightness over the largest, 1/px; less is a shadow or a gradient of light
 MIN_FINDS = 8  # from which some must lie on the way, or the finds jump between similar objects
-N_CANDIDATE_FRAMES = 6  # sampled frames from which candidates are taken
 MAX_BODIES = 8  # that are followed through the sampled frames
+# Regions are the same if their sides differ by this share or px, and they overlap by this share when laid together.
+MAX_SIDE_CHANGE, MAX_SIDE_CHANGE_PX, MIN_OVERLAP = 0.15, 2, 0.75
+MIN_REGION_TRAVEL = 0.5  # of a region, over the root of its area
+MAX_STEP_SHARE = 0.4  # of its travel; a longer step between two samples is a jump to another region
+MIN_TEXTURE_MERIT = 0.2  # of a region's merit, from which its texture is followed
 CUT_OFF_MERIT = 0.2  # factor for a body that the picture's edge always cuts off, such as an arm or a rod
-# A second body makes the target ambiguous when it is this large (px, share of the area), travels this share of the
-# first one's way, and matches this well in this share of the frames ...
-MIN_RIVAL_SIDE_PX, MIN_RIVAL_AREA, MIN_RIVAL_TRAVEL, MIN_RIVAL_SCORE, MIN_RIVAL_FRAMES = (16, 0.25, 0.5, 0.7, 0.6)
+# A second body makes the target ambiguous when its sides (px) and its merit as a share of the first one's reach these,
+# and both are seen in this share of the frames ...
+MIN_RIVAL_SIDE_PX, MIN_RIVAL_MERIT, MIN_RIVAL_FRAMES = 12, 0.1, 0.3
 MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows, reflections and attached rods do not
-
-
-RESTS = (
-    "expected a moving target but the place that was found rests while something else moves; draw the target, or give "
-    "target = [x, y, w, h]"
-)
 
 
 def find_target(recording: Recording) -> Rectangle:
@@ -88,12 +86,11 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
         For a film without contrast or texture, or with two bodies that move independently.
 
     """
-    scene, bodies = _find_bodies(sample_scene(recording))
-    rotating = rotating_body(scene, bodies[0].box[2] * bodies[0].box[3] if bodies else 0.0)
-    if rotating is not None:
-        return rotating
+    scene = sample_scene(recording)
+    bodies = moving_bodies(scene)
     if not bodies and scene.shake.any():  # perhaps what filled the picture was the body, and no shake
-        scene, bodies = _find_bodies(sample_scene(recording, steady=False))
+        scene = sample_scene(recording, steady=False)
+        bodies = moving_bodies(scene)
     if not bodies:
         return _small_motion_patch(recording, scene)
     rivals = [body for body in bodies[1:] if _is_rival(scene, bodies[0], body)]
@@ -102,8 +99,8 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
     return body_outline(scene, bodies[0])
 
 
-def rests_while_others_move(recording: Recording, track: Track) -> bool:
-    """Return whether a target that was found automatically rests, while something outside it moves in the film.
+def rests_while_others_move(recording: Recording, track: Track) -> str:
+    """Return why a target that was found automatically is none: it rests while something outside it moves.
 
     Its match score says nothing then: an empty place before a plain wall matches itself perfectly.
 
@@ -114,18 +111,30 @@ def rests_while_others_move(recording: Recording, track: Track) -> bool:
     track : Track
         Track of the target.
 
+    Returns
+    -------
+    str
+        What moves where, and what to do; empty where the target moves or nothing else does.
+
     """
     found = track.found
     low, high = np.quantile(np.stack([track.x_px[found], track.y_px[found]]), (0.02, 0.98), axis=1)
     if track.target is None or np.hypot(*(high - low)) > MIN_TRAVEL_PX:
-        return False
+        return ""
     scene = sample_scene(recording)
     x, y, w, h = np.array(track.target) / scene.factor
     outside = [
         [b for b in blobs if min(b.box[2:]) >= scene.min_side_reduced and not _overlaps(b.box, (x, y, w, h))]
         for blobs in scene.blobs
     ]
-    return bool(np.mean([len(blobs) > 0 for blobs in outside]) > MIN_BUSY_SHARE)
+    if np.mean([len(blobs) > 0 for blobs in outside]) <= MIN_BUSY_SHARE:
+        return ""
+    row = int(np.argmax([blobs[0].area if blobs else 0 for blobs in outside]))
+    at = (np.array(outside[row][0].box) * scene.factor).tolist()
+    return (
+        f"expected a moving target but the place that was found, {[round(v) for v in track.target]}, rests while "
+        f"something else moves, in frame {scene.index[row]} at {at}; draw the target, or give target = [x, y, w, h]"
+    )
 
 
 def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:
@@ -143,14 +152,6 @@ def _small_motion_patch(recording: Recording, scene: SampledScene) -> tuple[Rect
     return found, scene.index[0]
 
 
-def _find_bodies(scene: SampledScene) -> tuple[SampledScene, list[Body]]:
-    """Find the moving bodies; once more where the best of them was part of the background."""
-    bodies = moving_bodies(scene)
-    clean = without_body(scene, bodies[0].box, bodies[0].corner) if bodies else None
-    found_again = moving_bodies(clean) if clean else []
-    return (clean, found_again) if clean and found_again else (scene, bodies)
-
-
 def moving_bodies(scene: SampledScene) -> list[Body]:
     """Find all bodies that travel.
 
@@ -166,22 +167,25 @@ def moving_bodies(scene: SampledScene) -> list[Body]:
 
     """
     bodies: list[Body] = []
-    for row, box in _candidates(scene):
-        if len(bodies) < MAX_BODIES and not any(_is_same(body, row, box) for body in bodies):
-            bodies.append(match_body(scene, row, box))
+    for row, blob in _candidates(scene):
+        if len(bodies) < MAX_BODIES and not any(_is_same(body, row, blob.box) for body in bodies):
+            bodies.append(match_body(scene, row, blob.box, blob))
     return sorted((body for body in bodies if body.merit > 0), key=lambda body: -body.merit)
 
 
-def _candidates(scene: SampledScene) -> Iterator[tuple[int, Rectangle]]:
-    """Boxes of foreground in frames spread over the film: the largest of each, then the second largest."""
-    min_side = scene.min_side_reduced
-    boxes = [[b.box for b in blobs if min(b.box[2:]) >= min_side] for blobs in scene.blobs]
-    busy = [row for row, found in enumerate(boxes) if found]
-    if not busy:
-        return
-    rows = [busy[i] for i in np.unique(np.linspace(0, len(busy) - 1, N_CANDIDATE_FRAMES).astype(int))]
-    for rank in range(2):
-        yield from ((row, boxes[row][rank]) for row in rows if len(boxes[row]) > rank)
+def _candidates(scene: SampledScene) -> list[tuple[int, Blob]]:
+    """Regions of foreground in all frames; first the large ones that the most frames show with the same size."""
+    side = scene.min_side_reduced
+    found = [(row, b) for row, blobs in enumerate(scene.blobs) for b in blobs if min(b.box[2:]) >= side]
+    if not found:
+        return []
+    sizes = np.array([b.box[2:] for _, b in found], dtype=np.float64)
+    off = np.abs(sizes[:, None] - sizes[None])
+    count = np.sum(np.all(off <= np.maximum(MAX_SIDE_CHANGE * sizes, MAX_SIDE_CHANGE_PX), axis=2), axis=1)
+    merit = np.minimum(count, len(scene.blobs)) * np.array(
+        [b.area * (CUT_OFF_MERIT if b.cut else 1.0) for _, b in found]
+    )
+    return [found[k] for k in np.argsort(-merit, kind="stable")]
 
 
 def _is_same(body: Body, row: int, box: Rectangle) -> bool:
@@ -194,8 +198,8 @@ def _is_same(body: Body, row: int, box: Rectangle) -> bool:
     return bool(common > 0.5 * (size.prod() + box[2] * box[3] - common))
 
 
-def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
-    """Find the contents of a box in the foreground of every sampled frame.
+def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None = None) -> Body:
+    """Find the contents of a box in every sampled frame, by their texture or as a region of one shape.
 
     Parameters
     ----------
@@ -205,6 +209,8 @@ def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
         Number of the sample with the box.
     box : tuple of int
         x, y, w, h on the reduced picture, px.
+    blob : Blob, optional
+        Region of foreground in the box.
 
     Returns
     -------
@@ -226,8 +232,58 @@ def match_body(scene: SampledScene, row: int, box: Rectangle) -> Body:
     # The position along a stripe is undetermined: a find far along it is another stripe.
     stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
     corner[stray], score[stray] = np.nan, np.nan
-    merit = 0.0 if _is_shading(patch) else _merit(scene, box, corner, score, axes_known)
-    return Body(box, row, corner, score, merit)
+    merit = _merit(scene, box, corner, score, axes_known) * _is_sharp(scene, row, box)
+    textured = Body(box, row, corner, score, merit)
+    region = None if blob is None else _follow_region(scene, row, blob)
+    return textured if region is None or merit >= MIN_TEXTURE_MERIT * region.merit else region
+
+
+def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
+    """Find a region of foreground in every sampled frame by its shape: a body that rotates changes its texture."""
+    n, size = len(scene.small), np.array(blob.box[2:])
+    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
+    for frames in (range(row, n), range(row - 1, -1, -1)):
+        last = np.array(blob.box[:2]) + size / 2
+        for k in frames:
+            same = [(b, overlap) for b in scene.blobs[k] if (overlap := _overlap(blob, b)) > MIN_OVERLAP]
+            if same:
+                middles = [np.array(b.box[:2]) + np.array(b.box[2:]) / 2 for b, _ in same]
+                nearest = int(np.argmin([np.hypot(*(middle - last)) for middle in middles]))
+                last = middles[nearest]
+                corner[k], score[k] = last - size / 2, same[nearest][1]
+    rows = np.flatnonzero(np.isfinite(corner[:, 0]))
+    distance = _span(corner[rows])
+    step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
+    travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
+    merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and _is_sharp(scene, row, blob.box))
+    return Body(blob.box, row, corner, score, merit, rotates=True)
+
+
+def _overlap(a: Blob, b: Blob) -> float:
+    """Common share of two regions laid together at their middles; 0 for different sides."""
+    off = np.abs(np.subtract(a.box[2:], b.box[2:]))
+    if np.any(off > np.maximum(MAX_SIDE_CHANGE * np.array(a.box[2:]), MAX_SIDE_CHANGE_PX)):
+        return 0.0
+    size = np.maximum(a.mask.shape, b.mask.shape)
+    one, other = (_padded(blob.mask, size) for blob in (a, b))
+    return float(np.sum(one & other) / np.sum(one | other))
+
+
+def _padded(mask: Mask, size: NDArray[np.int64]) -> Mask:
+    """Mask in the middle of a larger one."""
+    low = (size - mask.shape) // 2
+    return np.pad(mask, [(a, n - m - a) for a, n, m in zip(low.tolist(), size.tolist(), mask.shape, strict=True)])
+
+
+def _is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
+    """Whether a box holds an edge of its own: a shadow or a gradient of light changes brightness slowly."""
+    x, y, w, h = box
+    part = slice(max(y - 2, 0), y + h + 2), slice(max(x - 2, 0), x + w + 2)
+    shown, still = (cv2.GaussianBlur(p[part], (0, 0), 1.0) for p in (scene.small[row], scene.background))
+    change = (shown / np.float32(scene.light[row]) + 1) / (still + 1)
+    change = np.log(np.maximum(change, 1e-3))
+    slope = np.hypot(*np.gradient(change))
+    return bool(np.quantile(slope, 0.97) > MIN_SHARPNESS * np.quantile(np.abs(change), 0.97))
 
 
 def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
@@ -259,14 +315,6 @@ def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[
     return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
 
 
-def _is_shading(patch: Picture) -> bool:
-    """Whether the patch is hardly more than a gradient of light, which moves when the light changes."""
-    y, x = (c.ravel() - c.mean() for c in np.mgrid[: patch.shape[0], : patch.shape[1]].astype(np.float64))
-    values = patch.ravel() - patch.mean()
-    explained = (values @ x) ** 2 / (x @ x) + (values @ y) ** 2 / (y @ y)
-    return bool(values @ values - explained < MAX_SHADING_SHARE * (values @ values))
-
-
 def _textured_axes(patch: Picture) -> Array:
     """Projection (2, 2) onto the directions in which the position of a patch is determined; a stripe has only one."""
     gy, gx = np.gradient(patch)
@@ -282,7 +330,7 @@ def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axe
     if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
-    similarity = np.sum((score[seen] - MIN_SCORE) ** 2)
+    similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 
@@ -313,26 +361,18 @@ def _contains(blob: Blob, point: NDArray[np.float64]) -> bool:
 
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
     """Whether the second body moves independently and far enough to make the target ambiguous."""
-    both = first.seen & second.seen
-    if both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * first.seen.sum()):
-        return False
-    a, b = first.corner[both], second.corner[both]
-    size = np.array([first.box[2:], second.box[2:]])
+    size, both = np.array([first.box[2:], second.box[2:]]), first.seen & second.seen
     if (
-        size.min() * scene.factor < MIN_RIVAL_SIDE_PX
-        or size[1].prod() < MIN_RIVAL_AREA * size[0].prod()
-        or np.median(second.score[both]) < MIN_RIVAL_SCORE
-    ):
-        return False
-    separate = np.any(np.abs(a + size[0] / 2 - b - size[1] / 2) > 0.35 * size.sum(axis=0), axis=1)
-    if separate.mean() < 0.5 or _span(b) < MIN_RIVAL_TRAVEL * _span(a):
-        return False
-    if (
-        np.mean([_is_cut_off(scene, row, second.box, second.corner[row]) for row in np.flatnonzero(both).tolist()])
+        second.merit < MIN_RIVAL_MERIT * first.merit
+        or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
+        or both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
+        or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in np.flatnonzero(second.seen).tolist()])
         > 0.5
     ):
         return False
-    return _span(b - a) > MIN_RELATIVE_TRAVEL * _span(a) + 2
+    a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
+    separate = np.any(np.abs(a - b) > 0.35 * size.sum(axis=0), axis=1)
+    return bool(separate.mean() >= 0.5 and _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2)
 
 
 def _span(at: Array) -> float:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.distributions import MEDIAN_TO_SIGMA
+from frictrack.base.distributions import MEDIAN_TO_SIGMA, normal_ppf
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
@@ -24,7 +24,15 @@ from frictrack.tracking.correlation import Rectangle
 
 MAX_SAMPLES = 32  # frames of a film that are looked at
 MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
-MIN_GHOST_SHARE = 0.4  # of the frames; a body that covers a place for longer becomes part of the background
+NOISE_QUANTILE = (
+    0.3  # of the differences, which shows noise where a body covers a place in up to two thirds of the frames
+)
+MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
+WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
+MIN_GHOST_FRAMES = 2  # that show a place without the body
+GHOST_REACH = 6  # px about the outline of a region that are compared
+CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
+ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
 MIN_BUSY_INTERVALS = 10  # between samples in which something must change
 MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
 REDUCED_PIXELS = 40_000  # of a reduced picture
@@ -40,9 +48,10 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """Connected region of foreground in a reduced frame: bounding box, area, whether the edge cuts it off."""
+    """Connected region of foreground in a reduced frame: box, its pixels in that, area, whether it is cut off."""
 
     box: Rectangle
+    mask: Mask  # (h, w)
     area: int
     cut: bool  # by the edge of the picture: it goes on outside
 
@@ -145,7 +154,7 @@ def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> Sa
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = np.median(np.stack(small), axis=0).astype(np.float32)
-    return _build_scene(index, frames, (factor, shake, small), background)
+    return _without_ghosts(_build_scene(index, frames, (factor, shake, small), background))
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
@@ -154,48 +163,73 @@ def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background
     lights = np.array([light_ratio(picture, background) for picture in small])
     differences = [p - np.float32(ratio) * background for p, ratio in zip(small, lights, strict=True)]
     noise = _noise(differences, background)
-    foreground = [_foreground(d, noise) for d in differences]
+    energies = [cv2.GaussianBlur((d / noise) ** 2, (0, 0), ENERGY_BLUR) for d in differences]
+    limit = _energy_limit(energies)
+    foreground = [clean_mask(np.asarray(energy > limit), close=7) for energy in energies]
     rim = [_rim(d, noise) for d in differences]
     return SampledScene(index, frames, factor, shake, small, background, foreground, lights, rim)
 
 
-def _noise(differences: list[Picture], background: Picture) -> float:
-    """Standard deviation of the reduced frames about the background; saturated pixels have none and are left out."""
-    sparse, off = background[::2, ::2], [np.abs(d[::2, ::2]) for d in differences]
-    everywhere = float(np.median([np.median(d) for d in off]))
-    lit = sparse < 0.97 * sparse.max()
-    if everywhere > 0.1 or lit.mean() < 0.02:
-        return MEDIAN_TO_SIGMA * everywhere
-    return MEDIAN_TO_SIGMA * float(np.median([np.median(d[lit]) for d in off]))
+def _noise(differences: list[Picture], background: Picture) -> Picture:
+    """Standard deviation (h, w) of the reduced frames about the background: larger at edges that shake.
 
-
-def without_body(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene | None:
-    """Recompute the scene with a background from which a body is removed.
-
-    Where a body covers a place in half of the frames it is part of the median, and a ghost of it appears in the others.
-
-    Parameters
-    ----------
-    scene : SampledScene
-        Sampled frames.
-    box : tuple of int
-        x, y, w, h of the body, reduced px.
-    corner : array (k, 2)
-        Corner of the body in all samples, reduced px.
-
-    Returns
-    -------
-    SampledScene or None
-        None where the body hardly is in the background.
-
+    Saturated pixels have no noise; they do not enter the least value.
     """
-    covered = np.zeros(scene.background.shape)
-    for x, y in np.rint(corner[np.isfinite(corner[:, 0])]).astype(int):
-        covered[max(y, 0) : y + box[3], max(x, 0) : x + box[2]] += 1
-    if covered.max() < MIN_GHOST_SHARE * len(scene.small):
-        return None
-    background = background_without(scene, box, corner)
+    off = np.abs(np.stack(differences))
+    k = int(NOISE_QUANTILE * (len(off) - 1))
+    each = np.partition(off, k, axis=0)[k] / np.float32(normal_ppf(0.5 + 0.5 * NOISE_QUANTILE))
+    sparse, lit = off[:, ::2, ::2], background[::2, ::2] < 0.97 * background.max()
+    least = float(np.median(np.median(sparse, axis=(1, 2))))
+    if least <= 0.1 and lit.mean() >= 0.02:
+        least = float(np.median(np.median(sparse[:, lit], axis=1)))
+    least = max(MEDIAN_TO_SIGMA * least, 0.5)
+    # Where a wide place changes always, a body moves without leaving it; edges are narrow.
+    wide = cv2.morphologyEx(each, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    wide = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((WIDE_PX, WIDE_PX), np.uint8))
+    each[wide > WIDE_NOISE_RATIO * least] = least
+    return np.clip(cv2.blur(each, (3, 3)), least, MAX_NOISE_RATIO * least)
+
+
+def _without_ghosts(scene: SampledScene) -> SampledScene:
+    """Remove bodies from the background that rest there in most frames, with the frames that show them elsewhere."""
+    shown: list[Picture] = []
+    for picture, light, blobs in zip(scene.small, scene.light, scene.blobs, strict=True):
+        ghosts = np.full(picture.shape, np.inf, np.float32)
+        for blob in blobs:
+            if min(blob.box[2:]) < scene.min_side_reduced:
+                continue
+            x, y, w, h = blob.box
+            left, top = max(x - GHOST_REACH, 0), max(y - GHOST_REACH, 0)
+            near = slice(top, y + h + GHOST_REACH), slice(left, x + w + GHOST_REACH)
+            inside = np.zeros(picture[near].shape, np.uint8)
+            inside[y - top : y - top + h, x - left : x - left + w] = blob.mask
+            (outline, _), (ghost, around) = (_outline_strength(p[near], inside) for p in (picture, scene.background))
+            if ghost > CLEAR_OUTLINE * max(outline, 0.0) + CLEAR_TEXTURE * around:
+                ghosts[near][inside > 0] = picture[near][inside > 0] / light
+        if np.isfinite(ghosts).any():
+            shown.append(ghosts)
+    if len(shown) < MIN_GHOST_FRAMES:
+        return scene
+    stack = np.stack(shown)
+    replaced = np.count_nonzero(np.isfinite(stack), axis=0) >= MIN_GHOST_FRAMES
+    background = np.where(replaced, _middle_of_known(stack), scene.background)
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
+
+
+def _outline_strength(picture: Picture, inside: NDArray[np.uint8]) -> tuple[float, float]:
+    """How far gradients at some depth below the outline of a region exceed those around it, and these, DN/px."""
+    gradient = cv2.magnitude(cv2.Sobel(picture, cv2.CV_32F, 1, 0), cv2.Sobel(picture, cv2.CV_32F, 0, 1)) / 8
+    depth = cv2.distanceTransform(inside, cv2.DIST_L1, 3).astype(np.int64)
+    depth = np.minimum(depth, GHOST_REACH)
+    count = np.maximum(np.bincount(depth.ravel(), minlength=GHOST_REACH + 1), 1)
+    mean = np.bincount(depth.ravel(), gradient.ravel(), GHOST_REACH + 1) / count
+    return float(mean[1:].max() - mean[0]), float(mean[0])
+
+
+def _middle_of_known(stack: Picture) -> Picture:
+    """Median (h, w) of what is finite in a stack (k, h, w); infinite where nothing is."""
+    known = np.count_nonzero(np.isfinite(stack), axis=0)
+    return np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
 
 
 def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
@@ -221,9 +255,8 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
     for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
-    known = np.count_nonzero(np.isfinite(stack), axis=0)
-    middle = np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
-    return np.where(known > 0, middle, scene.background).astype(np.float32)
+    middle = _middle_of_known(stack)
+    return np.where(np.isfinite(middle), middle, scene.background).astype(np.float32)
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
@@ -350,11 +383,15 @@ def light_ratio(picture: Picture, background: Picture) -> float:
     return ratio if 0.2 < ratio < 5 else 1.0
 
 
-def _foreground(difference: Picture, noise: float) -> Mask:
-    """Pixels that differ from the background by more than noise, as closed regions."""
-    energy = cv2.GaussianBlur(difference**2, (0, 0), 1.5)
-    # Smoothed squared noise scatters by about a quarter of its mean: noise never reaches nine times the mean.
-    return clean_mask(np.asarray(energy > 9 * max(noise, 0.5) ** 2), close=7)
+def _energy_limit(energies: list[Picture]) -> float:
+    """Smoothed squared difference, in variances of the noise, that noise does not reach.
+
+    White noise scatters by a quarter of its mean and never reaches nine times it. That of a codec scatters more: the
+    limit is extrapolated from the middle of a log-normal distribution to its tail.
+    """
+    middle, upper = np.quantile(np.stack(energies)[:, ::3, ::3], (0.5, 0.7))
+    tail = middle * (upper / max(middle, 1e-6)) ** (normal_ppf(1 - TAIL_PROBABILITY) / normal_ppf(0.7))
+    return float(np.clip(tail, *ENERGY_LIMITS))
 
 
 def clean_mask(mask: Mask, close: int) -> Mask:
@@ -377,9 +414,9 @@ def clean_mask(mask: Mask, close: int) -> Mask:
     return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
 
-def _rim(difference: Picture, noise: float) -> Mask:
+def _rim(difference: Picture, noise: Picture) -> Mask:
     """Single pixels along the picture's edge that differ from the background."""
-    rim = np.abs(difference) > 4 * max(noise, 0.5)
+    rim = np.abs(difference) > 4 * noise
     rim[1:-1, 1:-1] = False
     return np.asarray(rim)
 
@@ -389,7 +426,9 @@ def _blobs(mask: Mask, rim: Mask) -> list[Blob]:
     out = np.bincount(labels[rim], minlength=len(stats))
     large = [k for k in range(1, len(stats)) if MIN_AREA_REDUCED <= stats[k, 4] < 0.6 * mask.size]
     blobs = [
-        Blob((int(x), int(y), int(w), int(h)), int(a), bool(out[k] > 3)) for k in large for x, y, w, h, a in [stats[k]]
+        Blob((x, y, w, h), labels[y : y + h, x : x + w] == k, a, bool(out[k] > 3))
+        for k in large
+        for x, y, w, h, a in [stats[k].tolist()]
     ]
     return sorted(blobs, key=lambda blob: -blob.area)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 from frictrack.base.errors import FrictrackError
 from frictrack.base.polygons import polygon
 from frictrack.recording import Frame, Recording
-from frictrack.records import Array
-from frictrack.tracking.areas import bounding_rectangle, is_polygon
+from frictrack.records import Array, Mask
+from frictrack.tracking.areas import Areas, bounding_rectangle, is_polygon
 from frictrack.tracking.correlation import Rectangle, best_match
-from frictrack.tracking.detection.body_outline import Body, body_outline
+from frictrack.tracking.detection.body_outline import Body, body_outline, foreground_at, round_outline
 from frictrack.tracking.detection.moving_bodies import locate_target, match_body, moving_bodies
 from frictrack.tracking.detection.sampled_scene import SampledScene, sample_scene
 
@@ -80,6 +81,54 @@ def resolve_target(recording: Recording, target: Target = None, template: int = 
     return _check_rectangle(numbers, recording), template
 
 
+def resolve_areas(recording: Recording, areas: Areas, template: int = 0) -> tuple[Areas, Rectangle, int]:
+    """Resolve a target to a rectangle, or to the outline of a round body that was found or clicked.
+
+    Parameters
+    ----------
+    recording : Recording
+        Film.
+    areas : Areas
+        Target with its areas.
+    template : int
+        Number of the frame in which the target is given.
+
+    Returns
+    -------
+    areas : Areas
+        With the rectangle or the outline as target.
+    rectangle : tuple of int
+        x, y, w, h in px.
+    frame : int
+        Number of the frame.
+
+    Raises
+    ------
+    FrictrackError
+        As `resolve_target` does.
+
+    """
+    rectangle, frame = resolve_target(recording, areas.target, template)
+    is_click = areas.target is not None and not isinstance(areas.target, str | Path) and np.shape(areas.target) == (2,)
+    if is_polygon(areas.target):
+        return areas, rectangle, frame
+    if areas.target is None or is_click:
+        scene = _scene_with(recording, frame)
+        mask = foreground_at(scene, rectangle, frame) if frame in scene.index else np.zeros(recording.shape, np.bool_)
+        if is_click and not mask.any() and (plain := _plain_region(recording.frame(frame), np.asarray(areas.target))):
+            mask = plain
+        outline = round_outline(mask)
+        if outline:
+            return replace(areas, target=outline), bounding_rectangle(outline), frame
+    return replace(areas, target=rectangle), rectangle, frame
+
+
+def _scene_with(recording: Recording, frame: int) -> SampledScene:
+    """Sampled frames with a wanted one among them, where it can be read."""
+    scene = sample_scene(recording)
+    return scene if frame in scene.index else sample_scene(recording, also=[frame])
+
+
 def _check_rectangle(target: Array, recording: Recording) -> Rectangle:
     """Rectangle in whole pixels; it must lie in the picture."""
     height, width = recording.shape
@@ -102,9 +151,13 @@ def _resolve_click(recording: Recording, click: Array, template: int) -> Rectang
             f"expected a click inside the {width}x{height} px picture but got [{click[0]:g}, {click[1]:g}]"
         )
     frame = recording.frame(template)
-    scene = sample_scene(recording, also=[template])
+    scene = _scene_with(recording, template)
     body = _body_under_click(scene, click, template) if template in scene.index else None
-    return body or _plain_region(frame, click) or _grow_region(frame, click)
+    plain = _plain_region(frame, click) if body is None else None
+    if plain is not None:
+        x, y, w, h = cv2.boundingRect(plain.astype(np.uint8))
+        return x - OUTLINE_PX, y - OUTLINE_PX, w + 2 * OUTLINE_PX, h + 2 * OUTLINE_PX
+    return body or _grow_region(frame, click)
 
 
 def _body_under_click(scene: SampledScene, click: Array, template: int) -> Rectangle | None:
@@ -127,8 +180,8 @@ def _contains(point: Array, box: Sequence[float], grace: float = 0.0) -> bool:
     return bool(-grace * w <= point[0] - x < (1 + grace) * w and -grace * h <= point[1] - y < (1 + grace) * h)
 
 
-def _plain_region(frame: Frame, click: Array) -> Rectangle | None:
-    """Rectangle round the evenly grey body under a click, with its outline; None where the picture is textured there.
+def _plain_region(frame: Frame, click: Array) -> Mask | None:
+    """Pixels (H, W) of the evenly grey body under a click; None where the picture is textured there.
 
     Of the regions that a rising tolerance of grey values floods, the one that changes least is the body: the outline
     stops it (maximally stable extremal region: Matas et al. 2002, Proc. BMVC, p. 384).
@@ -136,7 +189,7 @@ def _plain_region(frame: Frame, click: Array) -> Rectangle | None:
     picture = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)
     x, y = (int(c) for c in click)
     around = tuple(slice(max(c - MIN_REGION_PX // 2, 0), c + MIN_REGION_PX // 2 + 1) for c in (y, x))
-    areas, boxes = [], []
+    areas, regions = [], []
     for tolerance in np.geomspace(0.01, 0.5, N_TOLERANCES) * float(np.ptp(picture)):
         flooded = np.zeros((picture.shape[0] + 2, picture.shape[1] + 2), np.uint8)
         flags = 4 | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY | (1 << 8)
@@ -147,12 +200,12 @@ def _plain_region(frame: Frame, click: Array) -> Rectangle | None:
         if min(left, top, picture.shape[1] - left - w, picture.shape[0] - top - h) < OUTLINE_PX:
             break  # it has run out of the body, or of the picture
         areas.append(area)
-        boxes.append((left - OUTLINE_PX, top - OUTLINE_PX, w + 2 * OUTLINE_PX, h + 2 * OUTLINE_PX))
+        regions.append(flooded[1:-1, 1:-1] > 0)
     if len(areas) < MIN_STABLE_TOLERANCES:
         return None
     growth = np.diff(np.log(areas))
     best = int(np.argmin(growth))
-    return boxes[best] if growth[best] < MAX_STABLE_GROWTH else None
+    return regions[best] if growth[best] < MAX_STABLE_GROWTH else None
 
 
 def _grow_region(frame: Frame, click: Array) -> Rectangle:

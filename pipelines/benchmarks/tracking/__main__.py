@@ -2,6 +2,7 @@
 
     python pipelines/benchmarks/tracking [--seeds 5] [--frames 600] [--conditions nominal,hard] [--json FILE]
                                          [--peers-python PATH | --no-peers] [--speed | --no-speed] [--nuisances]
+    python pipelines/benchmarks/tracking --automatic 200
 
 Peers beside OpenCV live in an environment of their own (pyidi brings another OpenCV); what is not installed is
 left out:
@@ -30,7 +31,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tracking import CONDITIONS, NUISANCES, run, speed  # noqa: E402 - found only now
+from tracking import CONDITIONS, NUISANCES, automatic, run, speed  # noqa: E402 - found only now
 
 
 def main() -> None:
@@ -42,8 +43,12 @@ def main() -> None:
     parser.add_argument("--peers-python", default=sys.executable, help="python of the environment with the peers")
     parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--speed", action=argparse.BooleanOptionalAction, default=None, help="alone, or left out")
+    parser.add_argument("--automatic", type=int, metavar="FILMS", help="only: targets found among other things, of 200")
     parser.add_argument("--json", type=Path, help="file for all figures")
     args = parser.parse_args()
+    if args.automatic:
+        print(automatic.run(args.automatic, lambda text: print(text, flush=True)))
+        return
     names = [*args.conditions.split(","), *(NUISANCES if args.nuisances else ())]
     peers = None if args.no_peers else args.peers_python
     if peers and (absent := run.missing(peers)):
