@@ -17,6 +17,7 @@ from browser import Server, browser
 
 PICTURE = Path(__file__).parents[1] / "_static" / "page.png"
 SIZE, COLOURS = {"width": 1280, "height": 800}, 96  # few colours: the file is a third as large
+PATIENCE_MS = 300_000  # on a busy machine
 
 
 def main() -> None:
@@ -29,9 +30,9 @@ def main() -> None:
             page = chromium.new_page(viewport=SIZE)
             page.goto(server.address)
             page.get_by_role("tab", name="Compare").click()
-            page.locator(".ui-candidate.best").hover()
-            page.get_by_role("button", name="candidate, with patch").wait_for(timeout=60_000)
-            page.wait_for_timeout(500)
+            page.locator(".ui-candidate.best").hover(timeout=PATIENCE_MS)
+            page.get_by_role("button", name="candidate, with patch").wait_for(timeout=PATIENCE_MS)
+            page.wait_for_timeout(2000)  # until it is drawn
             picture = Image.open(io.BytesIO(page.screenshot()))
         picture.quantize(COLOURS).save(PICTURE, optimize=True)
         server.stop()
