@@ -30,9 +30,10 @@ def main() -> None:
             page = chromium.new_page(viewport=SIZE)
             page.goto(server.address)
             page.get_by_role("tab", name="Compare").click()
-            page.locator(".ui-candidate.best").hover(timeout=PATIENCE_MS)
-            page.get_by_role("button", name="candidate, with patch").wait_for(timeout=PATIENCE_MS)
-            page.wait_for_timeout(2000)  # until it is drawn
+            card = page.locator('[data-candidate="patch"]')
+            card.hover(timeout=PATIENCE_MS)
+            card.locator(".ui-errors").filter(has_text="with it").wait_for(timeout=PATIENCE_MS)
+            page.wait_for_timeout(5000)  # until it is drawn
             picture = Image.open(io.BytesIO(page.screenshot()))
         picture.quantize(COLOURS).save(PICTURE, optimize=True)
         server.stop()
