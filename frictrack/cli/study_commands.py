@@ -183,7 +183,7 @@ def friction(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study = STUDY_HERE,
     model: Annotated[
-        str | None, typer.Option(help="a model (tustin, atm1:2), or effects separated by commas (default: the current)")
+        str | None, typer.Option(help="a model (tustin, atm1:2), or effects: coulomb,viscous (default: the current)")
     ] = None,
     search: Annotated[Search | None, typer.Option(help="search method (default: varpro)")] = None,
     over: Annotated[
