@@ -248,7 +248,8 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
     """Return words before the explanation of a key: that it is to be filled in, or where its value comes from."""
     films = [one for one in found if not one.is_table]
-    needed = {"mass", *(("scale",) if films else ()), *(key for one in found for key in one.camera_keys)}
+    needed = {*(("scale",) if films else ()), *(key for one in found for key in one.camera_keys)}
+    needed |= {"mass"} if any(one.needs_mass for one in found) else set()
     remarks = {key: FILL_IN for key in ("mass", "scale", "fps") if key not in known and key in needed}
     unknown = ", ".join(one.path.name for one in films if one.fps is None)
     if unknown and "fps" not in known:

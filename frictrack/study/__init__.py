@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names, module_of
 
 if TYPE_CHECKING:
-    from frictrack.study.column_names import columns_line, find_header, has_units
+    from frictrack.study.column_names import columns_line, find_header, has_units, may_hold, stated_unit
     from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _MODULE_OF = module_of(
     {
         "schema": "COLUMNS EffectTable needs_film read_frame_rate RunTable suggest to_si",
-        "column_names": "columns_line find_header has_units",
+        "column_names": "columns_line find_header has_units may_hold stated_unit",
         "writing": "find_recordings is_picture_folder is_table list_files NewRun refuse_existing write_study",
         "loading": "load parse read_toml results_folder Study",
         "table_files": "open_table table_headers",
