@@ -197,7 +197,7 @@ def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "empty").mkdir()
     for argv, sentence in {
-        ("fit", "absent.toml"): "expected a study file absent.toml but cannot read it",
+        ("fit", "absent.toml"): "expected a study file absent.toml but there is none",
         ("add", "study.toml", "texure"): 'expected the name of an effect but got "texure"; did you mean "texture"?',
         ("fit", "slow.csv"): "expected a study file (.toml) but got slow.csv",
         ("run", "study.toml", "--mass", "1kg"): "expected no --mass together with a study file; set mass in the file",

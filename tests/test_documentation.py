@@ -146,6 +146,12 @@ def test_a_wave_of_less_than_a_period_and_a_half_is_no_lookalike():
     assert found.explained["vibration"] < 0.9  # without the rule a slow one explains 99 %
 
 
+def test_a_lost_frame_leaves_a_misfit_and_does_not_end_the_run():
+    found = gallery_fit.fit_without("dropped_frame", gallery_runs.EXAMPLES["dropped_frame"])
+    assert found.fit.reduced_chi2 > 100  # it was 1.0: the run was fitted up to the lost frame alone
+    assert found.explained["dropped_frame"] > 0.98
+
+
 @pytest.mark.slow
 def test_a_pair_that_one_run_cannot_distinguish_is_separated_by_the_planned_one():
     found = gallery_separation.separating_run("vibration", "camera_shake")

@@ -23,6 +23,7 @@ from frictrack.cli.examples import EXAMPLES
 from frictrack.cli.progress_bars import ProgressDisplay
 from frictrack.flow import stages
 from frictrack.flow.batch import BatchState
+from frictrack.study import read_table
 
 T = np.arange(300) / 4000
 X = 1.6 * T - 1.5 * T**2
@@ -394,3 +395,61 @@ def test_the_documentation_is_found_or_how_to_build_it_is_said(
     assert typed(capsys, "docs")[1] == ""
     assert opened == [page.as_uri()]
     shutil.rmtree(package)
+
+
+@pytest.mark.parametrize(
+    ("headers", "columns"),
+    [
+        ("Zeit/s;Weg / mm", {"t": "Zeit/s", "x": "Weg / mm"}),
+        ("time_s;position_mm", {"t": "time_s", "x": "position_mm"}),
+        ("t_s;x_mm", {"x": "x_mm"}),
+        ("Zeit in s;Weg in mm", {"t": "Zeit in s", "x": "Weg in mm"}),
+    ],
+)
+def test_units_without_brackets_are_read(
+    capsys: pytest.CaptureFixture[str], headers: str, columns: dict[str, str]
+) -> None:
+    Path("v.csv").write_text(f"{headers}\n0;0\n0,1;150\n0,2;310\n")
+    assert typed(capsys, "init")[0] == 0
+    run = tomllib.loads(Path("study.toml").read_text())["run"][0]
+    assert run["columns"] == columns
+    assert read_table(Path("v.csv"), run["columns"]).x.tolist() == pytest.approx([0.0, 0.15, 0.31])
+
+
+def test_a_force_that_may_be_the_friction_is_asked_about(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("cell.csv").write_text("t [s],x [mm],F [N]\n0,0,1\n0.1,150,1.1\n0.2,310,1\n")
+    printed = " ".join(typed(capsys, "init .")[1].split())
+    assert 'is "F [N]" the friction? Then name it in columns: friction = "F [N]"' in printed
+    assert "fill in mass" in printed
+    Path("study.toml").unlink()
+    Path("cell.csv").write_text("t [s],x [mm],Reibkraft [N]\n0,0,1\n0.1,150,1.1\n0.2,310,1\n")
+    printed = " ".join(typed(capsys, "init .")[1].split())
+    assert 'normal_load = "5 N" gives its coefficient' in printed
+    assert "fill in" not in printed
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("fit", "expected a study file study.toml but there is none; `frictrack init .` writes one"),
+        ("add patch", "expected a study file study.toml but there is none"),
+        ("fast.avi", "expected a command but got the file fast.avi; `frictrack run fast.avi` analyses it"),
+        ("run Fast.avi --mass 350g --scale 0.5mm/px", 'there is no such file; did you mean "fast.avi"?'),
+    ],
+)
+def test_what_comes_to_mind_first(capsys: pytest.CaptureFixture[str], command: str, said: str) -> None:
+    Path("fast.avi").write_bytes(b"")
+    assert said in refused(capsys, command)[1]
+
+
+def test_a_study_file_with_typographic_quotes(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("study.toml").write_text("[study]\nmass = “350 g”\n")
+    assert 'texts stand in plain quotes: "0.35 kg"' in refused(capsys, "run")[1]
+
+
+def test_a_command_to_type_next_has_quotes_where_a_folder_has_a_blank(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("my runs").mkdir()
+    Path("my runs/a.csv").write_text("t_s,x_m\n0,0\n0.1,0.15\n0.2,0.31\n")
+    with pytest.raises(SystemExit):
+        main(["init", "my runs"])
+    assert "frictrack run 'my runs/study.toml'" in " ".join(capsys.readouterr().out.split())

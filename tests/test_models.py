@@ -413,3 +413,7 @@ def test_picture_effects_shift_the_picture_and_add_no_force():
     path = path_of()
     np.testing.assert_allclose(model.force(path, values), 3.6, rtol=1e-12)
     assert set(model.measurement_columns(path, values)) == set(SHIFTS)
+
+
+def test_effects_may_be_separated_as_they_are_printed():
+    assert models.parse("coulomb + viscous").names == models.parse("coulomb,viscous").names

@@ -248,7 +248,7 @@ def test_what_is_no_study_file_is_said(folder: Path) -> None:
     ):
         load(folder / "v3.avi")
     with pytest.raises(
-        FrictrackError, match=r"expected a study file .*absent\.toml but cannot read it; `frictrack init"
+        FrictrackError, match=r"expected a study file .*absent\.toml but there is none; `frictrack init"
     ):
         load(folder / "absent.toml")
     (folder / "latin.toml").write_bytes(b'name = "\xe9"')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import sys
 from collections.abc import Collection, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -78,6 +79,7 @@ def make_gallery(folder: Path, simulated: Collection[str] | None = None) -> None
         if marks.get(name) == mark and all((folder / file).exists() for file in _files(name)):
             continue
         if simulated is None or name in simulated:
+            sys.stderr.write(f"gallery: {name}\n")
             _make_page(folder, name)
             marks[name] = mark
         else:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from frictrack.effects import models
 from frictrack.effects.models import Model
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement, EarlierRuns, Run
-from frictrack.simulate import Conditions, Trajectory, simulate
+from frictrack.simulate import Conditions, Trajectory, simulate, trajectory
 
 Values = Mapping[str, Mapping[str, float]]
 
@@ -25,6 +26,7 @@ MASS_KG = 0.35
 FPS = 1000.0
 PITCH_M = 5e-4
 NOISE_M = 1e-6
+AGREEMENT_M = 1e-8  # of simulated motions: a hundredth of the noise, where `simulate` asks for a ten-thousandth
 COURSE_M = 0.6
 MIN_SPEED_M_S = 0.1  # at which the film of a slow run ends
 TUSTIN: dict[str, dict[str, float]] = {
@@ -178,9 +180,10 @@ def _simulate_run(
     held = Conditions(MASS_KG * ratio, ratio, ratio, PITCH_M, **known)
     t = np.arange(round(planned.duration * example.fps)) / example.fps
     start = (0.0 if planned.speed >= 0 else COURSE_M, planned.speed)
-    if not planned.drive:
-        t = t[: _frames_on_course(simulate(law, values, held, t, start))]
-    truth = simulate(law, values, held, t, start)
+    with mock.patch.object(trajectory, "AGREEMENT_M", AGREEMENT_M):
+        if not planned.drive:
+            t = t[: _frames_on_course(simulate(law, values, held, t, start))]
+        truth = simulate(law, values, held, t, start)
     return SimulatedRun(_measured(planned, truth, known, rng), truth)
 
 
@@ -197,7 +200,8 @@ def _measured(planned: PlannedRun, truth: Trajectory, known: Mapping[str, Any], 
     y = truth.x + truth.shift + NOISE_M * rng.standard_normal(n)
     turned = known["angle"](t) if "angle" in known else None
     seen = Displacement(t, y, nan, nan, np.full(n, NOISE_M), nan, np.ones(n, bool), pixel_pitch=PITCH_M)
-    motion = differentiate(low_pass(seen, method="kalman"))
+    smoothed = low_pass(seen, method="kalman")
+    motion = differentiate(replace(smoothed, x_measured=None))  # no picture shows the deviations of a lost signal
     if "lift" in known:
         motion = replace(motion, a_y=known["lift"](t))
     return Run(

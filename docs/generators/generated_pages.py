@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from command_line import write_command_line
@@ -32,5 +33,6 @@ def write_generated_pages(app: Sphinx, *_: object) -> None:
         write_scene_file,
         write_python_api,
     ):
+        sys.stderr.write(f"reference: {write.__name__.removeprefix('write_')}\n")
         write(REFERENCE)
     make_gallery(GALLERY, QUICK if app.tags.has("quick") else None)

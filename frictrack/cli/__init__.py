@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from frictrack.base.errors import FrictrackError
 
@@ -26,6 +28,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     from frictrack.cli import study_commands, utility_commands  # noqa: F401, PLC0415 - keeps this import fast
     from frictrack.cli.common import app  # noqa: PLC0415
 
+    first = Path(next(iter(sys.argv[1:] if argv is None else argv), ""))
+    if first.suffix and first.is_file():
+        _fail(f"expected a command but got the file {first}; `frictrack run {shlex.quote(str(first))}` analyses it", 2)
     try:
         app(args=None if argv is None else list(argv), prog_name="frictrack")
     except FrictrackError as e:

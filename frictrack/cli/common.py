@@ -26,15 +26,18 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Study = Annotated[Path, typer.Argument(metavar="STUDY", help="study file (.toml), or a folder with a study.toml")]
+STUDY_HERE = Path("study.toml")  # where no study is named
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout and nothing else")]
 Seed = Annotated[int, typer.Option(help="seed of all random numbers")]
 Workers = Annotated[int | None, typer.Option(min=1, help="number of processes (default: all processors)")]
 FilmWorkers = Annotated[
     int, typer.Option("--workers", metavar="N", min=1, help="processes that share a long uncompressed film")
 ]
-Effect = Annotated[str, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")]
+Effect = Annotated[
+    str | None, typer.Argument(metavar="EFFECT", help="name of an effect, as `frictrack effects` lists them")
+]
 EffectOrFormula = Annotated[
-    str,
+    str | None,
     typer.Argument(metavar="EFFECT", help="name of an effect; or formula:1, the first formula of the last diagnosis"),
 ]
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,7 +39,8 @@ def look_at(command: str, **places: Any) -> str:
         Paths that the text names: study, output.
 
     """
-    return _TEXTS[command].format(**places)
+    typed = {name: shlex.quote(str(places[name])) for name in ("study", "crate") if name in places}
+    return _TEXTS[command].format(**places | typed)
 
 
 def after_fit(fit: Mapping[str, Any], study: Any) -> str:
@@ -54,8 +56,8 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
     """
     chi2 = fit.get("errors", {}).get("reduced_chi2")
     if chi2 is None:  # one fit per group
-        return f"the parameters by group. frictrack compare {study} compares models"
-    more = f"frictrack diagnose {study} names what is missing, if anything is"
+        return f"the parameters by group. frictrack compare {shlex.quote(str(study))} compares models"
+    more = f"frictrack diagnose {shlex.quote(str(study))} names what is missing, if anything is"
     if chi2 > MIN_CHI2_MISFIT:
         return f"the model misses the data by {chi2**0.5:.3g} times their noise (square root of chi-squared). {more}"
     return f"what the model leaves is as large as the noise of the data. {more}"
@@ -74,6 +76,7 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
     """
     (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
     change = describe_change(before, after, unit)
+    study = shlex.quote(str(study))
     return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
@@ -106,6 +109,7 @@ def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
 
 
 def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
+    study = shlex.quote(str(study))
     if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
         return f"Then: frictrack add {study} {named[0]} shows by how much the error falls"
     return f"Then: frictrack plan {study} lists which runs would tell more"

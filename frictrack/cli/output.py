@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Any
 
 from rich.console import Console
@@ -175,7 +176,7 @@ def init(out: Console, result: dict[str, Any]) -> None:
     needed = (
         f"fill in {', '.join(result['fill_in'])} (marked FILL IN), then" if result["fill_in"] else "look it over, then"
     )
-    out.print(f"next: open {path}, {needed} `frictrack run {path}`", markup=False)
+    out.print(f"next: open {path}, {needed} `frictrack run {shlex.quote(path)}`", markup=False)
 
 
 def prior(out: Console, result: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ import typer
 
 from frictrack.base.errors import FrictrackError
 from frictrack.cli.common import (
+    STUDY_HERE,
     Effect,
     EffectOrFormula,
     FilmWorkers,
@@ -41,9 +43,14 @@ Announce = Callable[[Mapping[str, Any]], None]
 @command()
 def run(  # noqa: PLR0913, PLR0917 - one argument per option
     paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="STUDY | RECORDING...", help="a study file; or films, tables, and folders of them"),
-    ],
+        list[Path] | None,
+        typer.Argument(
+            metavar="STUDY | RECORDING...",
+            help="a study file (default: study.toml); or films, tables, and folders of them",
+            show_default=False,
+        ),
+    ] = None,
+    model: Annotated[str | None, typer.Option(help="first model (default: tustin); only with recordings")] = None,
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"; only with recordings')] = None,
     fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,
@@ -59,7 +66,7 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
     Reads a study file and its recordings. With recordings instead of a study file, it first writes study.toml in the
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
     """
-    path = _study_of(paths, {"mass": mass, "fps": fps, "scale": scale})
+    path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
     with open_with_progress(path, workers) as (session, progress):
         result, shown = _streamed(
             lambda announce: session.run(seed, on_verdict=announce),
@@ -83,17 +90,19 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
             )
         return one
     if one.is_dir() and not given:
-        raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {one}` writes one", usage=True)
+        typed = shlex.quote(str(one))
+        raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {typed}` writes one", usage=True)
     from frictrack.flow import check_entered, describe_keys, start_study  # noqa: PLC0415
     from frictrack.study import is_table  # noqa: PLC0415
 
-    filmed = any(not is_table(path) for path in paths)
-    lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ("mass",)) if key not in given]
+    filmed = any(not is_table(path) for path in paths)  # a table may hold the friction itself, which needs no mass
+    lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ()) if key not in given]
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise FrictrackError(f"expected {' and '.join(lacking)} together with recordings, as in {example}", usage=True)
     check_entered(keys)
-    _tell(f"read as: {describe_keys(keys)}")
+    if read := describe_keys(keys):
+        _tell(f"read as: {read}")
     return start_study(Path("study.toml"), paths, keys, _tell).path
 
 
@@ -104,7 +113,7 @@ def _tell(line: str) -> None:
 
 @command()
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")] = Path(),
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"')] = None,
     fps: Annotated[
@@ -134,7 +143,7 @@ def _measure(stage: str, study: Path, as_json: bool) -> None:
 
 @command()
 def track(
-    study: Study,
+    study: Study = STUDY_HERE,
     overlay: Annotated[
         bool, typer.Option("--overlay", help="also write each film with the tracked positions drawn into it")
     ] = False,
@@ -153,7 +162,7 @@ def track(
 
 
 @command()
-def motion(study: Study, as_json: Json = False) -> None:
+def motion(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute displacement, velocity and acceleration of every run.
 
     Reads the films or tables. Writes the motion into the run's .h5 file.
@@ -162,7 +171,7 @@ def motion(study: Study, as_json: Json = False) -> None:
 
 
 @command()
-def friction(study: Study, as_json: Json = False) -> None:
+def friction(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute the friction force and the free section of every run.
 
     Reads the films or tables, and the drive. Writes the force into the run's .h5 file.
@@ -172,9 +181,9 @@ def friction(study: Study, as_json: Json = False) -> None:
 
 @command()
 def fit(  # noqa: PLR0913, PLR0917 - one argument per option
-    study: Study,
+    study: Study = STUDY_HERE,
     model: Annotated[
-        str | None, typer.Option(help="a model (tustin, atm1:2), or effects separated by commas (default: the current)")
+        str | None, typer.Option(help="a model (tustin, atm1:2), or effects: coulomb,viscous (default: the current)")
     ] = None,
     search: Annotated[Search | None, typer.Option(help="search method (default: varpro)")] = None,
     over: Annotated[
@@ -225,7 +234,7 @@ def _settings(pairs: Iterable[str]) -> dict[str, str] | None:
 
 @command()
 def compare(
-    study: Study,
+    study: Study = STUDY_HERE,
     parameter: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="compare this parameter between the groups of runs: viscous.F_v"),
@@ -244,7 +253,7 @@ def compare(
 
 @command()
 def diagnose(
-    study: Study,
+    study: Study = STUDY_HERE,
     quick: Annotated[
         bool, typer.Option("--quick", help="end with the verdict; without failure pattern and next experiments")
     ] = False,
@@ -279,33 +288,36 @@ def _streamed(
     return work(show if announce else None), bool(shown)
 
 
-def _edit(how: Callable[[Session], Mapping[str, Any]], study: Path, as_json: bool) -> None:
+def _edit(how: Callable[[Session, str], Mapping[str, Any]], study: Path, effect: str | None, as_json: bool) -> None:
+    """Add or remove an effect; alone, the first argument is the effect, of the study in this folder."""
+    if effect is None:
+        study, effect = STUDY_HERE, str(study)
     with open_session(study) as session:
-        result = how(session)
+        result = how(session, effect)
     print_result(result, as_json, "edit", session.path, after_edit(result, study))
 
 
 @command()
-def add(study: Study, effect: EffectOrFormula, seed: Seed = 0, as_json: Json = False) -> None:
+def add(study: Study, effect: EffectOrFormula = None, seed: Seed = 0, as_json: Json = False) -> None:
     """Add one effect to the current model and fit again.
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5. A
     formula of the last diagnosis is written into the study file first.
     """
-    _edit(lambda session: session.add(effect, seed), study, as_json)
+    _edit(lambda session, name: session.add(name, seed), study, effect, as_json)
 
 
 @command()
-def remove(study: Study, effect: Effect, seed: Seed = 0, as_json: Json = False) -> None:
+def remove(study: Study, effect: Effect = None, seed: Seed = 0, as_json: Json = False) -> None:
     """Remove one effect from the current model and fit again.
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
     """
-    _edit(lambda session: session.remove(effect, seed), study, as_json)
+    _edit(lambda session, name: session.remove(name, seed), study, effect, as_json)
 
 
 @command()
-def history(study: Study, as_json: Json = False) -> None:
+def history(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """List every model tried, in order, with its errors.
 
     Reads study.h5; outdated models are fitted again and stored.
@@ -316,7 +328,7 @@ def history(study: Study, as_json: Json = False) -> None:
 
 
 @command()
-def plan(study: Study, as_json: Json = False) -> None:
+def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Plan which runs to film next, to separate the effects.
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
@@ -333,7 +345,7 @@ def plan(study: Study, as_json: Json = False) -> None:
 
 @command()
 def report(
-    study: Study,
+    study: Study = STUDY_HERE,
     pdf: Annotated[bool, typer.Option("--pdf", help="also print the page to report.pdf")] = False,
     as_json: Json = False,
 ) -> None:
@@ -354,7 +366,7 @@ def report(
 
 @command()
 def export(  # noqa: PLR0913, PLR0917 - one argument per option
-    study: Study,
+    study: Study = STUDY_HERE,
     to: Annotated[FormatName, typer.Option(help="format; the guide on other tools says what each holds")] = "csv",
     output: Annotated[
         Path | None,

@@ -288,7 +288,7 @@ def _nonlinear(name: str, p: str, unit: str, bounds: tuple[float, float] | None,
         _refuse(
             name,
             f"expected bounds of {p}, which does not simply multiply the formula, or its unit, but got neither; "
-            f"give bounds = {{{p} = [low, high]}}",
+            f'give units = {{{p} = "m"}} or bounds = {{{p} = [low, high]}}',
         )
     return Parameter(p, unit, bounds or OPEN, scan=scan, signed=unit == "m")
 

@@ -558,7 +558,7 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
     --------
     >>> parse("coulomb, viscous").names
     ['coulomb', 'viscous']
-    >>> parse("tustin, texture").names
+    >>> parse("tustin + texture").names
     ['coulomb', 'stribeck', 'viscous', 'texture']
 
     """
@@ -570,9 +570,9 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
 
 
 def _words_of(given: object) -> list[str | Effect]:
-    """Names and effects of a text with commas, or of a list; raise an error for anything else."""
+    """Names and effects of a text with commas or plus signs, or of a list; raise an error for anything else."""
     if isinstance(given, str):
-        return [part.strip() for part in given.split(",") if part.strip()]
+        return [part.strip() for part in given.replace("+", ",").split(",") if part.strip()]
     words: list[str | Effect] = []
     for word in given if isinstance(given, Iterable) else [given]:
         if not isinstance(word, str | Effect):

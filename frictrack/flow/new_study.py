@@ -27,11 +27,14 @@ from frictrack.study import (
     has_units,
     is_table,
     list_files,
+    may_hold,
     open_table,
     propose_columns,
     read_points,
     read_table,
     refuse_existing,
+    stated_unit,
+    suggest,
     write_study,
 )
 
@@ -72,8 +75,8 @@ class Surveyed:
         Number of frames of a film, and height and width of its pictures, px; 0 for a table.
     positions
         Positions of a table that needs no camera, m, (n,).
-    of_points
-        Whether it holds points (v, F) at constant speeds.
+    needs_mass
+        Whether its friction force is not measured, so that it follows from mass and acceleration.
 
     """
 
@@ -89,7 +92,7 @@ class Surveyed:
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
     positions: Array | None = None
-    of_points: bool = False
+    needs_mass: bool = True
 
     @property
     def is_usable(self) -> bool:
@@ -163,8 +166,12 @@ def _survey_table(path: Path) -> Surveyed:
             heads = ", ".join(map(str, table.frame.columns))
             return Surveyed(path, problem=f"no column of times and no column of positions in it, but {heads[:60]}")
         runs = [track.columns for track in table.tracks] if table.has_runs else [columns or {}]
+        measured = "friction_N" in table.frame.columns or all("friction" in one for one in runs)
         if not all(has_units(one) or not one for one in runs):
-            return Surveyed(path, _unknown_units(table), columns_to_confirm=[columns_line(one) for one in runs])
+            lines = [columns_line(one) for one in runs]
+            bare = ", ".join(dict.fromkeys(h for one in runs for h in one.values() if not stated_unit(h)))
+            words = f"{len(table.frame)} rows; the headers {bare} state no units"
+            return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured)
         read = [read_table(path, one, pixel=1.0, fps=1.0) for one in runs]
     except FrictrackError as e:
         return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
@@ -177,19 +184,27 @@ def _survey_table(path: Path) -> Surveyed:
         words = f"{len(runs)} runs of {words}"
     for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
         named += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
-    return Surveyed(path, words + named, runs=runs, camera_keys=needed, positions=None if needed else read[0].x)
+    force = next((h for h in map(str, table.frame.columns) if stated_unit(h) and may_hold(h, "friction")), None)
+    if measured:
+        named += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
+    elif force and not any(force in one.values() for one in runs):
+        named += f'; is "{force}" the friction? Then name it in columns: friction = "{force}"'
+    positions = None if needed else read[0].x
+    words += named
+    return Surveyed(path, words, runs=runs, camera_keys=needed, positions=positions, needs_mass=not measured)
 
 
 def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Surveyed:
     """Read a table of points (v, F) at constant speeds; raises FrictrackError."""
     if not has_units(columns):
-        return Surveyed(path, _unknown_units(table), columns_to_confirm=[columns_line(columns)], of_points=True)
+        words = f"{len(table.frame)} rows; the headers {', '.join(columns.values())} state no units"
+        return Surveyed(path, words, columns_to_confirm=[columns_line(columns)], needs_mass=False)
     data = points_of_table(read_points(path, columns))
     assert data.v is not None
     named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
     speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"
     return Surveyed(
-        path, f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}", runs=[columns], of_points=True
+        path, f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}", runs=[columns], needs_mass=False
     )
 
 
@@ -206,7 +221,7 @@ def _several_tracks(path: Path, table: TableFile) -> Surveyed:
 
 def _camera_keys(columns: Mapping[str, str]) -> tuple[str, ...]:
     """Return the keys of the camera that some headers need."""
-    return tuple(key for key, unit in CAMERA_KEYS.items() if any(f"({unit})" in h for h in columns.values()))
+    return tuple(key for key, unit in CAMERA_KEYS.items() if any(stated_unit(h) == unit for h in columns.values()))
 
 
 def _columns(table: TableFile) -> dict[str, str] | None:
@@ -224,15 +239,17 @@ def _columns(table: TableFile) -> dict[str, str] | None:
     return proposed if len(known) == len(STANDARD) else None
 
 
-def _unknown_units(table: TableFile) -> str:
-    return f"{len(table.frame)} rows; the headers {', '.join(map(str, table.frame.columns))} state no units"
+def _near(path: Path) -> str:
+    """Name the file of its folder that a missing file may be."""
+    hint = suggest(path.name, [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else [])
+    return f"; {hint}" if hint.startswith("did") else "; check its folder"
 
 
 def expand_folders(paths: Sequence[Path]) -> list[Path]:
     """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself."""
     from frictrack.study import find_recordings, is_picture_folder  # noqa: PLC0415 - only used here
 
-    missing = [f"expected a recording {p} but there is no such file" for p in paths if not p.exists()]
+    missing = [f"expected a recording {p} but there is no such file{_near(p)}" for p in paths if not p.exists()]
     found: list[Path] = []
     for path in () if missing else paths:
         alone = not path.is_dir() or is_picture_folder(path) or is_table(path)
@@ -464,11 +481,8 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 def _remarks(found: Sequence[Surveyed], known: Mapping[str, Any]) -> dict[str, str]:
     """Return words before the explanation of a key: that it is to be filled in, or where its value comes from."""
     films = [one for one in found if not one.is_table]
-    needed = {
-        *(() if all(one.of_points for one in found) else ("mass",)),
-        *(("scale",) if films else ()),
-        *(key for one in found for key in one.camera_keys),
-    }
+    needed = {*(("scale",) if films else ()), *(key for one in found for key in one.camera_keys)}
+    needed |= {"mass"} if any(one.needs_mass for one in found) else set()
     remarks = {key: FILL_IN for key in ("mass", "scale", "fps") if key not in known and key in needed}
     unknown = ", ".join(one.path.name for one in films if one.fps is None)
     if unknown and "fps" not in known:

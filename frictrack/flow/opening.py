@@ -106,8 +106,8 @@ def _check_mass(pipeline: RunPipeline) -> None:
     if table_needs_mass(pipeline.run):
         raise FrictrackError(
             f'run "{pipeline.run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its '
-            '[[run]]; only runs with measured friction (friction_N), or with a measured drive and mass = "fit", do '
-            "without",
+            "[[run]], or --mass 0.35kg; only runs with measured friction (columns = {friction = ...}), or with a "
+            'measured drive and mass = "fit", do without',
             usage=True,
         )
 

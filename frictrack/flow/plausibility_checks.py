@@ -213,7 +213,7 @@ def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
 
 def _can_accelerate(study: Study) -> bool:
     """Return whether the model of a study can accelerate the mass: by a spring, or by an effect of the user."""
-    law = study.model.split(",") if isinstance(study.model, str) else study.model
+    law = study.model.replace("+", ",").split(",") if isinstance(study.model, str) else study.model
     known = effects.known()
     own = {table.effect for table in study.effects if table.formula is not None}
     return any(name in own or (name in known and known[name].may_pull) for name in map(str.strip, law))

@@ -228,7 +228,8 @@ class Session:
         if not asked.keys().isdisjoint(("search", "settings", "seed")):
             asked["settings"] = self._search_settings(asked)
         if model is not None:
-            base = tuple(part.strip() for part in model.split(",")) if "," in model else model
+            parts = tuple(part.strip() for part in model.replace("+", ",").split(","))
+            base = parts if len(parts) > 1 else model
             asked |= {"base": base, "edits": ()}
             FitRequest(base).model(self.study.effects)
         self.bring_up_to("friction")

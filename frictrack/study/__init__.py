@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units
+    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units, may_hold, stated_unit
     from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (

@@ -14,6 +14,8 @@ from frictrack.study.schema import POINT_COLUMNS
 
 UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]](?=\s*$|\s+(?:run|trial|set|data set)?\s*#?\d+\s*$)", re.IGNORECASE)
 """Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"."""
+_LAST_WORD_UNIT = re.compile(r"(?<=\w)\s*(?:_|/|\s(?:in|en)\s)\s*(m?s|[µu]s|[mcµun]?m|[mk]?N|px)$")
+"""Unit without brackets: "Weg / mm", "time in ms", "force_N"."""
 # What tells one of several runs in a table: "Data Set 1: Time (s)", "Time (s) Run #1", and a repeated "Time (s).1".
 _RUN_LABEL = re.compile(r"^.*:|(?:\b(?:run|trial|set|data set))?\s*#?\d+$|\.\d+$", re.IGNORECASE)
 # Usual names of a column, in English, German, French and Spanish; "/x" ends the names of one program.
@@ -21,7 +23,7 @@ _USUAL_NAMES = {
     "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit|temps|tiempo"),
     "x": re.compile(r"x|pos(ition)?|x[ _]?pos(ition)?|pos(ition)?[ _]?x|disp(lacement)?|distance|weg|.*/x|x_target"),
     "y": re.compile(r"y|y[ _]?pos(ition)?|pos(ition)?[ _]?y|.*/y"),
-    "friction": re.compile(r"friction|friction[ _]force|reibkraft"),
+    "friction": re.compile(r"friction([ _]force)?|reib(ungs)?kraft|tangential[ _](force|kraft)"),
 }
 TURNS = re.compile(
     r"rpm|drehzahl|(r|rev|u|1)/min|min\^?-1|rps|1/s|hz|(rad|deg|°)/s", re.IGNORECASE
@@ -38,16 +40,29 @@ COLUMNS = RECORD_COLUMNS | POINT_COLUMNS
 CAMERA_UNITS = {"px": "m", "frames": "s"}  # units that only the camera knows, and the unit they stand for
 
 
+def stated_unit(header: str) -> str | None:
+    """Return the unit that a header states, or None.
+
+    Examples
+    --------
+    >>> stated_unit("Position (mm)"), stated_unit("Weg / mm"), stated_unit("force_N"), stated_unit("mass_A")
+    ('mm', 'mm', 'N', None)
+
+    """
+    found = UNIT.search(header) or _LAST_WORD_UNIT.search(header)
+    return found[1] if found else None
+
+
 def base_name(header: str) -> str:
     """Return a header without its unit.
 
     Examples
     --------
-    >>> base_name("Position (mm)")
-    'Position'
+    >>> base_name("Position (mm)"), base_name("Weg / mm")
+    ('Position', 'Weg')
 
     """
-    return UNIT.sub("", header).strip()
+    return _LAST_WORD_UNIT.sub("", UNIT.sub("", header)).strip()
 
 
 def quantity(header: str) -> str:
@@ -80,7 +95,7 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
     """
     clocks = [i for i, header in enumerate(present) if _USUAL_NAMES["t"].fullmatch(quantity(header))]
     blocks = [present[i:j] for i, j in pairwise([*clocks, len(present)])]
-    lengths = [next((h for h in block if UNIT.search(h) and may_hold(h, "x")), None) for block in blocks]
+    lengths = [next((h for h in block if stated_unit(h) and may_hold(h, "x")), None) for block in blocks]
     found = [guess_columns(block, quantity) for block in blocks]
     for columns, header in zip(found, lengths, strict=True):
         if header is not None:
@@ -146,7 +161,7 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
     """
     if written in present:
         return written
-    base = base_name(written)
+    base = UNIT.sub("", written).strip()
     if base != written and base in present:
         return base
     alike = [header for header in present if base_name(header) == written]
@@ -193,11 +208,11 @@ def may_hold(header: str, key: str) -> bool:
     (True, False, True)
 
     """
-    unit = UNIT.search(header)
-    if unit is None or CAMERA_UNITS.get(unit[1]) == COLUMNS[key][1]:
+    unit = stated_unit(header)
+    if unit is None or CAMERA_UNITS.get(unit) == COLUMNS[key][1]:
         return True
     try:
-        parse_quantity(f"1 {unit[1]}", COLUMNS[key][1], header)
+        parse_quantity(f"1 {unit}", COLUMNS[key][1], header)
     except FrictrackError:
         return False
     return True
@@ -229,7 +244,7 @@ def columns_line(columns: Mapping[str, str]) -> str:
 
 def _with_unit(key: str, header: str) -> str:
     has_unit = (
-        UNIT.search(header)
+        stated_unit(header)
         or TURNS.fullmatch(header)
         or COLUMNS[key][1] == "1"
         or (header == COLUMNS[key][0] and key in POINT_COLUMNS)

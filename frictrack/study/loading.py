@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
@@ -209,6 +210,8 @@ def _toml_hint(message: str, text: str) -> str:
     found = re.search(r"at line (\d+)", message)
     lines = text.splitlines()
     line = lines[int(found[1]) - 1] if found and int(found[1]) <= len(lines) else ""
+    if re.search("[“”„«»‘’]", line):
+        return '; texts stand in plain quotes: "0.35 kg"'
     if "\\" in line:
         return "; write paths with / instead of \\"
     if re.search(r"=\s*[+-]?[\d.]+\s*[A-Za-zµ]", line):
@@ -222,7 +225,7 @@ def _toml_hint(message: str, text: str) -> str:
 
 def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
-        way = f"frictrack run {path.name} --mass 0.35kg --scale 0.5mm/px --fps 4000"
+        way = f"frictrack run {shlex.quote(path.name)} --mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise FrictrackError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one", usage=True)
     try:
         if path.exists() and not path.is_file():
@@ -237,8 +240,9 @@ def _read(path: Path) -> str:
         ) from e
     except OSError as e:
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        hint = suggest(path.name, there) if there else f"`frictrack init {path.parent}` writes one"
-        raise FrictrackError(f"expected a study file {path} but cannot read it; {hint}", usage=True) from e
+        hint = suggest(path.name, there) if there else f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
+        state = "cannot read it" if path.exists() else "there is none"
+        raise FrictrackError(f"expected a study file {path} but {state}; {hint}", usage=True) from e
 
 
 class _Reader:

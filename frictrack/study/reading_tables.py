@@ -23,6 +23,7 @@ from frictrack.study.column_names import (
     guess_columns,
     guess_points,
     may_hold,
+    stated_unit,
 )
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_cells import TableFile, TrackColumns
@@ -373,7 +374,7 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
     if not proposed.keys() >= set(missing):
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
-    bare = any(UNIT.search(proposed[key]) is None for key in missing)
+    bare = any(stated_unit(proposed[key]) is None for key in missing)
     return f"{expected}; to name them, write {where}" + (", with the units of the file in the brackets" if bare else "")
 
 
@@ -408,7 +409,7 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
         others = (header for header in numbers.values() if header not in found.values() and may_hold(header, key))
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
-    if "t" in found and UNIT.search(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
+    if "t" in found and stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
         steps = np.diff(_numbers(frame.iloc[:, present.index(found["t"])]))
         if len(steps) and 0 < np.median(steps) < MAX_STEP_OF_DAYS:
             found["t"] += " (d)"
@@ -434,25 +435,26 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
-    named = UNIT.search(written) or UNIT.search(header)
-    if unit == "m/s" and TURNS.fullmatch(named[1] if named else header):
+    chosen = UNIT.search(written)
+    named = chosen[1] if chosen else stated_unit(header)
+    if unit == "m/s" and TURNS.fullmatch(named or header):
         raise FrictrackError(
             f'expected a sliding speed in m/s or mm/s but got "{header}", a turning speed; add a column of '
             "v = 2 pi r n / 60 with the radius r of the track and the turns n per minute"
         )
     if named is None or header == standard == written:
         return 1.0
-    if (named[1], unit) == ("g", "m/s^2"):
+    if (named, unit) == ("g", "m/s^2"):
         return GRAVITY
-    if (named[1], unit) in CAMERA_UNITS:
-        key, what, example = CAMERA_UNITS[named[1], unit]
+    if (named, unit) in CAMERA_UNITS:
+        key, what, example = CAMERA_UNITS[named, unit]
         size: float | None = getattr(camera, key)
         if size is None:
             raise FrictrackError(
-                f'expected the {what} of "{header}" in {named[1]} but got none; give {example} in [camera]'
+                f'expected the {what} of "{header}" in {named} but got none; give {example} in [camera]'
             )
         return size
-    return parse_quantity(f"1 {named[1]}", unit, header)[0]
+    return parse_quantity(f"1 {named}", unit, header)[0]
 
 
 def _numbers(series: pd.Series[Any]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,6 +63,7 @@ repair = [{from = 120, to = 160, how = "track", target = [410, 232, 96, 64]}]   
                             target in frame 120 tells where it is; or how = "interpolate" or "leave_out"
 reference = [8, 80, 64, 32] a fixed object to measure camera shake, if the automatic choice is wrong; or "none"
 axis = "track"              +x along the path itself, if the course is not level in the picture; or [dx, dy]
+normal_load = "5 N"         where the friction was measured: gives its coefficient; no mass is needed
 incline = "22 deg"          the course rises toward +x; negative where it falls
 free = ["0.01 s", "0.2 s"]  the free section that is fitted, if the automatic choice is wrong
 cutoff = "120 Hz"           a plain low-pass, instead of separating trend, vibrations and events automatically
@@ -220,7 +222,8 @@ def write_study(
 def refuse_existing(path: Path) -> None:
     """Raise `FrictrackError` (usage) if there is a study file already."""
     if path.exists():
-        raise FrictrackError(f"{path} is already there; `frictrack run {path}` uses it, or move it away", usage=True)
+        use = f"`frictrack run {shlex.quote(str(path))}` uses it"
+        raise FrictrackError(f"{path} is already there; {use}, or move it away", usage=True)
 
 
 def toml_item(value: Any) -> Any:

@@ -23,7 +23,7 @@ MEASURED_LINE = (
     "A load cell measured the friction force. An error of its zero or sensitivity is in every force and does not "
     "change the quality of the fit."
 )
-NO_SCALE_ERROR = 'The error of the scale is not given. Write it as "0.500 +/- 0.002 mm/px" to include it.'
+NO_SCALE_ERROR = 'The error of the scale is not given. Write it behind the scale, "... +/- ... mm/px", to include it.'
 ADDRESS = re.compile(r"\b[a-z][a-z_0-9]*(?::\d+)?\.[A-Za-z][A-Za-z_0-9]*")  # of a parameter: stribeck.v_s
 
 

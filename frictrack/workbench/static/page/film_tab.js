@@ -93,7 +93,7 @@ function Untracked({ run }) {
   const job = useStore(foreground);
   return html`
     <div class="ui-nothing small">
-      <p>${run.name} is not measured yet. Type mass, frame rate and scale, and press Run; or see first how well it is tracked.</p>
+      <p>${run.name} is not measured yet. Press Run when mass, frame rate and scale above are right; or see first how well it is tracked.</p>
       <${Button} icon="target" label="Track every film" onClick=${() => start("measure", { stage: "motion" }, "Track every film")}
         why=${job ? "Wait until the work ends, or cancel it." : null} />
     </div>`;
