@@ -87,7 +87,10 @@ def test_fit_says_once_how_well_the_scale_is_known(capsys: pytest.CaptureFixture
     (here / "study.toml").write_text(text.replace("[[run]]", '[camera]\nscale = "0.500 +/- 0.002 mm/px"\n\n[[run]]', 1))
     assert answer(capsys, "fit", "study.toml")["scale_error"] == pytest.approx(0.004)
     out = " ".join(run(capsys, "fit", "study.toml")[1].split())
-    assert out.count("the scale has a standard deviation of 0.4 %, and so has every force above") == 1
+    assert (
+        out.count("the scale has a standard deviation of 0.4 %, common to all runs of a camera and included in every ±")
+        == 1
+    )
 
 
 @pytest.fixture

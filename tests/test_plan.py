@@ -210,9 +210,8 @@ def before(tmp_path):
 def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys, monkeypatch, run_plan):
     """The command asks for a plan of the very set-up that `run_plan` has planned already."""
     asked = []
-    monkeypatch.setattr(
-        "frictrack.diagnose.experiments.choose_runs", lambda setup, progress: asked.append(setup) or run_plan
-    )
+    planner = sys.modules["frictrack.diagnose.experiments"]
+    monkeypatch.setattr(planner, "choose_runs", lambda setup, progress: asked.append(setup) or run_plan)
     main_ok(["plan", str(before), "--json"])
     assert [repr(setup) for setup in asked] == [repr(run_plan.setup)]
     found = json.loads(capsys.readouterr().out)

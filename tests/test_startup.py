@@ -13,7 +13,10 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.units import _PREFIXES, _UNITS, _WITHOUT_PREFIX, _convert, _convert_with_pint
 
 HEAVY = ("scipy", "cv2", "pandas", "matplotlib", "pint", "jinja2", "tifffile", "openpyxl")
-SCIENCE = tuple(f"frictrack.{part}" for part in ("fit", "diagnose", "motion", "tracking", "plan", "report", "simulate"))
+SCIENCE = tuple(
+    f"frictrack.{part}"
+    for part in ("fit", "diagnose", "measure.motion", "tracking", "diagnose.experiments", "present.report", "simulate")
+)
 LISTED = """
 import sys
 from frictrack.cli import main
@@ -21,7 +24,7 @@ try:
     main(sys.argv[1:])
 except SystemExit:
     pass
-sys.stderr.write(" ".join(name for name in sys.modules if name.count(".") < 2))
+sys.stderr.write(" ".join(name for name in sys.modules if name.count(".") < 3))
 """
 STUDY = """
 [study]
@@ -56,7 +59,8 @@ def imported(*arguments: object) -> set[str]:
 def heavy(modules: set[str]) -> list[str]:
     """Those that a light command can do without; the bare `scipy`, which loads its parts on first use, is light."""
     packages = {name.partition(".")[0] for name in modules}
-    parts = [name for name in modules if name.startswith("scipy.") and f"{name}"[6] != "_" and name != "scipy.version"]
+    parts = [name for name in modules if name.startswith("scipy.") and name.count(".") < 2 and name[6] != "_"]
+    parts = [name for name in parts if name != "scipy.version"]
     return sorted([*(packages & set(HEAVY[1:])), *parts, *(modules & set(SCIENCE))])
 
 

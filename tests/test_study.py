@@ -446,7 +446,10 @@ def test_a_drive_is_a_pressure_times_an_area(folder: Path) -> None:
         ('drive = {force = 1, offset = "auto"}', "expected no offset with a constant force: it belongs to a table"),
         ('drive = {tabel = "drive.csv"}', 'but got "tabel"; did you mean "table"?'),
         ('drive = {table = "drive.csv", area = "-1 cm^2"}', "expected area above 0 m^2 but got '-1 cm^2'"),
-        ('drive = {table = "drive.csv", until = "relaese"}', 'expected until as "release" or a time like "1.2 ms"'),
+        (
+            'drive = {table = "drive.csv", until = "relaese"}',
+            'expected until as "release", a place like "30 cm" or a time like "1.2 ms"',
+        ),
         ('drive = {table = "drive.csv", offset = "2 mm"}', 'expected offset as "auto" or a time like "1.2 ms"'),
         (
             'drive = {table = "drive.csv", area = 1, columns = {drive = "F"}}',

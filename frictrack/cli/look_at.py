@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictrack.base.number_format import describe_change
-from frictrack.results.error_rows import held_out_error
 
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {
@@ -74,6 +73,8 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
         Path of the study file.
 
     """
+    from frictrack.results.error_rows import held_out_error  # noqa: PLC0415 - `--help` does without it
+
     (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
     change = describe_change(before, after, unit)
     study = shlex.quote(str(study))

@@ -15,7 +15,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
 from frictrack.effects import check_ties, models
 from frictrack.effects.models import Model
-from frictrack.fit.covariates import CovariateTrend, CovariateTrends, trend
+from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
@@ -65,6 +65,7 @@ __all__ = [
     "CovariateTrends",
     "Fit",
     "GroupFits",
+    "ParameterEstimates",
     "Profile",
     "UncertaintyAnalysis",
     "add_effect",

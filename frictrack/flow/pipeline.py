@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
-LATER_KEYS = ("repair", "filter", "order", "window", "causal")
+LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]
@@ -193,6 +193,8 @@ class RunPipeline:
     def settings(self, name: str) -> dict[str, Any]:
         """Return the keys of the study file that a stage depends on, with their values as JSON has them."""
         found = {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
+        if found.get("incline") and not found["incline"][1]:  # without an error it stands alone, as in stored results
+            found["incline"] = found["incline"][0]
         return {key: value for key, value in found.items() if value or key not in LATER_KEYS}
 
     def as_written(self, value: Any) -> Any:

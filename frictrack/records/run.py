@@ -403,9 +403,9 @@ def rolling_inertia(shape: float | str) -> float:
     (0.5, 0.45)
 
     """
-    value = ROLLING.get(shape, float("nan")) if isinstance(shape, str) else float(shape)
-    if isinstance(shape, bool) or not 0 <= value <= 1:
+    value = ROLLING.get(shape) if isinstance(shape, str) else shape
+    if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value <= 1:
         raise ValueError(
             f"expected rolling to be {', '.join(ROLLING)} or a number from 0 to 1, I/(m r^2), but got {shape!r}"
         )
-    return value
+    return float(value)

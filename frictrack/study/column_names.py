@@ -219,9 +219,8 @@ def may_hold(header: str, key: str) -> bool:
 
 
 def has_units(columns: Mapping[str, str]) -> bool:
-    """Return whether times and positions, or speeds, are there and every header states its unit, or needs none."""
-    there = "v" in columns or all(key in columns for key in REQUIRED)
-    return there and all(_with_unit(key, header) == header for key, header in columns.items())
+    """Return whether every header states its unit, or needs none."""
+    return all(_with_unit(key, header) == header for key, header in columns.items())
 
 
 def columns_line(columns: Mapping[str, str]) -> str:

@@ -27,8 +27,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plain, format_plus_minus
 from frictrack.base.workers import one_thread
 from frictrack.effects.models import Model
-from frictrack.fit import Fit, GroupFits, by_group, fit
-from frictrack.fit.covariates import ParameterEstimates
+from frictrack.fit import Fit, GroupFits, ParameterEstimates, by_group, fit
 from frictrack.fit.uncertainty import reported_values_and_jacobian
 from frictrack.records import Array
 
