@@ -3,6 +3,8 @@
 The modules: the problem and its sensitivities, the linearised solution, Gauss-Newton, covariance, held-out error.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.least_squares.covariance import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
@@ -29,27 +31,3 @@ from frictrack.fit.least_squares.solution import (
     model_projection,
     position_and_velocity,
 )
-
-__all__ = [
-    "MIN_CHI2_FALL",
-    "MIN_SINGULAR_VALUE",
-    "NORMAL_QUANTILE_975",
-    "LeastSquaresProblem",
-    "ModelProjection",
-    "PieceResponse",
-    "Solution",
-    "batch_count",
-    "clustered_covariance",
-    "covariance_of",
-    "displacement_response",
-    "fit_with_scatter",
-    "heldout_rms",
-    "hold",
-    "inverse_normal_matrix",
-    "model_projection",
-    "position_and_velocity",
-    "predicted_objective",
-    "refine",
-    "refit_with_scatter",
-    "white_noise_covariance",
-]

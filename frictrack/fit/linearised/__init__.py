@@ -1,5 +1,7 @@
 """Linearise a fitted model about the measured motion, and scan a candidate effect on it."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.linearised.columns import (
     MIN_COLUMN_SQUARE,
     CandidateGrid,
@@ -18,24 +20,3 @@ from frictrack.fit.linearised.model import (
 )
 from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.fit.linearised.scan import MIN_UNEXPLAINED_SHARE, CandidateScan, scan_candidate, scan_candidates
-
-__all__ = [
-    "MIN_COLUMN_SQUARE",
-    "MIN_UNEXPLAINED_SHARE",
-    "CandidateGrid",
-    "CandidateScan",
-    "Float32Array",
-    "LinearisedModel",
-    "LinearisedPiece",
-    "ScannedSeries",
-    "candidate_grids",
-    "has_per_run_coefficients",
-    "is_linearised_about_measurement",
-    "linearise",
-    "linearise_about_measurement",
-    "measured_series",
-    "products_of_grids",
-    "scan_candidate",
-    "scan_candidates",
-    "scan_points",
-]

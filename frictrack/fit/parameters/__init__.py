@@ -5,6 +5,8 @@ every run. The internal value of a parameter may differ from the reported one: F
 unknown mass every force is fitted as a multiple of itself.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.parameters.constraints import MASS, apply_constraints, reported_value
 from frictrack.fit.parameters.layout import (
     LEVEL,
@@ -36,33 +38,3 @@ from frictrack.fit.parameters.penalties import (
     prior_misfit,
     prior_residual,
 )
-
-__all__ = [
-    "LEVEL",
-    "MASS",
-    "MASS_EFFECT",
-    "MIN_RUNS_FOR_SCATTER",
-    "SCATTER_BOUNDS",
-    "JacobianBasis",
-    "ParameterLayout",
-    "Slot",
-    "apply_constraints",
-    "canonical_form",
-    "direct_prior_equations",
-    "is_mass_unknown",
-    "jacobian_basis",
-    "known_value",
-    "mass_ratio",
-    "normalise_levels",
-    "penalty_jacobian",
-    "penalty_residual",
-    "prior_departure",
-    "prior_jacobian",
-    "prior_misfit",
-    "prior_residual",
-    "reported_value",
-    "rescale_to_mass",
-    "with_fitted_mass",
-    "with_mass",
-    "without_mass",
-]

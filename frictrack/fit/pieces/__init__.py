@@ -1,5 +1,7 @@
 """Pieces: the parts of runs that a model is fitted to, each as one. They are cut, whitened and laid end to end."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.pieces.acceleration_chain import AccelerationChain, acceleration_chains, acceleration_noise
 from frictrack.fit.pieces.cutting import (
     MIN_FRAMES,
@@ -25,31 +27,3 @@ from frictrack.fit.pieces.piece import (
     split_motions,
     without_starts,
 )
-
-__all__ = [
-    "MIN_FRAMES",
-    "AccelerationChain",
-    "JoinedPieces",
-    "Piece",
-    "Reference",
-    "Rows",
-    "RunContext",
-    "acceleration_chains",
-    "acceleration_noise",
-    "consecutive_slices",
-    "cut_into_pieces",
-    "displacement_rows",
-    "group_by_size",
-    "guess_mass",
-    "has_known_history",
-    "noise_free_remark",
-    "path_of_rows",
-    "piece_frames",
-    "pieces_of",
-    "reference_of",
-    "run_context",
-    "spans_of",
-    "split_motions",
-    "whole_piece",
-    "without_starts",
-]

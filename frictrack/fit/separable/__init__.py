@@ -16,6 +16,8 @@ variables separate. SIAM J. Numer. Anal. 10, 413-432.
 
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.separable.blocks import (
     DataBlock,
     chain_block,
@@ -32,23 +34,3 @@ from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulati
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.scan import is_scannable
 from frictrack.fit.separable.varpro import VariableProjection
-
-__all__ = [
-    "ConstrainedVariableProjection",
-    "DataBlock",
-    "PopulationMisfit",
-    "ProjectedProblem",
-    "ReducedPopulationMisfit",
-    "SeparableModel",
-    "SeparableSolution",
-    "VariableProjection",
-    "chain_block",
-    "displacement_block",
-    "force_block",
-    "is_scannable",
-    "path_at_compared",
-    "repeat_values",
-    "rows_at_compared",
-    "tiled_path",
-    "variable_projection",
-]

@@ -1,5 +1,7 @@
 """Add one effect to a fitted model, or remove one: start values from a scan, then refinement in simulation."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.fit.stepwise.growth import (
     add_effect,
     guess_coefficients,
@@ -23,31 +25,3 @@ from frictrack.fit.stepwise.trial import (
     try_effects,
     try_together,
 )
-
-__all__ = [
-    "EVENT_PARAMETERS",
-    "STRONG_MISFIT_CHI2",
-    "CandidateTrial",
-    "add_effect",
-    "baseline_misfit",
-    "bic_penalty",
-    "deepen_trials",
-    "effect_for_scan",
-    "entry_order",
-    "gain_by_smaller_scatter",
-    "guess_coefficients",
-    "is_unconstrained",
-    "misfit_left_by_other",
-    "most_by_smaller_scatter",
-    "refine_to_end",
-    "remove_effect",
-    "reorder_effects",
-    "reversed_ties",
-    "scan_effect",
-    "scan_effects",
-    "simulate_trial",
-    "ties_are_resolved",
-    "try_effect",
-    "try_effects",
-    "try_together",
-]

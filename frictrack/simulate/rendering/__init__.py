@@ -1,20 +1,9 @@
 """Render films of a textured block of known trajectory, as a high-speed camera would record them."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.simulate.rendering.camera import Camera, Oscillation, cramer_rao_shift_std
 from frictrack.simulate.rendering.film_writer import write_film
 from frictrack.simulate.rendering.foreground import Highlight, Rod
 from frictrack.simulate.rendering.renderer import Target, render, render_clean
 from frictrack.simulate.rendering.surface import Surface
-
-__all__ = [
-    "Camera",
-    "Highlight",
-    "Oscillation",
-    "Rod",
-    "Surface",
-    "Target",
-    "cramer_rao_shift_std",
-    "render",
-    "render_clean",
-    "write_film",
-]

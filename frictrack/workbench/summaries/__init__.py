@@ -10,21 +10,10 @@ diagnosis  verdict, candidates, formulas, next experiments; curves and errors of
 state      all of it, with the changes in plain words
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.workbench.summaries.diagnosis import candidate_curves
 from frictrack.workbench.summaries.fields import check_fields, new_study, refuse_implausible
 from frictrack.workbench.summaries.models import effect_library
 from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader, read_snapshot
 from frictrack.workbench.summaries.state import StudyState, state_of
-
-__all__ = [
-    "Snapshot",
-    "SnapshotReader",
-    "StudyState",
-    "candidate_curves",
-    "check_fields",
-    "effect_library",
-    "new_study",
-    "read_snapshot",
-    "refuse_implausible",
-    "state_of",
-]
