@@ -166,11 +166,12 @@ class FixedQuantityProblem(LeastSquaresProblem):
         """Compute all unknowns (P,) with the pivot solved for; `FrictrackError` if it would leave its bounds."""
         p = np.array(p, dtype=float)
         tolerance = 1e-12 * max(abs(self.value), 1e-3)
-        for _ in range(MAX_NEWTON_STEPS):
-            error = self.quantity.value(self.inner, p) - self.value
-            if abs(error) <= tolerance:
-                break
-            p[self.pivot] -= error / self.quantity.gradient(self.inner, p)[self.pivot]
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a value out of reach is no number below
+            for _ in range(MAX_NEWTON_STEPS):
+                error = self.quantity.value(self.inner, p) - self.value
+                if abs(error) <= tolerance:
+                    break
+                p[self.pivot] -= error / self.quantity.gradient(self.inner, p)[self.pivot]
         low, high = self.layout.slots[self.pivot].bounds
         if not (np.isfinite(p[self.pivot]) and low <= p[self.pivot] <= high):
             raise FrictrackError(f"no law within the bounds has {self.quantity.address} = {self.value:g}")
