@@ -119,4 +119,6 @@ def _short(row: Outcome) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    from reality.__main__ import main as run  # under a name by which worker processes find its functions
+
+    run()
