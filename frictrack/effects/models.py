@@ -569,10 +569,22 @@ def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
     return Model(tuple(effect for word in words for effect in _effects_of(word, extra, whole=whole)))
 
 
+def names_in(text: str) -> list[str]:
+    """Return the names in the text of a model, between commas or plus signs.
+
+    Examples
+    --------
+    >>> names_in("coulomb + viscous"), names_in("coulomb,viscous")
+    (['coulomb', 'viscous'], ['coulomb', 'viscous'])
+
+    """
+    return [part.strip() for part in text.replace("+", ",").split(",") if part.strip()]
+
+
 def _words_of(given: object) -> list[str | Effect]:
-    """Names and effects of a text with commas or plus signs, or of a list; raise an error for anything else."""
+    """Names and effects of a text, or of a list; raise an error for anything else."""
     if isinstance(given, str):
-        return [part.strip() for part in given.replace("+", ",").split(",") if part.strip()]
+        return [*names_in(given)]
     words: list[str | Effect] = []
     for word in given if isinstance(given, Iterable) else [given]:
         if not isinstance(word, str | Effect):

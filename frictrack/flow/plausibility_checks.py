@@ -14,6 +14,7 @@ import numpy as np
 from frictrack import effects
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import lacks_unit
+from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
@@ -213,7 +214,7 @@ def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
 
 def _can_accelerate(study: Study) -> bool:
     """Return whether the model of a study can accelerate the mass: by a spring, or by an effect of the user."""
-    law = study.model.replace("+", ",").split(",") if isinstance(study.model, str) else study.model
+    law = models.names_in(study.model) if isinstance(study.model, str) else study.model
     known = effects.known()
     own = {table.effect for table in study.effects if table.formula is not None}
     return any(name in own or (name in known and known[name].may_pull) for name in map(str.strip, law))

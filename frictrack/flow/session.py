@@ -17,6 +17,7 @@ from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import lock_work
 from frictrack.base.version import __version__
+from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
@@ -228,7 +229,7 @@ class Session:
         if not asked.keys().isdisjoint(("search", "settings", "seed")):
             asked["settings"] = self._search_settings(asked)
         if model is not None:
-            parts = tuple(part.strip() for part in model.replace("+", ",").split(","))
+            parts = tuple(models.names_in(model))
             base = parts if len(parts) > 1 else model
             asked |= {"base": base, "edits": ()}
             FitRequest(base).model(self.study.effects)

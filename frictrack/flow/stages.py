@@ -60,11 +60,11 @@ def make_point_displacement(pipeline: RunPipeline) -> Displacement:
 
 def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
     """Return the friction force of every point, with its deviation and load where they are known."""
-    from frictrack.measure.points import forces_of_points  # noqa: PLC0415
+    from frictrack.measure.points import forces_of_points, motion_of_points  # noqa: PLC0415
 
     points = _points(pipeline)
     measured = Sensors(displacement.t, friction_N=points.friction)
-    load = make_run(pipeline.run, displacement, make_point_motion(pipeline, displacement), measured).load
+    load = make_run(pipeline.run, displacement, motion_of_points(points)[1], measured).load
     return replace(measured, **forces_of_points(points, load))
 
 

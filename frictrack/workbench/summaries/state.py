@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypedDict
 
+from frictrack.effects import models
 from frictrack.flow import Change, undo_stacks
 from frictrack.present.plots import numbered_name
 from frictrack.present.plots.style import joined_name
@@ -150,7 +151,7 @@ def _value(key: Any, value: Any) -> str:
 
 def _fit(arguments: Mapping[str, Any]) -> str:
     model = arguments.get("model")
-    name = joined_name([part.strip() for part in model.split(",")]) if isinstance(model, str) and model else "the model"
+    name = joined_name(models.names_in(model)) if isinstance(model, str) and model else "the model"
     how = ", ".join(f"{key} {arguments[key]}" for key in ("domain", "search", "per") if arguments.get(key))
     return f"fit {name} ({how})" if how else f"fit {name}"
 
