@@ -342,19 +342,19 @@ class Conclusion:
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
         """Return the diagnosis with the failure pattern, the evidence and the force that no effect explains."""
-        steady = self.search.start.problem.pieces[0].path.steady  # without a place and a time, there is no pattern
-        repeats, unexplained = found.repeats if steady else self._pattern.repeats, found.unexplained
+        pattern = None if self.search.start.problem.is_of_points else self._pattern  # it needs a place and a time
+        repeats, unexplained = pattern.repeats if pattern else found.repeats, found.unexplained
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
             unexplained = unexplained_force(self.search.formulas, self.search.last.solution).summary
-        figures = found.figures | ({} if steady else self._pattern.figures) | evidence_curves(evidence)
+        figures = found.figures | (pattern.figures if pattern else {}) | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 
     def _plan_next(self, found: Diagnosis, notify: Callable[[str], None]) -> list[dict[str, Any]]:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""
         first, last, effects = self.search.first, self.search.last, self.search.found
-        if first.solution.problem.pieces[0].path.steady:
+        if first.solution.problem.is_of_points:
             return []  # runs are planned as motions
         if found.verdict == "unexplained":
             solution = last.solution if found.leads or not effects else first.solution

@@ -124,7 +124,7 @@ def assess_repeatability(
     `waves`: scan for waves in its residual, if there is one; `forces`: smooth forces in its residual, if they were
     computed before.
     """
-    if solution.problem.pieces[0].path.steady:
+    if solution.problem.is_of_points:
         return Repeatability()
     forces, waves = forces or ResidualForces(solution, about_measurement=True), waves or WaveScan(linearise(solution))
     misfit = _Misfit.of(forces.compressed, rng)

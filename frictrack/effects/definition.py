@@ -74,6 +74,11 @@ class Parameter:
     tie: str | None = None
 
     @property
+    def is_size(self) -> bool:
+        """Whether the force of its effect grows with it from nothing."""
+        return self.linear or self.role in ("amplitude", "depth")
+
+    @property
     def free(self) -> bool:
         """Whether it is fitted: neither fixed nor tied to another parameter."""
         return self.fixed is None and self.tie is None

@@ -43,7 +43,6 @@ MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
 MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
 MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
 N_WIDTHS = 60  # tried for the span of a bump
-SIZE_ROLES = ("amplitude", "depth")
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def failing_spans(solution: Solution, runs: Sequence[Run], missing: str | None =
         alone would do as much (1 %). A blow too short to be resolved extends as far as the run's low-pass spreads it.
 
     """
-    if solution.problem.pieces[0].path.steady:
+    if solution.problem.is_of_points:
         return sorted(_failing_speeds(solution, runs), key=lambda s: -s["share_of_error"])
     solution = keep_compared_frames(solution)
     if missing is None:
@@ -231,12 +230,7 @@ def _effect_force(solution: Solution, response: PieceResponse, name: str) -> tup
 
 def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
     """p-value of the size of an effect in a run; the least of several sizes."""
-    sizes = {p.name for p in effect.parameters if p.linear or p.role in SIZE_ROLES}
-    own = [
-        i
-        for i, s in enumerate(solution.problem.layout.slots)
-        if s.effect == effect.name and s.parameter in sizes and s.run in (None, run)
-    ]
+    own = solution.problem.layout.sizes(effect, run)
     std = np.sqrt(np.maximum(np.diag(white_noise_covariance(solution)[0])[own], 1e-300))
     z = float(np.max(np.abs(solution.p[own]) / std, initial=0.0 if own else np.inf))
     return float(max(2 * normal_sf(z), np.finfo(float).tiny))
@@ -255,7 +249,7 @@ def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array])
 
 def _has_size_per_run(effect: Effect) -> bool:
     """Whether every run has its own size of the effect."""
-    return any(p.per_run and (p.linear or p.role in SIZE_ROLES) for p in effect.parameters)
+    return any(p.per_run and p.is_size for p in effect.parameters)
 
 
 def _close_gaps(acts: Mask) -> Mask:

@@ -114,9 +114,7 @@ class FittedExplanation:
         """Relative standard deviation of the size of the effect; infinite where the runs leave its size open."""
         if self.conservative is not self.solution:
             return np.inf
-        sizes = {p.name for p in self.fitted_effect.parameters if p.linear or p.role in SIZE_ROLES}
-        slots, p = self.solution.problem.layout.slots, self.solution.p
-        own = [i for i, slot in enumerate(slots) if slot.effect == self.effect and slot.parameter in sizes]
+        own, p = self.solution.problem.layout.sizes(self.fitted_effect), self.solution.p
         std = np.sqrt(np.maximum(np.diag(white_noise_covariance(self.conservative)[0])[own], 0.0))
         return float(np.min(std / np.maximum(np.abs(p[own]), 1e-3 * std + 1e-300), initial=np.inf)) if own else 0.0
 

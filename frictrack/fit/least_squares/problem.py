@@ -123,6 +123,11 @@ class LeastSquaresProblem:
     observed = "displacement"  # what is compared
     simulates = True  # whether the model makes a motion
 
+    @property
+    def is_of_points(self) -> bool:
+        """Whether the runs are tables of speeds and forces, whose rows have no place and no order in time."""
+        return self.pieces[0].path.steady
+
     def __init__(
         self, model: Model, layout: ParameterLayout, pieces: Sequence[Piece], budget: EvaluationBudget | None = None
     ) -> None:

@@ -135,10 +135,15 @@ class Solution:
         return self.few_rows_and_residual[0]
 
     @cached_property
+    def _few_rows_of_pieces(self) -> list[Array]:
+        """The Jacobian of every piece, and its residual as the last column, in few rows (m, A + 1)."""
+        return [np.asarray(np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r")) for r in self.responses]
+
+    @cached_property
     def few_rows_and_residual(self) -> tuple[Array, Array]:
         """The linearised model in few rows: Jacobian (M, P) and residual (M,)."""
-        upper = [np.asarray(np.linalg.qr(np.column_stack([r.jac, r.r]), mode="r")) for r in self.responses]
-        return self.stacked([u[:, :-1] for u in upper]), np.concatenate([u[:, -1] for u in upper])
+        pieces = self._few_rows_of_pieces
+        return self.stacked([rows[:, :-1] for rows in pieces]), np.concatenate([rows[:, -1] for rows in pieces])
 
     @property
     def penalised_rows_and_residual(self) -> tuple[Array, Array]:
@@ -181,18 +186,19 @@ class Solution:
         """
         rows, residual = self.few_rows_and_residual
         data = residual + rows @ self._departure()
-        basis = self._basis_of(self._rows_at_level_one(rows))
+        basis = self._basis_of(self._few_rows_at_level_one())
         return basis.spread(basis.u.T @ data, float(data @ data))
 
-    def _rows_at_level_one(self, rows: Array) -> Array:
-        """Few rows (M, P) of all pieces, with the sensitivities to what carries the load divided by the level."""
+    def _few_rows_at_level_one(self) -> Array:
+        """The Jacobian in few rows (M, P), its sensitivities to what carries the load over the level of the run."""
         layout = self.problem.layout
-        if not layout.levels:
-            return rows
-        level = np.concatenate(
-            [np.full(min(len(r.r), r.jac.shape[1] + 1), layout.values(self.p, r.piece.run)[1]) for r in self.responses]
+        levels = [layout.values(self.p, r.piece.run)[1] for r in self.responses]
+        return self.stacked(
+            [
+                rows[:, :-1] / np.where(layout.loaded[r.active], level, 1.0)
+                for rows, r, level in zip(self._few_rows_of_pieces, self.responses, levels, strict=True)
+            ]
         )
-        return np.where(layout.loaded, rows / level[:, None], rows)
 
     def scatter_penalty(self, tau: float) -> float:
         """Compute what integrating out levels of scatter tau adds to minus twice the log-likelihood."""
@@ -204,7 +210,7 @@ class Solution:
     def with_scatter(self, tau: float) -> Solution:
         """Return the same unknowns and responses with another scatter of the levels."""
         scattered = self._of(self.problem, self.p, self.starts, tau, self.responses)
-        vars(scattered)["few_rows_and_residual"] = self.few_rows_and_residual  # of the same responses
+        vars(scattered)["_few_rows_of_pieces"] = self._few_rows_of_pieces  # of the same responses
         return scattered
 
     @property

@@ -65,7 +65,7 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     Of correlated frames only some are kept; of a long series every block is one frame. The noise is always that of all
     frames: a model that was refined on few of them is first refined on all.
     """
-    if _is_of_points(solution):
+    if solution.problem.is_of_points:
         return solution, friction_noise(solution)
     solution = _over_all_frames(solution)
     noise = friction_noise(solution)
@@ -77,11 +77,6 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
-
-
-def _is_of_points(solution: Solution) -> bool:
-    """Whether the runs are tables of speeds and forces, whose rows have no order in time."""
-    return solution.problem.pieces[0].path.steady
 
 
 def _at_rate(layout: ParameterLayout, factor: float) -> ParameterLayout:
@@ -102,7 +97,7 @@ def _over_all_frames(solution: Solution) -> Solution:
 def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs: the white part, or the part that does not repeat between strokes if larger."""
     white = _rms(np.concatenate([r.piece.sigma for r in solution.responses]))
-    if _is_of_points(solution):
+    if solution.problem.is_of_points:
         return FrictionNoise(white, 1.0, white)
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
@@ -200,7 +195,7 @@ def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
     """State what a diagnosis of measured friction is based on: its noise, and what a drifting sensor would explain."""
     noise = weight_by_noise(solution)[1]
-    if _is_of_points(solution):
+    if solution.problem.is_of_points:
         return _remarks_on_points(solution, noise.rms)
     out = ["friction itself was measured: all tests work on that series, and no fault of a picture is a candidate"]
     if all(_goes_one_way(r) for r in solution.responses):
@@ -260,7 +255,7 @@ def _ranks(values: Array) -> Array:
 def block_covariance(solution: Solution) -> Array:
     """Compute the covariance (P, P) of the unknowns from the scatter of blocks; that of white noise if it is white."""
     white_noise, _ = covariance_of(solution)
-    if _is_of_points(solution):
+    if solution.problem.is_of_points:
         degrees = max(solution.problem.n_frames - len(solution.p), 1)
         return white_noise * max(solution.chi2 / degrees, 1.0)
     if all(correlated_frames(r.r) == 0 for r in solution.responses):
@@ -285,7 +280,7 @@ class FrictionObservation(Observation):
 
     def misfit(self, fitted: FittedRuns) -> Misfit | None:
         """Return the force that the model misses; that of points (v, F) is in their scatter about the law."""
-        return None if _is_of_points(fitted.solution) else super().misfit(fitted)
+        return None if fitted.solution.problem.is_of_points else super().misfit(fitted)
 
     def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
         """Return the noise of a sample, N, and the reduced chi-squared against it."""

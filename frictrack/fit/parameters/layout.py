@@ -157,6 +157,12 @@ class ParameterLayout:
         """Positions of the friction levels."""
         return [i for i, s in enumerate(self.slots) if s.effect == LEVEL]
 
+    def sizes(self, effect: Effect, run: int | None = None) -> list[int]:
+        """Positions of the sizes of an effect: of all runs, or the shared ones and those of one run."""
+        of = {(effect.name, p.name) for p in effect.parameters if p.is_size}
+        own = [(i, s.run) for i, s in enumerate(self.slots) if (s.effect, s.parameter) in of]
+        return [i for i, its in own if run is None or its in (None, run)]
+
     @property
     def loaded(self) -> Mask:
         """Which unknowns are coefficients that carry the load, and so the friction level of the run, (P,)."""
