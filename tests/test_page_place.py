@@ -130,7 +130,7 @@ def test_the_picture_of_the_film_is_adjusted_without_a_change_of_the_study(sampl
     page = tab().open(sample).to("Film")
     before = sample.study_text
     picture = "document.querySelector('.fp-picture').toDataURL()"
-    page.until(lambda: page.page.evaluate("document.querySelector('.fp-label').textContent !== ''"))
+    page.until(lambda: page.page.evaluate("!!document.querySelector('.fp-label')?.textContent"))
     seen = {page.page.evaluate(picture)}
     for act in (
         lambda: page.page.get_by_label("Contrast").fill("2"),
