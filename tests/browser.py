@@ -11,12 +11,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Error, sync_playwright
 
 CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
 ARGS = [
@@ -107,10 +107,11 @@ class Tab:
             self.page.keyboard.up(key)
 
     def until(self, true: Callable[[], bool]) -> None:
-        """Wait until something holds."""
+        """Wait until something holds; an element that is drawn anew just now does not hold yet."""
         for _ in range(int(LIMIT_S / 0.2)):
-            if true():
-                return
+            with suppress(Error):
+                if true():
+                    return
             self.page.wait_for_timeout(200)
         assert true()
 
