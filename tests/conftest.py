@@ -40,7 +40,9 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--tenth", metavar="COMMIT", help="only the tenth of the tests that this hash of a commit chooses")
+    parser.addoption(
+        "--twentieth", metavar="COMMIT", help="only the twentieth of the tests that this hash of a commit chooses"
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -51,9 +53,9 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the further cases of `few` tests as slow, and keep only a tenth of all tests if asked.
+    """Mark the further cases of `few` tests as slow, and keep only a twentieth of all tests if asked.
 
-    Every test is in one of the ten, but for those that take minutes alone.
+    Every test is in one of the twenty, but for those that take minutes alone.
     """
     families: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -65,13 +67,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for i, case in enumerate(cases):
             if i not in kept:
                 case.add_marker("slow")
-    commit = config.getoption("--tenth")
+    commit = config.getoption("--twentieth")
     if commit:
-        turn = int(commit, 16) % 10
+        turn = int(commit, 16) % 20
         others = {
             item
             for item in items
-            if zlib.crc32(item.nodeid.encode()) % 10 != turn or item.get_closest_marker("release")
+            if zlib.crc32(item.nodeid.encode()) % 20 != turn or item.get_closest_marker("release")
         }
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]
