@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.cli.examples import EXAMPLES, WHOLE_PROGRAM, format_examples
 from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
 
 if TYPE_CHECKING:
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
     no_args_is_help=True,
-    epilog=format_examples(WHOLE_PROGRAM),
+    epilog="""\b
+Examples:
+  frictrack demo                              the whole analysis on a sample
+  frictrack init films                        a study file for your own films""",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -44,20 +47,12 @@ Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 
 def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes a function a command, with its examples at the end of the help.
-
-    Parameters
-    ----------
-    name
-        Name of the command; that of the function if None.
-    group
-        The commands to which it belongs.
-
-    """
+    """Return a decorator that makes a function a command; the examples of its docstring end the help."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        examples = format_examples(EXAMPLES[name or function.__name__])
-        return group.command(name, epilog=examples)(function)
+        said, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples\n--------\n")
+        epilog = "\n  ".join(("\b\nExamples:", *examples.splitlines()))  # after \b, the line ends stay
+        return group.command(name, help=said, epilog=epilog)(function)
 
     return register
 

@@ -65,6 +65,12 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     Reads a study file and its recordings. With recordings instead of a study file, it first writes study.toml in the
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
+
+    Examples
+    --------
+    frictrack run study.toml
+    frictrack run a.avi b.avi --mass 0.35kg --scale 0.5mm/px --fps 4000
+
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
     with open_with_progress(path, workers) as (session, progress):
@@ -125,6 +131,12 @@ def init(
 
     Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
     into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
+
+    Examples
+    --------
+    frictrack init films
+    frictrack init films --mass 350g --scale 0.5mm/px --fps 4000
+
     """
     from frictrack.flow import check_entered, propose_study  # noqa: PLC0415
 
@@ -154,6 +166,12 @@ def track(
 
     Reads the films. Writes the tracks into the run's .h5 file, and a contact sheet per film that shows whether the
     tracking went well.
+
+    Examples
+    --------
+    frictrack track study.toml
+    frictrack track study.toml --overlay --workers 4
+
     """
     with open_session(study, workers) as session:
         result = session.measure("track", overlay=overlay)
@@ -166,6 +184,12 @@ def motion(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute displacement, velocity and acceleration of every run.
 
     Reads the films or tables. Writes the motion into the run's .h5 file.
+
+    Examples
+    --------
+    frictrack motion study.toml
+    frictrack motion study.toml --json > motion.json
+
     """
     _measure("motion", study, as_json)
 
@@ -175,6 +199,12 @@ def friction(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute the friction force and the free section of every run.
 
     Reads the films or tables, and the drive. Writes the force into the run's .h5 file.
+
+    Examples
+    --------
+    frictrack friction study.toml
+    frictrack friction study.toml --json > friction.json
+
     """
     _measure("friction", study, as_json)
 
@@ -211,6 +241,12 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
 
     Reads the measured runs; missing stages are computed first. Writes the model into study.h5. Ctrl-C ends a global
     search: the best values so far are kept.
+
+    Examples
+    --------
+    frictrack fit study.toml --model tustin,texture
+    frictrack fit study.toml --search mga --set generations=500
+
     """
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
@@ -244,6 +280,12 @@ def compare(
     """Compare the errors of all models tried, or one parameter between groups of runs.
 
     Shows where the current model fails. Reads the models in study.h5. Writes the comparison into study.h5.
+
+    Examples
+    --------
+    frictrack compare study.toml
+    frictrack compare study.toml --parameter viscous.F_v
+
     """
     with open_session(study) as session:
         result = session.compare() if parameter is None else session.compare_groups(parameter)
@@ -264,6 +306,12 @@ def diagnose(
 
     Prints the verdict as soon as it is known, then where the model fails and what to film next. Reads the runs and the
     current model. Writes the diagnosis into study.h5; the verdict is kept if the command is interrupted afterwards.
+
+    Examples
+    --------
+    frictrack diagnose study.toml
+    frictrack diagnose study.toml --quick
+
     """
     with open_with_progress(study) as (session, progress):
         result, shown = _streamed(
@@ -303,6 +351,12 @@ def add(study: Study, effect: EffectOrFormula = None, seed: Seed = 0, as_json: J
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5. A
     formula of the last diagnosis is written into the study file first.
+
+    Examples
+    --------
+    frictrack add study.toml texture
+    frictrack add study.toml formula:1
+
     """
     _edit(lambda session, name: session.add(name, seed), study, effect, as_json)
 
@@ -312,6 +366,12 @@ def remove(study: Study, effect: Effect = None, seed: Seed = 0, as_json: Json = 
     """Remove one effect from the current model and fit again.
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
+
+    Examples
+    --------
+    frictrack remove study.toml texture
+    frictrack remove study.toml viscous
+
     """
     _edit(lambda session, name: session.remove(name, seed), study, effect, as_json)
 
@@ -321,6 +381,12 @@ def history(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """List every model tried, in order, with its errors.
 
     Reads study.h5; outdated models are fitted again and stored.
+
+    Examples
+    --------
+    frictrack history study.toml
+    frictrack history study.toml --json > history.json
+
     """
     with open_session(study) as session:
         result = session.history()
@@ -333,6 +399,12 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
     plan.html.
+
+    Examples
+    --------
+    frictrack plan study.toml
+    frictrack plan study.toml --json > plan.json
+
     """
     from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import open_study  # noqa: PLC0415
@@ -352,6 +424,12 @@ def report(
     """Write one page with all results.
 
     Reads all results; missing ones are computed first. Writes report.html.
+
+    Examples
+    --------
+    frictrack report study.toml
+    frictrack report study.toml --pdf
+
     """
     with open_session(study) as session:
         path = session.report()
@@ -394,6 +472,12 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     a prior file with the values and covariance of the parameters that carry over to another set-up, or an RO-Crate with
     study file, recordings, results and report, which `frictrack reproduce` computes again. Shows what the format cannot
     hold.
+
+    Examples
+    --------
+    frictrack export study.toml --to netcdf
+    frictrack export study.toml --to crate --license CC-BY-4.0
+
     """
     if to == CRATE:
         options = {"include_recordings": recordings, "authors": author or (), "licence": licence}

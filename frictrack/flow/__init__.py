@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
     from frictrack.flow.diagnosis_records import SignificanceBudget
     from frictrack.flow.film_stages import contact_sheet_path
-    from frictrack.flow.fit_request import FitRequest, user_effects
     from frictrack.flow.new_study import (
         Surveyed,
         check_entered,
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from frictrack.flow.opening import open_study, table_needs_mass
     from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.flow.replay import recorded_models, repeat_models, replay_script
     from frictrack.flow.session import Session
     from frictrack.flow.stages import run_pipeline
     from frictrack.flow.stored_results import (
@@ -54,7 +52,17 @@ if TYPE_CHECKING:
         read_results,
     )
     from frictrack.flow.study_edits import effect_of_formula
+    from frictrack.flow.tried_models import FitRequest, user_effects
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
-    from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, run_study
+    from frictrack.flow.workflows import (
+        change_and_diagnose,
+        conclude,
+        demo,
+        plan,
+        recorded_models,
+        repeat_models,
+        replay_script,
+        run_study,
+    )
 
 __getattr__, __all__ = lazy_names(__name__)

@@ -21,13 +21,11 @@ from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
-from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
-from frictrack.flow.measured_runs import MeasuredRuns
-from frictrack.flow.opening import open_study
+from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.store import Provenance
 from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
-from frictrack.flow.tried_models import TriedModels
+from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
 from frictrack.results.verdicts import describe_no_run, describe_tests
 from frictrack.search import METHODS, read_settings

@@ -96,7 +96,7 @@ class Measurements(TypedDict):
     Attributes
     ----------
     runs
-        One row per run; see `frictrack.flow.run_summaries`.
+        One row per run; see `frictrack.flow.stored_results`.
     warnings
         Implausible numbers of the study.
     output

@@ -6,30 +6,28 @@ that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 """
 
 from frictrack.records.frame_table import (
+    INTERPOLATED,
+    MEASURED,
     Array,
+    Curve,
+    CutoffTradeOff,
+    Displacement,
+    Filtered,
     FrameTable,
+    Friction,
     Mask,
+    ModelledMotion,
+    Motion,
     NotebookView,
+    Point,
+    RunEvents,
+    Track,
     away_from_ends,
     column,
     scalar,
     stretches,
 )
 from frictrack.records.run import GRAVITY, ROLLING, EarlierRuns, Run, rolling_inertia
-from frictrack.records.series import (
-    INTERPOLATED,
-    MEASURED,
-    Curve,
-    CutoffTradeOff,
-    Displacement,
-    Filtered,
-    Friction,
-    ModelledMotion,
-    Motion,
-    Point,
-    RunEvents,
-    Track,
-)
 
 __all__ = [
     "GRAVITY",

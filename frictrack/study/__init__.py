@@ -20,7 +20,6 @@ from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, guess_points, has_units, may_hold, stated_unit
-    from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         TableData,
@@ -42,8 +41,8 @@ if TYPE_CHECKING:
         suggest,
         to_si,
     )
-    from frictrack.study.table_cells import TableFile
     from frictrack.study.table_files import open_table, table_headers
+    from frictrack.study.table_layout import TableFile
     from frictrack.study.writing import (
         NewRun,
         find_recordings,
@@ -51,6 +50,10 @@ if TYPE_CHECKING:
         is_table,
         list_files,
         refuse_existing,
+        with_effect,
+        with_key,
+        with_runs,
+        without_run,
         write_study,
     )
 

@@ -26,8 +26,8 @@ from frictrack.study.column_names import (
     stated_unit,
 )
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
-from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
+from frictrack.study.table_layout import TableFile, TrackColumns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -31,8 +31,19 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.study.column_names import runs_of_columns
 from frictrack.study.schema import COLUMNS
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile, TrackColumns, read_limited, read_xml
-from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row, text_encoding
+from frictrack.study.table_layout import (
+    MAX_UNPACKED_BYTES,
+    TableFile,
+    TrackColumns,
+    bare_unit,
+    find_layout,
+    header_row,
+    is_number,
+    is_units_row,
+    read_limited,
+    read_xml,
+    text_encoding,
+)
 from frictrack.study.track_formats import find_track_format
 
 if TYPE_CHECKING:

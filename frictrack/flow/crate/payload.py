@@ -7,22 +7,28 @@ is described by its name, size and hash only, unless it is asked for; tables are
 
 from __future__ import annotations
 
+import csv
+import io
 import os
+import platform
 import re
 import shutil
 import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import RemoteFile, local_path, locate
+from frictrack.base.version import __version__
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
+from frictrack.results import Results
 from frictrack.study import Study, read_toml
 
 MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
@@ -269,3 +275,214 @@ def _texts(value: Any) -> Iterator[str]:
 def _absolute(path: Path) -> Path:
     """Return the absolute path without ``..``; links are kept."""
     return Path(os.path.abspath(path))  # Path.absolute keeps "..", Path.resolve follows links
+
+
+QUDT = "http://qudt.org/vocab/unit/"
+
+
+@dataclass(frozen=True)
+class UnitCode:
+    """The codes of a unit.
+
+    Attributes
+    ----------
+    ucum
+        Code in UCUM; "" where a unit has none, because its powers are themselves fitted.
+    qudt
+        Name in the QUDT vocabulary; "" where QUDT has no such unit.
+
+    """
+
+    ucum: str
+    qudt: str = ""
+
+    @property
+    def address(self) -> str:
+        """Address of the unit in QUDT; its UCUM code after ``ucum:`` where QUDT does not have it."""
+        if self.qudt:
+            return QUDT + self.qudt
+        return f"ucum:{self.ucum}" if self.ucum else ""
+
+
+UNIT_CODES = {
+    "1": UnitCode("1", "UNITLESS"),
+    "%": UnitCode("%", "PERCENT"),
+    "1/m": UnitCode("m-1", "PER-M"),
+    "1/m^2": UnitCode("m-2", "PER-M2"),
+    "1/s": UnitCode("s-1", "PER-SEC"),
+    "Hz": UnitCode("Hz", "HZ"),
+    "N": UnitCode("N", "N"),
+    "N (s/m)^n": UnitCode(""),  # n is a parameter
+    "N s": UnitCode("N.s", "N-SEC"),
+    "N s/m": UnitCode("N.s/m", "N-SEC-PER-M"),
+    "N s^2/m^2": UnitCode("N.s2/m2", "KiloGM-PER-M"),  # the same unit: N s²/m² = kg/m
+    "N/m": UnitCode("N/m", "N-PER-M"),
+    "N/s": UnitCode("N/s"),
+    "g": UnitCode("g", "GM"),
+    "kg": UnitCode("kg", "KiloGM"),
+    "m": UnitCode("m", "M"),
+    "m/s": UnitCode("m/s", "M-PER-SEC"),
+    "m/s^2": UnitCode("m/s2", "M-PER-SEC2"),
+    "ms": UnitCode("ms", "MilliSEC"),
+    "px": UnitCode("{pixel}"),  # an annotation: UCUM counts pixels as 1
+    "rad": UnitCode("rad", "RAD"),
+    "s": UnitCode("s", "SEC"),
+    "s/m": UnitCode("s/m"),
+    "um": UnitCode("um", "MicroM"),
+}  # by the unit as frictrack writes it
+
+
+def unit_code(unit: str) -> UnitCode:
+    """Return the codes of a unit; empty codes for one that a user's own effect brings in.
+
+    Examples
+    --------
+    >>> unit_code("N s/m").ucum, unit_code("N s/m").address
+    ('N.s/m', 'http://qudt.org/vocab/unit/N-SEC-PER-M')
+
+    """
+    return UNIT_CODES.get(unit, UnitCode(""))
+
+
+PACKAGES = {"numpy": "numpy", "scipy": "scipy", "h5py": "h5py", "opencv": "opencv-python-headless"}
+CPU_INFO = Path("/proc/cpuinfo")
+FRICTRACK = "frictrack"
+MACHINE = ("operating system", "processor")  # what is no software package
+
+
+def platform_versions() -> dict[str, str]:
+    """Return the versions by name: frictrack, python, the packages, BLAS, operating system, processor.
+
+    The same versions give the same results bit for bit: BLAS chooses its kernels by the processor.
+
+    Examples
+    --------
+    >>> sorted(platform_versions())[:3]
+    ['blas', 'frictrack', 'h5py']
+
+    """
+    found = {FRICTRACK: __version__, "python": f"{platform.python_implementation()} {platform.python_version()}"}
+    found |= {name: _package_version(package) for name, package in PACKAGES.items()}
+    return found | {"blas": _blas(), "operating system": _operating_system(), "processor": _processor()}
+
+
+def _package_version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # another distribution of the same module
+        return "unknown"
+
+
+def _blas() -> str:
+    """Return the linear algebra that NumPy and SciPy were built with, and its kernels for this processor."""
+    import numpy.linalg  # noqa: F401, PLC0415 - loads the library that is asked for
+    import scipy.linalg  # noqa: F401, PLC0415
+    from threadpoolctl import threadpool_info  # noqa: PLC0415 - as they
+
+    libraries = [
+        one for one in threadpool_info() if one["user_api"] == "blas" and not _is_of_opencv(str(one["filepath"]))
+    ]
+    names = [f"{one['internal_api']} {one['version']} {one.get('architecture', '')}".strip() for one in libraries]
+    return ", ".join(sorted(set(names))) or "unknown"
+
+
+def _is_of_opencv(path: str) -> bool:
+    """Return whether a library is that of OpenCV, which is loaded only where a film is read."""
+    return "opencv" in path
+
+
+def _operating_system() -> str:
+    library = " ".join(part for part in platform.libc_ver() if part)
+    release = platform.mac_ver()[0] or (platform.release() if platform.system() == "Windows" else library)
+    return f"{platform.system()} {release} {platform.machine()}"
+
+
+def _processor() -> str:
+    try:
+        lines = CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, "") or platform.processor() or platform.machine() or "unknown"
+
+
+COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
+TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
+PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
+PARAMETER_COLUMNS = (
+    *("model", "current", "parameter", "value", "standard_uncertainty", "standard_uncertainty_misfit"),
+    *("interval_low", "interval_high", "unit", "ucum", "qudt", "reason"),
+)
+BUDGET_COLUMNS = (
+    *("run", "quantity", "estimate_N", "source", "input_standard_uncertainty", "input_unit", "input_ucum"),
+    *("contribution_mean_N", "share_of_variance_mean", "contribution_frame_N", "share_of_variance_frame"),
+    *("common_to", "known_from"),
+)
+
+
+def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield one row per parameter of every model."""
+    for model in results.models:
+        for name, found in model.summary["parameters"].items():
+            code = unit_code(found["unit"])
+            low, high = found.get("interval") or (None, None)
+            yield {
+                "model": model.name,
+                "current": model.current,
+                "parameter": name,
+                "value": found["value"],
+                "standard_uncertainty": found["std"],
+                "standard_uncertainty_misfit": found.get("std_misfit"),
+                "interval_low": low,
+                "interval_high": high,
+                "unit": found["unit"],
+                "ucum": code.ucum,
+                "qudt": code.address,
+                "reason": found["reason"],
+            }
+
+
+def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
+    for run in results.runs:
+        for row in run.budget.get("rows", ()):
+            common = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
+            if row["source"] == TOTAL:
+                yield common | {"source": "combined standard uncertainty"} | _contributions(row, 1)
+                expanded = f"expanded uncertainty, k = {COVERAGE_FACTOR}"
+                yield common | {"source": expanded} | _contributions(row, COVERAGE_FACTOR)
+                continue
+            yield (
+                common
+                | {
+                    "source": row["source"],
+                    "input_standard_uncertainty": row["size"],
+                    "input_unit": row["unit"],
+                    "input_ucum": unit_code(row["unit"]).ucum,
+                    "share_of_variance_mean": row["share_mean"],
+                    "share_of_variance_frame": row["share_frame"],
+                    "common_to": row["common"],
+                    "known_from": row["told"],
+                }
+                | _contributions(row, 1)
+            )
+
+
+def _contributions(row: Mapping[str, Any], factor: int) -> dict[str, Any]:
+    """Return the effect on the mean friction force and on the force of one frame, N."""
+    parts = {"contribution_mean_N": row["mean_N"], "contribution_frame_N": row["frame_N"]}
+    return {name: None if size is None else factor * size for name, size in parts.items()}
+
+
+def table_files(results: Results) -> dict[str, bytes]:
+    """Return the tables by file name, as CSV in UTF-8."""
+    tables = {PARAMETERS: (PARAMETER_COLUMNS, parameter_rows(results)), BUDGET: (BUDGET_COLUMNS, budget_rows(results))}
+    return {name: _csv(columns, rows) for name, (columns, rows) in tables.items()}
+
+
+def _csv(columns: tuple[str, ...], rows: Iterator[dict[str, Any]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode()

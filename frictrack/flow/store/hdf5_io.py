@@ -24,7 +24,7 @@ from frictrack.base.files import atomic_write, lock_folder
 from frictrack.base.version import __version__
 from frictrack.flow.store import encoding
 from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
-from frictrack.flow.store.encoding import GroupContent, Provenance
+from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, migrate, without_marks
 from frictrack.flow.store.file_header import (
     SCHEMA,
     file_state,
@@ -32,12 +32,10 @@ from frictrack.flow.store.file_header import (
     is_intact,
     is_signed_by_user,
     lacks_header,
+    opens_in_sandbox,
     read_header,
     sign,
 )
-from frictrack.flow.store.migrations import FORMAT, migrate
-from frictrack.flow.store.nexus import mark_default, without_marks
-from frictrack.flow.store.sandbox import opens_in_sandbox
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"

@@ -18,19 +18,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from frictrack.study.table_cells import TableFile
-from frictrack.study.track_formats.deeplabcut import is_deeplabcut_text, read_deeplabcut_text
-from frictrack.study.track_formats.dice_solution import is_dice_file, is_dice_folder, read_dice
-from frictrack.study.track_formats.hdf5_tracks import is_hdf5, read_hdf5_tracks
+from frictrack.study.table_layout import TableFile
+from frictrack.study.track_formats.image_correlation import (
+    is_dice_file,
+    is_dice_folder,
+    read_dice,
+    read_pyidi_displacements,
+    refuse_pickle,
+)
 from frictrack.study.track_formats.instruments import (
     is_labview_text,
     read_labview_text,
     read_matlab,
     read_tdms,
 )
-from frictrack.study.track_formats.kinovea_project import is_kinovea_project, read_kinovea_project
-from frictrack.study.track_formats.pyidi_displacements import read_pyidi_displacements, refuse_pickle
-from frictrack.study.track_formats.tracker_project import read_tracker_project
+from frictrack.study.track_formats.pose_tracks import (
+    is_deeplabcut_text,
+    is_hdf5,
+    read_deeplabcut_text,
+    read_hdf5_tracks,
+)
+from frictrack.study.track_formats.video_projects import is_kinovea_project, read_kinovea_project, read_tracker_project
 
 FOLDER = "/"  # in place of the end of a name
 

@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 
 from frictrack.base.workers import limit_memory
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000

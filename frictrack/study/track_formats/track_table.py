@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.study.table_cells import TableFile, TrackColumns
+from frictrack.study.table_layout import TableFile, TrackColumns
 
 SECONDS, FRAMES = "t (s)", "frame (frames)"  # headers of the two clocks
 MAX_CELLS = 1 << 25  # of one table
