@@ -125,13 +125,13 @@ def test_a_fit_that_was_overtaken_is_not_kept(study_file: Path) -> None:
     session = at_work(study_file)
     session.fit()
     late = at_work(study_file, expected_revision=1)
-    fitted = late.models._fit
+    fitted = late.models._fitted
 
-    def overtaken(spec: object) -> object:
+    def overtaken(spec: object, **how: object) -> object:
         at_work(study_file).apply("edit", table="run", which="fast", key="note", value="first")
-        return fitted(spec)
+        return fitted(spec, **how)
 
-    late.models._fit = overtaken  # type: ignore[method-assign]
+    late.models._fitted = overtaken  # type: ignore[method-assign]
     with pytest.raises(FrictrackError, match="changed meanwhile"):
         late.apply("add", effect="drag")
     assert session.models.groups == ["1_coulomb+viscous"]

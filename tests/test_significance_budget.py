@@ -125,4 +125,4 @@ class TestStudy:
         for text in ("{", '[{"key": 1}]', "[1]", '[{"key": 1, "data": "", "model": [], "sequence": 1, "alpha": 1}]'):
             budget.path.write_text(text)
             with pytest.raises(FrictrackError, match=r"tests\.json is damaged; delete it"):
-                _ = budget.tests
+                _ = budget.rows

@@ -41,9 +41,9 @@ def polygon(raw: Any) -> Polygon:
     ((9.5, 19.5), (13.5, 19.5), (13.5, 21.5), (9.5, 21.5))
 
     """
-    if _are_numbers(raw, 4):
+    if are_coordinates(raw, 4):
         return _rectangle(*(float(v) for v in raw))
-    if not isinstance(raw, list | tuple | np.ndarray) or not all(_are_numbers(corner, 2) for corner in raw):
+    if not isinstance(raw, list | tuple | np.ndarray) or not all(are_coordinates(corner, 2) for corner in raw):
         raise FrictrackError(f"expected a polygon [[x, y], [x, y], [x, y], ...] in px but got {_shown(raw)}")
     if not MIN_CORNERS <= len(raw) <= MAX_CORNERS:
         raise FrictrackError(f"expected a polygon of {MIN_CORNERS} to {MAX_CORNERS} corners but got {len(raw)}")
@@ -77,7 +77,7 @@ def polygons(raw: Any) -> tuple[Polygon, ...]:
         As `polygon`, and for a single rectangle.
 
     """
-    if not isinstance(raw, list | tuple) or _are_numbers(raw, 4):
+    if not isinstance(raw, list | tuple) or are_coordinates(raw, 4):
         raise FrictrackError(f"expected a list of polygons [[[x, y], [x, y], [x, y]], ...] in px but got {_shown(raw)}")
     return tuple(polygon(one) for one in raw)
 
@@ -149,15 +149,11 @@ def _rectangle(x: float, y: float, w: float, h: float) -> Polygon:
     return tuple((x - 0.5 + i * w, y - 0.5 + j * h) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
 
 
-def _are_numbers(raw: Any, count: int) -> bool:
-    """Whether these are `count` numbers within any picture."""
+def are_coordinates(raw: Any, count: int) -> bool:
+    """Return whether these are `count` numbers that can be pixel coordinates."""
+    numbers = (int, float, np.integer, np.floating)
     listed = isinstance(raw, list | tuple | np.ndarray) and len(raw) == count
-    return listed and all(_is_place(v) for v in raw)
-
-
-def _is_place(value: Any) -> bool:
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return bool(number and abs(value) < MAX_PX)
+    return listed and all(isinstance(v, numbers) and not isinstance(v, bool) and abs(v) < MAX_PX for v in raw)
 
 
 def _shown(raw: Any) -> str:

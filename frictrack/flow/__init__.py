@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from frictrack.flow.session import Session
     from frictrack.flow.stages import run_pipeline
     from frictrack.flow.stored_results import (
-        AttemptsReader,
         ResultsReader,
         preview_motion,
         read_results,

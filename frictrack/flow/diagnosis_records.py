@@ -24,67 +24,48 @@ import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
 
 Row = TypeVar("Row")
-TESTS_FILE = "tests.json"
-PREDICTIONS_FILE = "predictions.json"
 ALPHA_FIRST = 0.01  # of the first sequence of tests
 MIN_ALPHA = 0.001  # of a later one; a smaller level would take many more draws
 
 
 class KeptRows(Generic[Row]):
-    """Rows in ``.frictrack/NAME`` of the folder of the results.
+    """Rows in ``.frictrack/<file_name>`` of the folder of the results."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the results.
-    name
-        Name of the file.
-    read_row
-        Make a row of an entry; a damaged one raises ValueError, TypeError, KeyError or AttributeError.
-    write_row
-        Make an entry of the file of a row.
-    afterwards
-        What follows when a damaged file is deleted, as the end of a sentence.
+    file_name: ClassVar[str]
+    after_loss: ClassVar[str]  # what follows from deleting a damaged file
 
-    """
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.path = folder / INTERNAL_FOLDER / self.file_name
 
-    def __init__(
-        self,
-        folder: Path,
-        name: str,
-        read_row: Callable[[Any], Row],
-        write_row: Callable[[Row], dict[str, Any]],
-        afterwards: str,
-    ) -> None:
-        self._folder, self._name = folder, name
-        self._read_row, self._write_row, self._afterwards = read_row, write_row, afterwards
+    @staticmethod
+    def read_row(entry: Any) -> Row:
+        """Read one entry of the file."""
+        raise NotImplementedError
 
     @property
-    def path(self) -> Path:
-        """The file."""
-        return self._folder / INTERNAL_FOLDER / self._name
-
-    def read(self) -> list[Row]:
-        """Return all rows, oldest first."""
+    def rows(self) -> list[Row]:
+        """All rows, oldest first; raises `FrictrackError` if the file is damaged."""
         try:
-            return [self._read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
+            return [self.read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
         except FileNotFoundError:
             return []
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
-            raise FrictrackError(f"{self.path} is damaged; delete it, and {self._afterwards}") from e
+            raise FrictrackError(f"{self.path} is damaged; delete it, and {self.after_loss}") from e
 
-    def change(self, change: Callable[[list[Row]], list[Row]]) -> None:
+    def _change(self, change: Callable[[list[Row]], list[Row]]) -> None:
         """Replace the rows by what `change` makes of them, while no other process changes them."""
         make_internal_folder(self._folder)
         with lock_folder(self._folder):
-            rows = [self._write_row(row) for row in change(self.read())]
-            replace_text(self.path, json.dumps(rows, indent=0))
+            rows: list[Any] = change(self.rows)
+            entries = [row if isinstance(row, dict) else asdict(row) for row in rows]
+            replace_text(self.path, json.dumps(entries, indent=0))
 
 
 @dataclass(frozen=True)
@@ -164,107 +145,49 @@ def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*diagnosis["missing"], *diagnosis.get("leads", []), *names, *defined]))
 
 
-class SignificanceBudget:
-    """The tests that were made of the models of one study, in a file of the results.
+class SignificanceBudget(KeptRows[CompletenessTest]):
+    """The tests that were made of the models of one study, of which the verdict is known, in a file of the results."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the results.
+    file_name, after_loss = "tests.json", "the tests are counted from now on"
 
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._kept = KeptRows(folder, TESTS_FILE, _read_test, asdict, "the tests are counted from now on")
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._kept.path
-
-    @property
-    def tests(self) -> list[CompletenessTest]:
-        """All tests of which the verdict is known, oldest first.
-
-        Raises `FrictrackError` if the file is damaged.
-        """
-        return self._kept.read()
-
-    def plan(self, key: str, data: str, model: Sequence[str]) -> CompletenessTest:
-        """Return the next test; see `plan_test`."""
-        return plan_test(self.tests, key, data, model)
+    @staticmethod
+    def read_row(entry: Any) -> CompletenessTest:
+        """Read one entry of the file."""
+        model, named = entry["model"], entry["named"]
+        texts = (entry["key"], entry["data"], entry["verdict"], *model, *(named or ()))
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError("expected names as text")
+        if not (isinstance(entry["sequence"], int) and isinstance(entry["alpha"], int | float)):
+            raise ValueError("expected numbers")
+        return CompletenessTest(**{**entry, "model": tuple(model), "named": None if named is None else tuple(named)})
 
     def record(self, test: CompletenessTest, diagnosis: Mapping[str, Any]) -> None:
-        """Write a test with its verdict; the same test again replaces the earlier entry.
-
-        Parameters
-        ----------
-        test
-            The test, from `plan`.
-        diagnosis
-            JSON of the diagnosis.
-
-        """
+        """Write a test, from `plan_test`, with its verdict; the same test again replaces the earlier entry."""
         done = replace(test, named=named_effects(diagnosis), verdict=str(diagnosis["verdict"]))
 
         def with_test(tests: list[CompletenessTest]) -> list[CompletenessTest]:
             known = test.key in [one.key for one in tests]
             return [done if one.key == test.key else one for one in tests] if known else [*tests, done]
 
-        self._kept.change(with_test)
+        self._change(with_test)
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack history`: "tests", and "alpha_spent"."""
-        tests = self.tests
-        rows = [
-            {
-                "model": list(test.model),
-                "alpha": test.alpha,
-                "sequence": test.sequence,
-                "verdict": test.verdict,
-                "named": list(test.named or ()),
-            }
-            for test in tests
-        ]
-        return {"tests": rows, "alpha_spent": alpha_spent(tests)}
+        tests, keys = self.rows, ("model", "alpha", "sequence", "verdict", "named")
+        rows = [{key: getattr(test, key) for key in keys} for test in tests]
+        lists = [row | {"model": list(row["model"]), "named": list(row["named"] or ())} for row in rows]
+        return {"tests": lists, "alpha_spent": alpha_spent(tests)}
 
 
-def _read_test(row: Mapping[str, Any]) -> CompletenessTest:
-    """Read one entry of the file."""
-    names = [row["model"], row["named"]]
-    texts = (row["key"], row["data"], row["verdict"], *names[0], *(names[1] or ()))
-    if not all(isinstance(text, str) for text in texts):
-        raise ValueError("expected names as text")
-    if not (isinstance(row["sequence"], int) and isinstance(row["alpha"], int | float)):
-        raise ValueError("expected numbers")
-    return CompletenessTest(**{**row, "model": tuple(names[0]), "named": None if names[1] is None else tuple(names[1])})
+class Predictions(KeptRows[dict[str, Any]]):
+    """The runs that were named, in a file of the results; its rows are JSON `predictions` of `frictrack history`."""
 
+    file_name, after_loss = "predictions.json", "predictions are kept from now on"
 
-class Predictions:
-    """The runs that were named, in a file of the results.
-
-    Parameters
-    ----------
-    folder
-        Folder of the results.
-
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._kept = KeptRows(folder, PREDICTIONS_FILE, _read_row, dict, "predictions are kept from now on")
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._kept.path
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """All entries, oldest first: JSON `predictions` of `frictrack history`.
-
-        Raises `FrictrackError` if the file is damaged.
-        """
-        return self._kept.read()
+    @staticmethod
+    def read_row(entry: Any) -> dict[str, Any]:
+        """Read one entry of the file."""
+        return {**entry, "runs": list(entry["runs"]), "model": list(entry["model"])}
 
     def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
         """Keep the prediction of a named run; another one for the same model and runs replaces it."""
@@ -274,18 +197,13 @@ class Predictions:
             others = [row for row in rows if (row["model"], row["runs"]) != (entry["model"], entry["runs"])]
             return [*others, entry]
 
-        self._kept.change(with_entry)
+        self._change(with_entry)
 
     def resolve(self, diagnosis: Mapping[str, Any], runs: Sequence[str]) -> None:
         """Fill in the realised evidence of the run that was added since, from a new diagnosis."""
         found = [resolve_prediction(row, diagnosis, runs) for row in self.rows]
         if any(row is not None for row in found):
-            self._kept.change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
-
-
-def _read_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Read one entry of the file."""
-    return {**row, "runs": list(row["runs"]), "model": list(row["model"])}
+            self._change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
 
 
 def resolve_prediction(
@@ -296,10 +214,9 @@ def resolve_prediction(
     Of the explanations that were predicted for, the one that is best now counts as true. The prediction is the least
     over its rivals, and what was realised is the difference of BIC from that rival.
     """
-    added = set(runs) - set(row["runs"])
-    if row["realised"] is not None or row["model"] != list(diagnosis["model"]) or len(added) != 1:
-        return None
-    if set(row["runs"]) - set(runs):
+    added, removed = set(runs) - set(row["runs"]), set(row["runs"]) - set(runs)
+    same_model = row["model"] == list(diagnosis["model"])
+    if row["realised"] is not None or not same_model or len(added) != 1 or removed:
         return None
     gains = {c["effect"]: c["delta_bic"] for c in diagnosis["candidates"] if c["delta_bic"] is not None}
     known = [p for p in row["predictions"] if p["true"] in gains and p["rival"] in gains]

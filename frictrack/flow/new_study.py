@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
+from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
@@ -298,10 +298,9 @@ def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
 def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
     mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
     bare = {key for key, value in (("mass", mass), ("scale", scale)) if lacks_unit(value)}
-    pitch = float("nan") if scale is None else parse_scale(scale)[0]
     return EnteredValues(
         mass=None if mass in (None, "fit") else _kilograms(mass)[0],
-        pitch=pitch if isfinite(pitch) else None,
+        pitch=known_pitch(scale),
         fps=fps,
         bare=frozenset(bare),
     )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.flow.summaries import ImpactEnergy, SensorSummary
 from frictrack.measure.friction import release_time
 from frictrack.measure.motion import KnownAcceleration, differentiate, low_pass
 from frictrack.measure.sensors import (
@@ -67,7 +66,7 @@ def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
-def sensor_summary(pipeline: RunPipeline) -> SensorSummary:
+def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`."""
     sensors: Sensors = pipeline.get("sensors")
     notes = [*sensors.notes, *_moved_mass_notes(pipeline.run, sensors)]
@@ -276,7 +275,7 @@ def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
     ]
 
 
-def _impact_energy(pipeline: RunPipeline) -> ImpactEnergy | None:
+def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
     """Compare the kinetic energy at release with `impact_energy`, if that is stated and the mass is known."""
     run = pipeline.run
     if run.impact_energy is None or not isinstance(run.mass, tuple):

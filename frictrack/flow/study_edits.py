@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -84,17 +85,8 @@ def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
     return {"model": model}
 
 
-def undo(opened: OpenStudy) -> dict[str, Any]:
-    """Undo the last change; the models tried stay in the history."""
-    return _undo_or_redo(opened, "undo")
-
-
-def redo(opened: OpenStudy) -> dict[str, Any]:
-    """Redo the change that was undone last."""
-    return _undo_or_redo(opened, "redo")
-
-
 def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
+    """Undo the last change, or redo the change that was undone last; the models tried stay in the history."""
     with opened.history.record(command) as record:
         done, undone = opened.history.undo_stacks()
         stack = done if command == "undo" else undone
@@ -108,6 +100,17 @@ def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
             opened.models.select(new["current"])
         record.arguments = {"of": change.revision}
     return {"change": change.command, **change.arguments}
+
+
+EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
+    "edit": set_key,
+    "take_in": add_recordings,
+    "leave_out": remove_run,
+    "define": define_effect,
+    "use": select_model,
+    "undo": partial(_undo_or_redo, command="undo"),
+    "redo": partial(_undo_or_redo, command="redo"),
+}
 
 
 def _swap(text: str, old: str, new: str) -> str:

@@ -17,12 +17,11 @@ import numpy as np
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import store
-from frictrack.flow.command_history import Change, CommandHistory
+from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.diagnosis_records import ALPHA_FIRST
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
-from frictrack.flow.summaries import DemoSummary, ModelChange
 from frictrack.flow.tried_models import FitRequest
 from frictrack.measure.calibration import parse_scale
 from frictrack.results import to_builtins
@@ -204,7 +203,7 @@ def _setup_of_fit(session: Session) -> ExperimentSetup:
     return fitted_setup(fitted, session.study.costs)
 
 
-def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoSummary:
+def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
     """Run the sample study in a folder; the films are copied there if it has no study.
 
     The best candidate is added until the diagnosis finds nothing more.
@@ -230,7 +229,7 @@ def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoS
     session = Session(open_study(path), progress)
     session.restart()
     first = found = session.diagnose(seed)
-    added: list[ModelChange] = []
+    added: list[dict[str, Any]] = []
     while found["missing"] and len(added) < MAX_EFFECTS_ADDED:
         added.append(session.add(found["missing"][0], seed))
         found = session.diagnose(seed)
@@ -268,67 +267,30 @@ def replay_script(study: Study) -> str:
     history = CommandHistory(study.output)
     done, _ = history.undo_stacks()
     first = [change for change in history.changes if change.command == "fit" and not change.before][-1:]
-    lines = [_command_line(change) for change in (*first, *done) if change.command not in STUDY_FILE_COMMANDS]
-    return HEAD.format(name=study.name, file=study.path.name) + "".join(f"{line}\n" for line in lines) + TAIL
-
-
-def _command_line(change: Change) -> str:
-    arguments = "".join(f", {key}={value!r}" for key, value in change.arguments.items() if value is not None)
-    return f"session.apply({change.command!r}{arguments})"
-
-
-@dataclass(frozen=True)
-class RecordedDiagnosis:
-    """How a stored diagnosis was made: seed, significance level, and whether it ended with the verdict."""
-
-    seed: int
-    alpha: float
-    quick: bool
+    lines = ""
+    for change in (one for one in (*first, *done) if one.command not in STUDY_FILE_COMMANDS):
+        given = "".join(f", {key}={value!r}" for key, value in change.arguments.items() if value is not None)
+        lines += f"session.apply({change.command!r}{given})\n"
+    return HEAD.format(name=study.name, file=study.path.name) + lines + TAIL
 
 
 @dataclass(frozen=True)
 class RecordedModel:
     """How a stored model was made.
 
-    Attributes
-    ----------
-    group
-        Name of its group in ``study.h5``.
-    request
-        The model and how it was fitted.
-    current
-        Whether it is the current model.
-    diagnosis
-        How it was diagnosed; None if it was not.
-    profiles
-        Whether profiles were computed.
-    draws
-        Number of bootstrap draws; 0 for none.
-
+    `uncertainty` and `diagnosis` are the arguments of `Session.fit` and `Session.diagnose`; empty where neither
+    profiles nor draws were computed, or the model was not diagnosed.
     """
 
     group: str
     request: FitRequest
-    current: bool = False
-    diagnosis: RecordedDiagnosis | None = None
-    profiles: bool = False
-    draws: int = 0
+    current: bool
+    uncertainty: dict[str, Any]
+    diagnosis: dict[str, Any]
 
 
 def recorded_models(path: Path) -> list[RecordedModel]:
-    """Read how the models of a study were made, in the order in which they were tried.
-
-    Parameters
-    ----------
-    path
-        The file ``study.h5``.
-
-    Raises
-    ------
-    FrictrackError
-        If the file is missing or damaged.
-
-    """
+    """Read from a file ``study.h5`` how the models of a study were made, in the order in which they were tried."""
     with store.snapshot(path):  # whatever is wrong in it becomes one sentence
         groups = sorted(store.names(path, "models"), key=lambda name: int(name.split("_")[0]))
         return [_recorded_model(path, group) for group in groups]
@@ -336,50 +298,31 @@ def recorded_models(path: Path) -> list[RecordedModel]:
 
 def _recorded_model(path: Path, group: str) -> RecordedModel:
     inside = f"models/{group}"
-    held = store.attributes(path, inside)
-    parts = store.names(path, inside)
-    more = json.loads(store.read(path, f"{inside}/certainty")["summary"]) if "certainty" in parts else {}
-    draws = more.get("bootstrap", {"draws": 0, "failed": 0})
-    return RecordedModel(
-        group,
-        FitRequest.from_json(held["settings"]),
-        current=bool(held["current"]),
-        diagnosis=_recorded_diagnosis(path, f"{inside}/diagnosis") if "diagnosis" in parts else None,
-        profiles="profiles" in more,
-        draws=draws["draws"] + draws["failed"],
-    )
-
-
-def _recorded_diagnosis(path: Path, inside: str) -> RecordedDiagnosis:
-    summary = json.loads(store.read(path, inside, without=("figures",))["summary"])
-    seed = json.loads(store.attributes(path, inside)["settings"])["seed"]
-    return RecordedDiagnosis(seed, summary.get("alpha", ALPHA_FIRST), not summary.get("complete", True))
+    held, parts = store.attributes(path, inside), store.names(path, inside)
+    uncertainty: dict[str, Any] = {}
+    diagnosis: dict[str, Any] = {}
+    if "certainty" in parts:
+        more = json.loads(store.read(path, f"{inside}/certainty")["summary"])
+        draws = more.get("bootstrap", {"draws": 0, "failed": 0})
+        uncertainty = {"profiles": "profiles" in more, "draws": draws["draws"] + draws["failed"]}
+    if "diagnosis" in parts:
+        summary = json.loads(store.read(path, f"{inside}/diagnosis", without=("figures",))["summary"])
+        seed = json.loads(store.attributes(path, f"{inside}/diagnosis")["settings"])["seed"]
+        is_quick = not summary.get("complete", True)
+        diagnosis = {"seed": seed, "alpha": summary.get("alpha", ALPHA_FIRST), "quick": is_quick}
+    return RecordedModel(group, FitRequest.from_json(held["settings"]), bool(held["current"]), uncertainty, diagnosis)
 
 
 def repeat_models(session: Session, models: Sequence[RecordedModel]) -> None:
-    """Fit and diagnose the models of another copy of the study, in order; then update all other results.
-
-    Parameters
-    ----------
-    session
-        The study, without results.
-    models
-        The models, from `recorded_models`.
-
-    Raises
-    ------
-    FrictrackError
-        If a run cannot be measured, or a model cannot be fitted.
-
-    """
+    """Fit and diagnose the models of another copy of a study, in order, in one without results; then all the rest."""
     session.bring_up_to("friction")
     for model in models:
         session.models.append(model.request)
-        if model.profiles or model.draws:
-            session.fit(profiles=model.profiles, draws=model.draws)
-        if (made := model.diagnosis) is not None:
-            session.diagnose(made.seed, quick=made.quick, alpha=made.alpha)
+        if any(model.uncertainty.values()):
+            session.fit(**model.uncertainty)
+        if model.diagnosis:
+            session.diagnose(**model.diagnosis)
     current = next((model for model in models if model.current), None)
     if current is not None and current is not models[-1]:
         session.apply("use", model=current.group)
-    session.results(current.diagnosis.seed if current is not None and current.diagnosis is not None else None)
+    session.results(None if current is None else current.diagnosis.get("seed"))

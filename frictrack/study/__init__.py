@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         is_picture_folder,
         is_table,
         list_files,
+        name_of_table,
         refuse_existing,
         with_effect,
         with_key,

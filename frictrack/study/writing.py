@@ -384,7 +384,7 @@ def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
     """
     document = _parse(text)
     runs = document.setdefault("run", tomlkit.aot())
-    for run in run_tables(recordings, folder, [_name_of(run, "run") for run in runs]):
+    for run in run_tables(recordings, folder, [name_of_table(run, "run") for run in runs]):
         runs.append(with_blank_line(tomlkit.item(run)))
     return tomlkit.dumps(document)
 
@@ -436,16 +436,16 @@ def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -
         return document.setdefault(table, tomlkit.table())
     tables = document.setdefault(table, tomlkit.aot())
     for one in tables:
-        if _name_of(one, table) == which:
+        if name_of_table(one, table) == which:
             return one
     if table == "run":
-        known = ", ".join(f'"{_name_of(one, table)}"' for one in tables) or "none"
+        known = ", ".join(f'"{name_of_table(one, table)}"' for one in tables) or "none"
         raise FrictrackError(f'expected a run of the study file but got "{which}"; it has {known}', usage=True)
     tables.append(with_blank_line(tomlkit.item({ARRAY_TABLES[table]: which})))
     return tables[-1]
 
 
-def _name_of(table: Mapping[str, Any], kind: str) -> str:
+def name_of_table(table: Mapping[str, Any], kind: str) -> str:
     """Return the name of a table; a run without a name has that of its recording."""
     name = table.get(ARRAY_TABLES[kind])
     return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem

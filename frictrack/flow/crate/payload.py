@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import RemoteFile, local_path, locate
@@ -162,11 +162,6 @@ class Payload:
     moved: dict[str, str]
     results: str
 
-    @property
-    def by_hash(self) -> list[Part]:
-        """The files that the crate does not contain."""
-        return [part for part in self.parts if not part.is_included]
-
 
 def list_payload(session: Session, *, include_recordings: bool) -> Payload:
     """List all files of a crate, and hash them."""
@@ -251,7 +246,7 @@ class _Places:
     def moved(self) -> dict[str, str]:
         """Return the places by the texts of the study file that name what was moved."""
         raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
-        texts = dict.fromkeys(text for text in _texts(raw) if text)
+        texts = dict.fromkeys(text for *_, text in texts_in(raw) if text)
         found = {text: self._place(text) for text in texts}
         return {text: place for text, place in found.items() if place not in (None, text)}
 
@@ -263,13 +258,14 @@ class _Places:
         return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts in tables and lists."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from _texts(part)
+def texts_in(tables: Any) -> Iterator[tuple[Any, Any, str]]:
+    """Yield container, key and value of every text in tables and lists."""
+    items = tables.items() if isinstance(tables, dict) else enumerate(tables) if isinstance(tables, list) else ()
+    for key, part in list(items):
+        if isinstance(part, str):
+            yield tables, key, str(part)
+        else:
+            yield from texts_in(part)
 
 
 def _absolute(path: Path) -> Path:
@@ -280,18 +276,8 @@ def _absolute(path: Path) -> Path:
 QUDT = "http://qudt.org/vocab/unit/"
 
 
-@dataclass(frozen=True)
-class UnitCode:
-    """The codes of a unit.
-
-    Attributes
-    ----------
-    ucum
-        Code in UCUM; "" where a unit has none, because its powers are themselves fitted.
-    qudt
-        Name in the QUDT vocabulary; "" where QUDT has no such unit.
-
-    """
+class UnitCode(NamedTuple):
+    """The codes of a unit: UCUM, and the name in QUDT."""
 
     ucum: str
     qudt: str = ""
@@ -333,14 +319,7 @@ UNIT_CODES = {
 
 
 def unit_code(unit: str) -> UnitCode:
-    """Return the codes of a unit; empty codes for one that a user's own effect brings in.
-
-    Examples
-    --------
-    >>> unit_code("N s/m").ucum, unit_code("N s/m").address
-    ('N.s/m', 'http://qudt.org/vocab/unit/N-SEC-PER-M')
-
-    """
+    """Return the codes of a unit; empty codes for one that a user's own effect brings in."""
     return UNIT_CODES.get(unit, UnitCode(""))
 
 
@@ -379,16 +358,10 @@ def _blas() -> str:
     import scipy.linalg  # noqa: F401, PLC0415
     from threadpoolctl import threadpool_info  # noqa: PLC0415 - as they
 
-    libraries = [
-        one for one in threadpool_info() if one["user_api"] == "blas" and not _is_of_opencv(str(one["filepath"]))
-    ]
-    names = [f"{one['internal_api']} {one['version']} {one.get('architecture', '')}".strip() for one in libraries]
+    # OpenCV, which is loaded only where a film is read, has a library of its own
+    found = [one for one in threadpool_info() if one["user_api"] == "blas" and "opencv" not in str(one["filepath"])]
+    names = [f"{one['internal_api']} {one['version']} {one.get('architecture', '')}".strip() for one in found]
     return ", ".join(sorted(set(names))) or "unknown"
-
-
-def _is_of_opencv(path: str) -> bool:
-    """Return whether a library is that of OpenCV, which is loaded only where a film is read."""
-    return "opencv" in path
 
 
 def _operating_system() -> str:
@@ -409,10 +382,6 @@ def _processor() -> str:
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
 TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
 PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
-PARAMETER_COLUMNS = (
-    *("model", "current", "parameter", "value", "standard_uncertainty", "standard_uncertainty_misfit"),
-    *("interval_low", "interval_high", "unit", "ucum", "qudt", "reason"),
-)
 BUDGET_COLUMNS = (
     *("run", "quantity", "estimate_N", "source", "input_standard_uncertainty", "input_unit", "input_ucum"),
     *("contribution_mean_N", "share_of_variance_mean", "contribution_frame_N", "share_of_variance_frame"),
@@ -476,13 +445,16 @@ def _contributions(row: Mapping[str, Any], factor: int) -> dict[str, Any]:
 
 def table_files(results: Results) -> dict[str, bytes]:
     """Return the tables by file name, as CSV in UTF-8."""
-    tables = {PARAMETERS: (PARAMETER_COLUMNS, parameter_rows(results)), BUDGET: (BUDGET_COLUMNS, budget_rows(results))}
-    return {name: _csv(columns, rows) for name, (columns, rows) in tables.items()}
-
-
-def _csv(columns: tuple[str, ...], rows: Iterator[dict[str, Any]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()
+    parameters = list(parameter_rows(results))
+    tables = {
+        PARAMETERS: (tuple(parameters[0]) if parameters else (), parameters),
+        BUDGET: (BUDGET_COLUMNS, budget_rows(results)),
+    }
+    found = {}
+    for name, (columns, rows) in tables.items():
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        found[name] = text.getvalue().encode()
+    return found

@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -32,7 +32,7 @@ from frictrack.flow import (
     repeat_models,
     stored_values,
 )
-from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, unpack
+from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
 from frictrack.flow.crate.writing import METADATA, MOVED
 
 MAX_METADATA_BYTES = 200_000_000  # of ro-crate-metadata.json
@@ -255,48 +255,27 @@ def _with_places(text: bytes, moved: Mapping[str, str]) -> bytes:
         document = tomlkit.parse(text.decode())
     except (TOMLKitError, UnicodeDecodeError) as e:
         raise FrictrackError(f"the study file of the crate is not valid TOML: {e}") from e
-    for container, key, value in list(_strings(document)):
+    for container, key, value in list(texts_in(document)):
         if value in moved:
             container[key] = moved[value]
     return tomlkit.dumps(document).encode()
 
 
-def _strings(value: Any) -> Iterator[tuple[Any, Any, str]]:
-    """Yield container, key and value of every text in tables and lists."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, part in list(items):
-        if isinstance(part, str):
-            yield value, key, str(part)
-        else:
-            yield from _strings(part)
-
-
 RELATIVE_TOLERANCE = 1e-9  # of numbers that were computed on another platform
 
 
-@dataclass(frozen=True)
-class Approximate:
-    """Numbers of which fewer digits are the same on another platform, by their names, and why."""
-
-    pattern: re.Pattern[str]
-    tolerance: float
-    reason: str
-
-
-APPROXIMATE = (
-    Approximate(
+APPROXIMATE = (  # names of numbers of which fewer digits are the same on another platform, how many, and why
+    (
         re.compile(r"diagnosis\.(summary\..*limits?\b.*|summary\..*limit_over_friction|figures\..*\.(limit|rise))"),
         1e-2,
         "detection limits come from matrices that are nearly singular; two digits of them are used",
     ),
-    Approximate(
+    (
         re.compile(r"(.*\.)?(sigma|std)(_\w+)?"),
         1e-5,
         "a standard deviation is the root of a difference of nearly equal numbers; two digits are used (GUM 7.2.6)",
     ),
-    Approximate(
-        re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"
-    ),
+    (re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"),
 )  # the first whose pattern is the whole name
 CONCLUSIONS = re.compile(
     r"summary\.(model|equation|parameters|errors)\b.*|diagnosis\.summary\.(model|verdict|missing)\b.*|equation"
@@ -399,7 +378,7 @@ def tolerance_of(name: str) -> float:
     (1e-09, 1e-05)
 
     """
-    found = (one.tolerance for one in APPROXIMATE if one.pattern.fullmatch(name))
+    found = (tolerance for pattern, tolerance, _ in APPROXIMATE if pattern.fullmatch(name))
     return next(found, RELATIVE_TOLERANCE)
 
 
@@ -564,9 +543,10 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
-        "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
+        "excluded": [{"names": list(names), "reason": reason} for names, reason in EXCLUDED.items()],
         "approximate": [
-            {"names": one.pattern.pattern, "tolerance": one.tolerance, "reason": one.reason} for one in APPROXIMATE
+            {"names": pattern.pattern, "tolerance": tolerance, "reason": reason}
+            for pattern, tolerance, reason in APPROXIMATE
         ],
     }
 

@@ -11,11 +11,10 @@ import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from frictrack.base.errors import FrictrackError
@@ -45,26 +44,11 @@ Entity = dict[str, Any]
 """One object of the metadata, with "@id" and "@type"."""
 
 
-@dataclass(frozen=True)
-class Authorship:
-    """Authors and licence of a crate, as entities.
-
-    Attributes
-    ----------
-    authors
-        Persons; empty if none was named.
-    licence
-        The licence; None if none was named.
-
-    """
+class Authorship(NamedTuple):
+    """Authors and licence of a crate, as entities; empty or None where none was named."""
 
     authors: tuple[Entity, ...] = ()
     licence: Entity | None = None
-    not_given: tuple[str, ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        lacks = {"license": self.licence is None, "author": not self.authors}
-        object.__setattr__(self, "not_given", tuple(name for name, lacking in lacks.items() if lacking))
 
 
 def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> Authorship:
@@ -149,60 +133,32 @@ ADDRESSES = {  # of software that is not on PyPI under its name; the version fol
 }
 
 
-@dataclass(frozen=True)
-class Described:
-    """What the metadata describe.
-
-    Attributes
-    ----------
-    results
-        Results of the study.
-    payload
-        The files.
-    authorship
-        Authors and licence.
-    versions
-        Versions of software and machine; see `platform_versions`.
-    started, ended
-        When the analysis began and ended, ISO 8601; None if not known.
-
-    """
-
-    results: Results
-    payload: Payload
-    authorship: Authorship
-    versions: Mapping[str, str]
-    started: str | None
-    ended: str
-
-
-def describe_crate(described: Described) -> dict[str, Any]:
+def describe_crate(session: Session, results: Results, payload: Payload, authorship: Authorship) -> dict[str, Any]:
     """Return the content of ``ro-crate-metadata.json``."""
-    files = [_file(part) for part in described.payload.parts]
-    parameters = list(_parameters(described.results))
-    moved = list(_moved(described.payload.moved))
-    software = list(_software(described.versions))
-    action = _action(described, moved, software[0])
-    root = _root(described, files, [one for one in parameters if "propertyID" in one], action)
-    descriptor = {
-        "@id": METADATA,
-        "@type": "CreativeWork",
-        "conformsTo": {"@id": SPECIFICATION},
-        "about": {"@id": "./"},
+    files = [_file(part) for part in payload.parts]
+    parameters = list(_parameters(results))
+    moved = [
+        {"@id": f"#path-{number}", "@type": "PropertyValue", "propertyID": MOVED, "name": text, "value": place}
+        for number, (text, place) in enumerate(payload.moved.items(), 1)
+    ]
+    software = list(_software(platform_versions()))
+    action = {
+        "@id": "#analysis",
+        "@type": "CreateAction",
+        "name": f"Analysis of {results.name} with frictrack",
+        "description": f"frictrack run {payload.parts[0].place}; the models tried are in the history of the results.",
+        "instrument": _reference(software[0]),
+        "object": _references([*(_file(part) for part in payload.parts if part.role != "result"), *moved]),
+        "result": _references([_file(part) for part in payload.parts if part.role == "result"]),
+        "startTime": next((change.time for change in session.commands.changes), None),
+        "endTime": datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
+        "agent": _references(authorship.authors),
+        "actionStatus": "http://schema.org/CompletedActionStatus",
     }
-    profile = {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
-    people = [*described.authorship.authors, *([described.authorship.licence] if described.authorship.licence else [])]
-    entities = [descriptor, root, profile, *people, *files, action, *moved, *software, *parameters]
-    return {"@context": list(CONTEXT), "@graph": [_without_none(one) for one in _once(entities)]}
-
-
-def _root(described: Described, files: Sequence[Entity], parameters: Sequence[Entity], action: Entity) -> Entity:
-    results, authorship = described.results, described.authorship
-    model = results.current
-    law = "" if model is None else f" The current model is {model.equation}."
+    law = "" if results.current is None else f" The current model is {results.current.equation}."
     verdict = "" if results.diagnosis is None else f" The verdict of the diagnosis is {results.diagnosis['verdict']}."
     runs = f"{len(results.runs)} run{'s' if len(results.runs) != 1 else ''}"
-    return {
+    root = {
         "@id": "./",
         "@type": "Dataset",
         "name": results.name,
@@ -211,11 +167,18 @@ def _root(described: Described, files: Sequence[Entity], parameters: Sequence[En
         "conformsTo": {"@id": PROFILE},
         "license": _reference(authorship.licence),
         "author": _references(authorship.authors),
-        "mainEntity": {"@id": files[0]["@id"]},
+        "mainEntity": _reference(files[0]),
         "hasPart": _references(files),
         "mentions": _reference(action),
-        "variableMeasured": _references(parameters),
+        "variableMeasured": _references([one for one in parameters if "propertyID" in one]),
     }
+    head = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": {"@id": SPECIFICATION}, "about": {"@id": "./"}}
+    profile = {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
+    people = [*authorship.authors, *([authorship.licence] if authorship.licence else [])]
+    entities: list[Entity] = [head, root, profile, *people, *files, action, *moved, *software, *parameters]
+    once = {one["@id"]: one for one in entities}  # an author who is named twice is one person
+    known = [{key: value for key, value in one.items() if value is not None} for one in once.values()]
+    return {"@context": list(CONTEXT), "@graph": known}
 
 
 def file_address(part: Part) -> str:
@@ -239,11 +202,6 @@ def _file(part: Part) -> Entity:
     }
 
 
-def _moved(moved: Mapping[str, str]) -> Iterator[Entity]:
-    for number, (text, place) in enumerate(moved.items(), 1):
-        yield {"@id": f"#path-{number}", "@type": "PropertyValue", "propertyID": MOVED, "name": text, "value": place}
-
-
 def _software(versions: Mapping[str, str]) -> Iterator[Entity]:
     """Yield frictrack, then what it requires."""
     names = [name for name in versions if name not in MACHINE]
@@ -264,26 +222,6 @@ def _software(versions: Mapping[str, str]) -> Iterator[Entity]:
 def _software_address(name: str, version: str) -> str:
     address = ADDRESSES.get(name, f"{PYPI}/{name}/")
     return f"{address}{quote(version, safe='')}" if version else address.rstrip("#")
-
-
-def _action(described: Described, moved: Sequence[Entity], software: Entity) -> Entity:
-    parts = described.payload.parts
-    inputs = [{"@id": file_address(part)} for part in parts if part.role != "result"]
-    outputs = [{"@id": file_address(part)} for part in parts if part.role == "result"]
-    name = described.results.name
-    return {
-        "@id": "#analysis",
-        "@type": "CreateAction",
-        "name": f"Analysis of {name} with frictrack",
-        "description": f"frictrack run {parts[0].place}; the models tried are in the history of the results.",
-        "instrument": _reference(software),
-        "object": _unpacked([*inputs, *({"@id": one["@id"]} for one in moved)]),
-        "result": _unpacked(outputs),
-        "startTime": described.started,
-        "endTime": described.ended,
-        "agent": _references(described.authorship.authors),
-        "actionStatus": "http://schema.org/CompletedActionStatus",
-    }
 
 
 def _parameters(results: Results) -> Iterator[Entity]:
@@ -318,21 +256,9 @@ def _reference(entity: Entity | None) -> Entity | None:
 
 
 def _references(entities: Iterable[Entity]) -> Any:
-    return _unpacked([{"@id": one["@id"]} for one in entities])
-
-
-def _unpacked(values: Sequence[Entity]) -> Any:
-    """Return a list; of one value, the value itself, and None of none, as the specification recommends."""
+    """Return a list of references; of one entity its own, and None of none, as the specification recommends."""
+    values = [{"@id": one["@id"]} for one in entities]
     return values if len(values) > 1 else next(iter(values), None)
-
-
-def _once(entities: Iterable[Entity]) -> list[Entity]:
-    """Return every entity once: an author who is named twice is one person."""
-    return list({one["@id"]: one for one in entities}.values())
-
-
-def _without_none(entity: Entity) -> Entity:
-    return {key: value for key, value in entity.items() if value is not None}
 
 
 SUFFIX = ".crate.zip"
@@ -391,28 +317,26 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
     results = session.results()
     payload = list_payload(session, include_recordings=options.include_recordings)
     with tempfile.TemporaryDirectory() as scratch:
-        payload = _with_tables(payload, table_files(results), Path(scratch))
-        metadata = describe_crate(
-            Described(results, payload, authorship, platform_versions(), _started(session), _ended(session))
-        )
+        made = Path(scratch)
+        for name, content in table_files(results).items():
+            (made / name).write_bytes(content)
+            table = Part.read(made / name, f"{payload.results}/{TABLES}/{name}", "result")
+            payload = replace(payload, parts=(*payload.parts, table))
+        metadata = describe_crate(session, results, payload, authorship)
+        text = json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False)
+        (made / METADATA).write_text(text, encoding="utf-8")
+        included = [part for part in payload.parts if part.is_included]
         session.progress(0, 0, f"writing {target.name}")
-        with _opened(target) as crate:
-            for part in payload.parts:
-                if part.is_included:
-                    crate.add(part)
-            crate.add_text(METADATA, json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False))
-    return _summary(target, payload, authorship)
-
-
-def _summary(target: Path, payload: Payload, authorship: Authorship) -> dict[str, Any]:
-    included = [part for part in payload.parts if part.is_included]
+        _write(target, [*included, Part.read(made / METADATA, METADATA, "metadata")])
     return {
         "crate": str(target),
         "files": len(included) + 1,
         "bytes": target.stat().st_size if target.is_file() else sum(part.size for part in included),
         "included": [part.place for part in included],
-        "by_hash": [{"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.by_hash],
-        "not_given": list(authorship.not_given),
+        "by_hash": [
+            {"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.parts if not one.is_included
+        ],
+        "not_given": ["license"] * (authorship.licence is None) + ["author"] * (not authorship.authors),
         "output": str(target.parent),
     }
 
@@ -431,75 +355,24 @@ def _check_target(target: Path) -> None:
         )
 
 
-def _with_tables(payload: Payload, tables: dict[str, bytes], scratch: Path) -> Payload:
-    """Add tables that are made for the crate; they are written into a temporary folder."""
-    parts = []
-    for name, content in tables.items():
-        (scratch / name).write_bytes(content)
-        parts.append(Part.read(scratch / name, f"{payload.results}/{TABLES}/{name}", "result"))
-    return replace(payload, parts=(*payload.parts, *parts))
-
-
-def _started(session: Session) -> str | None:
-    """Return when the study was changed first."""
-    return next((change.time for change in session.commands.changes), None)
-
-
-def _ended(session: Session) -> str:
-    """Return when the models were written last."""
-    return datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds")
-
-
-class _Target(Protocol):
-    """Where the files of a crate are written."""
-
-    def add(self, part: Part) -> None:
-        """Copy a file to its place."""
-
-    def add_text(self, place: str, text: str) -> None:
-        """Write a text."""
-
-
-class _Zip:
-    def __init__(self, file: zipfile.ZipFile) -> None:
-        self._file = file
-
-    def add(self, part: Part) -> None:
-        info = zipfile.ZipInfo.from_file(part.source, part.place, strict_timestamps=False)
-        info.compress_type = zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED
-        with part.source.open("rb") as source, self._file.open(info, "w", force_zip64=True) as copy:
-            shutil.copyfileobj(source, copy, COPY_BYTES)
-
-    def add_text(self, place: str, text: str) -> None:
-        self._file.writestr(place, text, zipfile.ZIP_DEFLATED)
-
-
-class _Folder:
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def add(self, part: Part) -> None:
-        path = self._folder / part.place
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(part.source, path)
-
-    def add_text(self, place: str, text: str) -> None:
-        (self._folder / place).write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def _opened(target: Path) -> Iterator[_Target]:
-    """Open a crate for writing; it gets its name when it is complete."""
+def _write(target: Path, parts: Sequence[Part]) -> None:
+    """Write the files of a crate, which gets its name when it is complete."""
     if target.suffix == ".zip":
-        with atomic_write(target) as part, zipfile.ZipFile(part, "w") as file:
-            yield _Zip(file)
+        with atomic_write(target) as unfinished, zipfile.ZipFile(unfinished, "w") as file:
+            for part in parts:
+                info = zipfile.ZipInfo.from_file(part.source, part.place, strict_timestamps=False)
+                info.compress_type = zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED
+                with part.source.open("rb") as source, file.open(info, "w", force_zip64=True) as copy:
+                    shutil.copyfileobj(source, copy, COPY_BYTES)
         return
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{target.name}_", dir=target.parent) as scratch:
             folder = Path(scratch) / target.name
-            folder.mkdir()
-            yield _Folder(folder)
+            for part in parts:
+                path = folder / part.place
+                path.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(part.source, path)
             os.replace(folder, target)
     except OSError as e:
         raise FrictrackError(f"cannot write {target}: {e.strerror or e}") from e

@@ -16,6 +16,6 @@ What is in a file, and how others read it, is in SCHEMA.md.
 
 from frictrack.flow.store.encoding import ATTRIBUTES as NEXUS_ATTRIBUTES
 from frictrack.flow.store.encoding import GroupContent, Provenance
-from frictrack.flow.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, read_header
+from frictrack.flow.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, file_state, read_header
 from frictrack.flow.store.hdf5_io import attributes, checksum, names, provenance, provenances, read, snapshot, write
 from frictrack.flow.store.integrity import Fault, check
