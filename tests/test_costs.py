@@ -24,7 +24,7 @@ from frictrack.diagnose.experiments.proposals import RatedExperiment, _rank
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.fit import fit
-from frictrack.flow.diagnosis_records import Predictions, resolve_prediction
+from frictrack.flow.command_history import Predictions, resolve_prediction
 from frictrack.results.verdicts import describe_predictions
 from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 

@@ -10,7 +10,7 @@ import pytest
 from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
 from frictrack.flow import Session, SignificanceBudget, open_study
-from frictrack.flow.diagnosis_records import (
+from frictrack.flow.command_history import (
     ALPHA_FIRST,
     CompletenessTest,
     alpha_spent,

@@ -33,7 +33,6 @@ _HOST = re.sub(r"\W", "", platform.node()) or "here"
 _TEMPORARY = re.compile(r"\..+_([^\W_]\w*)-(\d+)_[^.]+\.part(?:\.\w+)?")  # of `atomic_write`
 DAY_S = 86400.0
 INTERNAL_FOLDER = ".frictrack"  # in a folder of results: what only frictrack reads
-_FORMER_LOCKS = (".lock", ".work")  # of earlier versions, among the results
 LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fraction of a second
 
 
@@ -135,12 +134,7 @@ def make_internal_folder(folder: Path) -> Path:
         If it cannot be created, or there is a link of its name.
 
     """
-    inside = make_subfolder(folder, INTERNAL_FOLDER)
-    for name in _FORMER_LOCKS:
-        with suppress(OSError):
-            if (folder / name).is_file() and not (folder / name).is_symlink():
-                (folder / name).unlink()
-    return inside
+    return make_subfolder(folder, INTERNAL_FOLDER)
 
 
 def _is_held(path: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
+from frictrack.cli.progress_bars import progress_bars
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
@@ -76,14 +76,7 @@ def options(
 
 @contextmanager
 def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
-    """Open a study for work; progress is shown on stderr."""
-    with open_with_progress(study, workers) as (session, _):
-        yield session
-
-
-@contextmanager
-def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session, ProgressDisplay]]:
-    """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
+    """Open a study for work; its progress is a `ProgressDisplay` on stderr."""
     with progress_bars() as progress, _film_workers(workers) as pool:
         progress(0, 0, f"reading {study}")
         from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
@@ -91,7 +84,7 @@ def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session,
         opened = open_study(study)
         count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
         progress(0, 0, f"study {opened.name}, {count}")
-        yield Session(opened, progress, author="cli", pool=pool), progress
+        yield Session(opened, progress, author="cli", pool=pool)
 
 
 @contextmanager
@@ -106,26 +99,21 @@ def _film_workers(workers: int) -> Iterator[WorkerPool | None]:
         yield pool
 
 
-def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callable[[Mapping[str, Any]], None] | None:
-    """Return a function that prints the verdict while the rest is being computed; None for JSON, which is one document.
+class VerdictPrinter:
+    """Print a verdict while the rest is being computed; not for JSON, which is one document."""
 
-    Parameters
-    ----------
-    progress
-        Display of the progress.
-    as_json
-        Whether the command prints JSON.
-    show
-        Name of the function in `frictrack.cli.output` that prints it.
+    def __init__(self, session: Session, as_json: bool, show: str) -> None:
+        self._progress: Any = session.progress
+        self._as_json, self._show = as_json, show
+        self.has_printed = False
 
-    """
-
-    def show_verdict(result: Mapping[str, Any]) -> None:
-        progress.clear()
-        print_result(result, False, show)
-        sys.stdout.flush()
-
-    return None if as_json else show_verdict
+    def __call__(self, result: Mapping[str, Any]) -> None:
+        """Print what is known so far."""
+        if not self._as_json:
+            self._progress.clear()
+            print_result(result, False, self._show)
+            sys.stdout.flush()
+            self.has_printed = True
 
 
 def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "", look: str = "") -> None:

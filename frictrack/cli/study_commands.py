@@ -20,13 +20,13 @@ from frictrack.cli.common import (
     Search,
     Seed,
     Study,
+    VerdictPrinter,
     command,
     open_session,
-    open_with_progress,
     print_result,
-    print_verdict,
 )
 from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
+from frictrack.cli.progress_bars import progress_bars
 from frictrack.present.export import FORMATS, export_results
 
 PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     FormatName = str
 else:
     FormatName = Literal[*FORMATS, PRIOR, CRATE]
-
-Announce = Callable[[Mapping[str, Any]], None]
 
 
 @command()
@@ -73,13 +71,11 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
-    with open_with_progress(path, workers) as (session, progress):
-        result, shown = _streamed(
-            lambda announce: session.run(seed, on_verdict=announce),
-            print_verdict(progress, as_json, "run_verdict" if details else "run_brief"),
-        )
+    with open_session(path, workers) as session:
+        printer = VerdictPrinter(session, as_json, "run_verdict" if details else "run_brief")
+        result = session.run(seed, on_verdict=printer)
     rest, whole = ("run_rest", "run") if details else ("", "run_brief")
-    show, look = rest if shown else whole, after_run(result["diagnose"], path)
+    show, look = rest if printer.has_printed else whole, after_run(result["diagnose"], path)
     print_result(result, as_json, show, session.study.output / "report.html", look)
 
 
@@ -146,11 +142,12 @@ def init(
     print_result(result, as_json, "init", result["study"])
 
 
-def _measure(stage: str, study: Path, as_json: bool) -> None:
-    with open_session(study) as session:
-        result = session.measure(stage)
-    look = look_at(stage, study=study)
-    print_result(result, as_json, "stages", session.study.output, look)
+def _measure(stage: str, study: Path, as_json: bool, workers: int = 1, *, overlay: bool = False) -> None:
+    """Bring every run up to "track", "motion" or "friction"."""
+    with open_session(study, workers) as session:
+        result = session.measure(stage, overlay=overlay)
+    output, show = session.study.output, "track" if stage == "track" else "stages"
+    print_result(result, as_json, show, output, look_at(stage, study=study, output=output))
 
 
 @command()
@@ -173,10 +170,7 @@ def track(
     frictrack track study.toml --overlay --workers 4
 
     """
-    with open_session(study, workers) as session:
-        result = session.measure("track", overlay=overlay)
-    look = look_at("track", study=study, output=session.study.output)
-    print_result(result, as_json, "track", session.study.output, look)
+    _measure("track", study, as_json, workers, overlay=overlay)
 
 
 @command()
@@ -313,27 +307,11 @@ def diagnose(
     frictrack diagnose study.toml --quick
 
     """
-    with open_with_progress(study) as (session, progress):
-        result, shown = _streamed(
-            lambda announce: session.diagnose(seed, quick=quick, on_verdict=announce),
-            None if quick else print_verdict(progress, as_json, "verdict"),
-        )
-    show = "diagnosis_rest" if shown else "diagnose"
+    with open_session(study) as session:
+        printer = VerdictPrinter(session, as_json, "verdict")
+        result = session.diagnose(seed, quick=quick, on_verdict=None if quick else printer)
+    show = "diagnosis_rest" if printer.has_printed else "diagnose"
     print_result(result, as_json, show, session.path, after_diagnosis(result, study))
-
-
-def _streamed(
-    work: Callable[[Announce | None], Mapping[str, Any]], announce: Announce | None
-) -> tuple[Mapping[str, Any], bool]:
-    """Return the result of work that announces its verdict, and whether it did."""
-    shown: list[Mapping[str, Any]] = []
-
-    def show(result: Mapping[str, Any]) -> None:
-        if announce is not None:
-            announce(result)
-            shown.append(result)
-
-    return work(show if announce else None), bool(shown)
 
 
 def _edit(how: Callable[[Session, str], Mapping[str, Any]], study: Path, effect: str | None, as_json: bool) -> None:
@@ -406,7 +384,6 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     frictrack plan study.toml --json > plan.json
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import open_study  # noqa: PLC0415
     from frictrack.flow import plan as make  # noqa: PLC0415
 
@@ -480,15 +457,20 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
 
     """
     if to == CRATE:
-        options = {"include_recordings": recordings, "authors": author or (), "licence": licence}
-        _export_crate(study, output, options, as_json)
+        from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+        with open_session(study) as session:
+            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
+        print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
         return
     if recordings or author or licence is not None:
         raise FrictrackError(
             f"expected --include-recordings, --author and --license only with --to {CRATE}", usage=True
         )
     if to == PRIOR:
-        _export_prior(study, output, as_json)
+        with open_session(study) as session:
+            result = session.export_prior(output)
+        print_result(result, as_json, "prior", result["file"], look_at("prior"))
         return
     if output is not None:
         raise FrictrackError(
@@ -500,19 +482,3 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     where = files[0].parent if len(files) > 1 else files[0]
     result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
     print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
-
-
-def _export_crate(study: Path, output: Path | None, options: dict[str, Any], as_json: bool) -> None:
-    """Write a study with all results as a research object."""
-    from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
-
-    with open_session(study) as session:
-        result = write_crate(session, output, CrateOptions(**options))
-    print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
-
-
-def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:
-    """Write the current model of a study as a prior file."""
-    with open_session(study) as session:
-        result = session.export_prior(output)
-    print_result(result, as_json, "prior", result["file"], look_at("prior"))

@@ -14,6 +14,7 @@ import typer
 from frictrack.base.errors import FrictrackError
 from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
 from frictrack.cli.look_at import look_at
+from frictrack.cli.progress_bars import progress_bars, watch_batch
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -102,7 +103,6 @@ def render(
     frictrack render scene.toml -o films --seed 3
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -187,7 +187,6 @@ def batch(
     frictrack batch "campaign/*/study.toml" -o all --workers 8
 
     """
-    from frictrack.cli.progress_bars import watch_batch  # noqa: PLC0415
     from frictrack.flow.batch import batch as run_all  # noqa: PLC0415
 
     with watch_batch() as watch:
@@ -213,7 +212,6 @@ def verify(
     frictrack verify campaign
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import verify as look  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -236,8 +234,6 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
     frictrack demo --json > demo.json
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
-
     with progress_bars() as progress:
         progress(0, 0, "opening the sample study in frictrack_demo")
         from frictrack.flow import demo as show_it  # noqa: PLC0415 - the first line does not wait for it
@@ -324,7 +320,6 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     if recordings is not None or allow_addresses:
         option = "--allow-addresses" if recordings is None else "--recordings"
         raise FrictrackError(f"expected a crate together with {option}", usage=True)
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.reproduce import reproduce as make  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -334,7 +329,6 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
 
 def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool, *, allow_addresses: bool) -> None:
     """Compute the results of a crate again and compare them."""
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow.crate import reproduce_crate  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -378,7 +372,6 @@ def make(  # noqa: PLR0913, PLR0917 - the options of the command
     frictrack blind make trial --film --seed 7
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.blind import make as written  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -399,7 +392,6 @@ def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = F
     frictrack blind score trial --workers 4
 
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.blind import score as scored  # noqa: PLC0415
 
     with progress_bars() as progress:

@@ -29,8 +29,7 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
-    from frictrack.flow.diagnosis_records import SignificanceBudget
+    from frictrack.flow.command_history import Change, CommandHistory, SignificanceBudget, undo_stacks
     from frictrack.flow.film_stages import contact_sheet_path
     from frictrack.flow.new_study import (
         Surveyed,

@@ -387,29 +387,21 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
+    own = ("name", "rolling", "normal_load", "free", "clamp_x", "beam_length", "role", "group")
+    measured = ("drive", "friction_N", "sigma_friction", "loads")
     return Run(
         displacement,
         motion,
         mass=mass,
         sigma_mass=sigma,
-        name=run.name,
         incline=incline,
         sigma_incline=sigma_incline,
         has_incline=run.incline is not None,
-        rolling=run.rolling,
-        normal_load=run.normal_load,
-        drive=sensors.drive,
-        friction_N=sensors.friction_N,
         steady=run.is_of_points,
-        sigma_friction=sensors.sigma_friction,
-        loads=sensors.loads,
-        free=run.free,
-        clamp_x=run.clamp_x,
-        beam_length=run.beam_length,
-        role=run.role,
-        group=run.group,
         noise=_specification(run.noise, "noise", sensors),
         drift=_specification(run.drift, "drift", sensors),
+        **{key: getattr(run, key) for key in own},
+        **{column: getattr(sensors, column) for column in measured},
     )
 
 

@@ -53,7 +53,8 @@ def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
         if any(column is not None for column in (own.drive, own.friction, own.a)):
             reader.add_own_columns(with_even_clock(own).data, run.table.name)
     if run.drive is not None:
-        reader.add_drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
+        short = {"table": run.drive} if isinstance(run.drive, Path) else {"force": run.drive}
+        reader.add_drive(run.drive if isinstance(run.drive, dict) else short)
     if run.sensor is not None:
         reader.add_sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
     return Sensors(displacement.t, **reader.found, clocks=reader.clocks, notes=tuple(reader.notes))
@@ -74,11 +75,6 @@ def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
     if impact and impact["verdict"] != "plausible":
         notes.append(impact["says"])
     return {"sensors": sensors.clocks, "impact": impact, "notes": notes}
-
-
-def _drive_table(drive: Path | float) -> dict[str, Any]:
-    """Write a drive in the short form (a path or a force in N) as a table of keys."""
-    return {"table": drive} if isinstance(drive, Path) else {"force": drive}
 
 
 class _SensorReader:
@@ -241,16 +237,13 @@ def _describe_agreement(compared: SensorComparison) -> str:
 
 def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
     """Return an alignment and a comparison as the store and the JSON have them."""
+    has_rate, same = found.sigma_rate is not None, ("gain", "sigma_gain", "bias", "sigma_bias", "reason")
     numbers: dict[str, Any] = {
         "offset_s": found.offset,
         "sigma_offset_s": found.sigma_offset,
-        "rate_ppm": 1e6 * found.rate if found.sigma_rate is not None else None,
-        "sigma_rate_ppm": None if found.sigma_rate is None else 1e6 * found.sigma_rate,
-        "gain": found.gain,
-        "sigma_gain": found.sigma_gain,
-        "bias": found.bias,
-        "sigma_bias": found.sigma_bias,
-        "reason": found.reason,
+        "rate_ppm": 1e6 * found.rate if has_rate else None,
+        "sigma_rate_ppm": 1e6 * (found.sigma_rate or 0.0) if has_rate else None,
+        **{key: getattr(found, key) for key in same},
         "rivals": [list(rival) for rival in found.rivals],
     }
     if compared is not None:

@@ -20,8 +20,7 @@ from frictrack.base.files import lock_work
 from frictrack.base.version import __version__
 from frictrack.effects import models
 from frictrack.flow import store
-from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent, plan_test
+from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.store import Provenance
@@ -382,7 +381,7 @@ class Session:
         """Find the effect that the current model lacks.
 
         The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it. Its
-        significance level follows from the tests that were made before; see `frictrack.flow.diagnosis_records`.
+        significance level follows from the tests that were made before; see `frictrack.flow.command_history`.
 
         Parameters
         ----------

@@ -27,7 +27,6 @@ from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.plausibility_checks import duplicate_notes, find_duplicate_runs, stored_findings
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.store import Provenance
-from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.flow.tried_models import TriedModels, model_results, stored_models
 from frictrack.measure.error_budget import budget
 from frictrack.measure.motion import derivatives, low_pass
@@ -53,6 +52,8 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
         return {}
     film = pipeline.get("recording") if pipeline.run.video else None
     if film is not None:
+        from frictrack.flow.track_quality import residual_shake  # noqa: PLC0415
+
         left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
         shake = {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))
         known = (known or film_quality(pipeline)) | shake
@@ -64,6 +65,8 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
     """Return `track_quality` of a film as JSON; empty for a table of positions."""
     if not pipeline.run.video:
         return {}
+    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415 - loads OpenCV; tables do without
+
     pitch = pipeline.get("displacement").pixel_pitch
     found = track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
     return dict(to_builtins(found))
@@ -97,7 +100,8 @@ def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, An
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Describe how well a film was measured, and where its pictures are."""
-    from frictrack.measure.repairing import suspect_spans  # noqa: PLC0415 - loads OpenCV; tables do without
+    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415
+    from frictrack.measure.repairing import suspect_spans  # noqa: PLC0415
     from frictrack.tracking import target_line  # noqa: PLC0415
 
     displacement, notes = _displacement_and_notes(pipeline)

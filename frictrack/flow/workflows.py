@@ -17,8 +17,7 @@ import numpy as np
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import store
-from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.diagnosis_records import ALPHA_FIRST
+from frictrack.flow.command_history import ALPHA_FIRST, CommandHistory
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session

@@ -9,7 +9,6 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -294,7 +293,7 @@ def batch(
     """
     paths = find_studies(patterns)
     labels = {path.resolve(): path for path in paths}
-    journal = Journal(_journal_path(stem))
+    journal = Journal(make_internal_folder(stem.parent) / f"{stem.name}.jsonl")
     outcomes = journal.finished(labels, seed)
     state = BatchState(len(labels), kept=len(outcomes))
     todo = [path for path in labels if path not in outcomes]
@@ -306,15 +305,6 @@ def batch(
                 outcomes[Path(one.study)] = one
                 output.write_if_due()
     return output.write_all(state)
-
-
-def _journal_path(stem: Path) -> Path:
-    """Return the path of the journal, in a hidden folder; the journal of an earlier version is moved there."""
-    path, former = make_internal_folder(stem.parent) / f"{stem.name}.jsonl", stem.with_name(f"{stem.name}.jsonl")
-    if former.is_file() and not path.exists():
-        with suppress(OSError):  # its studies are then run again
-            former.replace(path)
-    return path
 
 
 @dataclass

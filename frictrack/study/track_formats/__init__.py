@@ -95,6 +95,3 @@ def find_track_format(path: Path) -> TrackFormat | None:
     suffix = FOLDER if path.is_dir() else path.suffix.lower()
     alike = (one for one in FORMATS if suffix in one.suffixes)
     return next((one for one in alike if one.is_one is None or one.is_one(path)), None)
-
-
-__all__ = ["FOLDER", "FORMATS", "TrackFormat", "find_track_format"]
