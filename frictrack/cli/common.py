@@ -126,7 +126,7 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
     as_json
         Print JSON.
     show
-        Name of the function in `frictrack.cli.output` that prints the tables; empty for none.
+        Name of the function in `output` or `tables` that prints the tables; empty for none.
     where
         The path that is printed last.
     look
@@ -138,11 +138,11 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
         return
     from rich.console import Console  # noqa: PLC0415
 
-    from frictrack.cli import output  # noqa: PLC0415
+    from frictrack.cli import output, tables  # noqa: PLC0415
 
     out = Console(highlight=False)
     if show:
-        getattr(output, show)(out, result)
+        getattr(output if hasattr(output, show) else tables, show)(out, result)
     if look:
         out.print(f"look at: {look}", markup=False)
     if where:

@@ -11,33 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.base.number_format import format_plain, format_plus_minus
-from frictrack.cli.tables import (  # noqa: F401 - `print_result` looks some functions up here
-    cell,
-    compare,
-    edit,
-    errors,
-    fails_at,
-    fit,
-    history,
-    lines,
-    parameters,
-    sentences,
-    stages,
-    table,
-    track,
-)
+from frictrack.cli import tables
+from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
 from frictrack.results.error_rows import error_rows
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import (
-    CHECK_FIRST,
-    VERDICT_ONLY,
-    describe_alternatives,
-    describe_formula,
-    describe_unnamed,
-    describe_verdict,
-    force_without_effect,
-)
 
 MAX_EXAMPLES = 2  # pairs that are named for a run
 MAX_FINDINGS = 8  # that the terminal shows
@@ -73,8 +51,8 @@ def diagnose(out: Console, result: dict[str, Any]) -> None:
 def verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict and the candidates."""
     for found in result.get("warnings") or []:
-        out.print(f"[bold]{CHECK_FIRST}[/bold] {escape(found['words'])}")
-    out.print(f"[bold]{escape(describe_verdict(result))}[/bold]")
+        out.print(f"[bold]{verdicts.CHECK_FIRST}[/bold] {escape(found['words'])}")
+    out.print(f"[bold]{escape(verdicts.describe_verdict(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
@@ -103,14 +81,14 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
     for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
         out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
-    fails_at(out, result.get("fails_at") or [])
+    tables.fails_at(out, result.get("fails_at") or [])
     words = [result["repeats_words"]] if result.get("repeats_words") else []
-    sentences(out, {"words": [*words, *describe_alternatives(result)]})
-    unexplained(out, force_without_effect(result))
-    sentences(out, {"words": result.get("remarks", [])})
+    tables.sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
+    unexplained(out, verdicts.force_without_effect(result))
+    tables.sentences(out, {"words": result.get("remarks", [])})
     next_experiment(out, result.get("next_experiment") or [])
     if not result.get("complete", True):
-        out.print(VERDICT_ONLY)
+        out.print(verdicts.VERDICT_ONLY)
 
 
 def _evidence_of(row: CandidateRow) -> str:
@@ -127,9 +105,9 @@ def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
     for k, f in enumerate(left["formulas"], 1):
         others = f" with {', '.join(f['beside'])}" if f.get("beside") else ""
         share = f"{100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g}"
-        evidence = "; ".join([share, *describe_formula(f)[: 1 if k > 1 else None]])
+        evidence = "; ".join([share, *verdicts.describe_formula(f)[: 1 if k > 1 else None]])
         out.print(escape(f"  {k}. {f['formula']}{others}  ({evidence})"))
-    if unnamed := describe_unnamed(left):
+    if unnamed := verdicts.describe_unnamed(left):
         out.print(unnamed)
     if left["formulas"] and left["formulas"][0].get("toml"):
         out.print("to use the first formula, add it with `frictrack add STUDY formula:1`, which writes this table:")
@@ -170,7 +148,7 @@ def plan(out: Console, result: dict[str, Any]) -> None:
         out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
-    rows = table("", "film", "cost", "separates", "pairs left", "for example")
+    rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
     for k, run in enumerate(result["runs"], 1):
         some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
         example = "\n".join(" from ".join(pair) for pair in some)
@@ -184,7 +162,7 @@ def plan(out: Console, result: dict[str, Any]) -> None:
         out.print(f"[bold]{what}[/bold] cannot be {done}: {why}", soft_wrap=True)
     for name, why in result["not_planned"].items():
         out.print(f"{name} was not planned for: it {escape(why)}", style="dim", soft_wrap=True)
-    rows = table("effect", "detection limit", "at")
+    rows = tables.table("effect", "detection limit", "at")
     for name, limit in result["detection_limits"].items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
         size = limit["reason"] if limit["value"] is None else f"{format_plain(limit['value'], 2)} {unit}".rstrip()
@@ -221,7 +199,7 @@ def run(out: Console, result: dict[str, Any]) -> None:
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    fit(out, result["fit"], motion=False)
+    tables.fit(out, result["fit"], motion=False)
     verdict(out, result["diagnose"])
 
 
@@ -238,7 +216,7 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
     shared = [(name, one) for name, one in fitted["parameters"].items() if "[" not in name][:MAX_PARAMETERS]
-    out.print(parameters(dict(shared)))
+    out.print(tables.parameters(dict(shared)))
     if left_out := _more(len(fitted["parameters"]) - len(shared), "parameter"):
         out.print(left_out.strip())
     if fitted.get("misfit"):
@@ -247,15 +225,15 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     """Print the most important warning, the verdict, and the effects that it names with their evidence."""
-    warnings = [f"{CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
+    warnings = [f"{verdicts.CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
     warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
     warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
     for line in warnings[:1]:
         out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
-    out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
+    out.print(f"[bold]{escape(verdicts.describe_verdict(found))}[/bold]")
     for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
         out.print(escape(f"{row.effect}: {_evidence_of(row)}"))
-    if (left := force_without_effect(found)) and left.get("words"):
+    if (left := verdicts.force_without_effect(found)) and left.get("words"):
         out.print(escape(left["words"]))
 
 
@@ -269,9 +247,9 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
         out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
-        edit(out, result["add"])
+        tables.edit(out, result["add"])
     out.print("Every model tried:")
-    history(out, result["history"])
+    tables.history(out, result["history"])
 
 
 # --- the other commands
@@ -279,7 +257,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
 
 def blind(out: Console, result: dict[str, Any]) -> None:
     """Print the shares of hits with intervals, detection limits and confusions."""
-    rows = table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
+    rows = tables.table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
     for words, (group, key) in SHARES:
         if (hits := result[group][key])["of"]:
             low, high = (100 * q for q in hits["interval"])
@@ -294,12 +272,12 @@ def blind(out: Console, result: dict[str, Any]) -> None:
     out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
     out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")
     if result["limits"]:
-        rows = table("detection limit over the ideal detector's", "median", "largest", "studies")
+        rows = tables.table("detection limit over the ideal detector's", "median", "largest", "studies")
         for name, limit in result["limits"].items():
             rows.add_row(name, *(format_plain(limit[key], 3) for key in ("median", "largest")), str(limit["of"]))
         out.print(rows)
     if result["confusion"]:
-        rows = table("hidden", "named first")
+        rows = tables.table("hidden", "named first")
         for name, counts in result["confusion"].items():
             ordered = sorted(counts.items(), key=lambda pair: -pair[1])
             rows.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
@@ -313,7 +291,7 @@ def crate(out: Console, result: dict[str, Any]) -> None:
     out.print(f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB")
     if result["by_hash"]:
         files = ((escape(f["file"]), f"{f['bytes'] / 1e6:.1f}", f["sha256"][:12]) for f in result["by_hash"])
-        out.print(table("not included, only its hash", "MB", "SHA-256", rows=files))
+        out.print(tables.table("not included, only its hash", "MB", "SHA-256", rows=files))
         out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
     for name in result["not_given"]:
         out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
@@ -321,7 +299,7 @@ def crate(out: Console, result: dict[str, Any]) -> None:
 
 def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     """Print the comparison group by group, and which versions differ."""
-    rows = table("group", "numbers", "largest difference", "equal")
+    rows = tables.table("group", "numbers", "largest difference", "equal")
     for group in result["groups"]:
         largest = group["largest_difference"]
         size = "infinite" if largest is None else f"{largest:.1e}" if largest else "0"
@@ -331,9 +309,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     differ = [one for group in result["groups"] for one in group["differences"][:MAX_DIFFERENCES]]
     places = [(f"{one['file']}:/{one['group']} {one['value']}".rstrip(), one) for one in differ]
     versions = [(one["name"], one) for one in result["versions"]]
-    lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
-    lines(out, result["altered"], "altered since the crate was written: ")
-    lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in versions))
+    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
+    tables.lines(out, result["altered"], "altered since the crate was written: ")
+    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in versions))
     if not result["equal"]:
         same = "are the same" if result["same_conclusions"] else "differ, too"
         out.print(f"models, verdicts, parameters and errors {same}")
@@ -343,9 +321,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
 
 def init(out: Console, result: dict[str, Any]) -> None:
     """Print what was found in a folder, what was left out, and what the user must give."""
-    out.print(table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
+    out.print(tables.table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
     if skipped := result["skipped"]:
-        out.print(table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
+        out.print(tables.table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
     path = result["study"]
     needed = f"fill in {', '.join(result['fill_in'])} (marked FILL IN)" if result["fill_in"] else "look it over"
     out.print(f"next: open {path}, {needed}, then `frictrack run {shlex.quote(path)}`", markup=False)
@@ -353,7 +331,7 @@ def init(out: Console, result: dict[str, Any]) -> None:
 
 def prior(out: Console, result: dict[str, Any]) -> None:
     """Print the parameters of a prior file, and what was left out."""
-    rows = table("parameter", "value", "unit", "scales with")
+    rows = tables.table("parameter", "value", "unit", "scales with")
     for name, one in result["parameters"].items():
         scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
         rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
@@ -364,7 +342,7 @@ def prior(out: Console, result: dict[str, Any]) -> None:
 
 def export(out: Console, result: dict[str, Any]) -> None:
     """Print what the format could not hold."""
-    lines(out, result["lost"], "not in these files: ")
+    tables.lines(out, result["lost"], "not in these files: ")
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
@@ -382,7 +360,8 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 
 def effects(out: Console, result: dict[str, Any]) -> None:
     """Print one line per effect."""
-    rows = table("effect", "what it is", rows=((escape(e["name"]), escape(e["what"])) for e in result["effects"]))
+    named = ((escape(e["name"]), escape(e["what"])) for e in result["effects"])
+    rows = tables.table("effect", "what it is", rows=named)
     longest = max(len(e["name"]) for e in result["effects"])
     rows.columns[1].no_wrap, rows.columns[1].overflow = True, "ellipsis"
     rows.columns[1].max_width = out.width - longest - 1
@@ -414,10 +393,10 @@ def described_effects(out: Console, result: dict[str, Any]) -> None:
 
 def batch(out: Console, result: dict[str, Any]) -> None:
     """Print one row per study, and trends over the series."""
-    rows = table("study", "runs", "verdict", "missing", "failed because")
+    rows = tables.table("study", "runs", "verdict", "missing", "failed because")
     rows.columns[0].no_wrap = False  # a path may be longer than the terminal
     for row in result["studies"][:MAX_STUDIES]:
-        rows.add_row(*(cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
+        rows.add_row(*(tables.cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(rows)
     if (more := len(result["studies"]) - MAX_STUDIES) > 0:
         out.print(f"and {more} more")
@@ -433,12 +412,12 @@ def batch(out: Console, result: dict[str, Any]) -> None:
 
 def verify(out: Console, result: dict[str, Any]) -> None:
     """Print one line per fault, then what was verified."""
-    lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
+    tables.lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     if old := result["partly_hashed"]:
         words = "identify their film by the hash of 3 MB of it; to have all of it hashed, delete them and run again"
         out.print(f"{len(old)} results of an earlier version {words}")
-    lines(out, result["at_work"], "another frictrack process is writing in ")
+    tables.lines(out, result["at_work"], "another frictrack process is writing in ")
     if result["sound"]:
         out.print(f"{result['files']} result files are sound")

@@ -44,11 +44,7 @@ if TYPE_CHECKING:
     from frictrack.flow.plausibility_checks import Findings
     from frictrack.flow.session import Session
     from frictrack.flow.stages import run_pipeline
-    from frictrack.flow.stored_results import (
-        ResultsReader,
-        preview_motion,
-        read_results,
-    )
+    from frictrack.flow.stored_results import ResultsReader, preview_motion, read_results
     from frictrack.flow.study_edits import effect_of_formula
     from frictrack.flow.tried_models import FitRequest, user_effects
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify

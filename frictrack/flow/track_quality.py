@@ -13,15 +13,7 @@ from frictrack.measure.calibration import MIN_ROTATION, estimate_shake, subtract
 from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
 from frictrack.sampling import Slip
-from frictrack.tracking.checks import (
-    correct_ticks,
-    forward_backward,
-    peak_locking,
-    scores,
-    self_test,
-    slips,
-    timing_note,
-)
+from frictrack.tracking import checks
 
 Rows = NDArray[np.int64]
 MIN_STRETCHED_SHARE = 0.3  # of the frames that repeat the frame before; from here on the film was stretched
@@ -46,9 +38,9 @@ def correct_track(
     track = track.measured
     clean, notes, faults = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
     if "backward" in tracks:
-        both = forward_backward(*_unrepaired(track, tracks["backward"]))
+        both = checks.forward_backward(*_unrepaired(track, tracks["backward"]))
         notes += (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
-    notes += (*self_test(clean), *rotation_note(clean), *lost_frames_note(clean))
+    notes += (*checks.self_test(clean), *rotation_note(clean), *lost_frames_note(clean))
     rows = np.arange(len(track)) if clocked else kept_rows(len(track), faults)
     return clean, (*notes, *_timing_notes(faults, len(track), clocked=clocked)), rows
 
@@ -77,7 +69,7 @@ def _corrected_track(
 
     The faults are searched first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
-    found = slips(_minus_reference(track, reference))
+    found = checks.slips(_minus_reference(track, reference))
     if clocked:  # a frame that shows the one before is left out, but no time is changed
         track = correct_times(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
@@ -120,22 +112,22 @@ def _unrepaired(track: Track, *others: Track) -> tuple[Track, ...]:
     return tuple(replace(one, x_px=one.x_px + hidden) for one in (track, *others))
 
 
-def kept_rows(n: int, slips: Sequence[Slip]) -> Rows:
+def kept_rows(n: int, faults: Sequence[Slip]) -> Rows:
     """Return the rows (of n frames) that are kept: all but doubled frames that were inserted."""
-    return np.setdiff1d(np.arange(n), [s.frame for s in slips if s.frames < 0])
+    return np.setdiff1d(np.arange(n), [s.frame for s in faults if s.frames < 0])
 
 
-def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
+def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
     """Return the track with gaps in time where frames are missing, and without inserted doubled frames.
 
     A doubled frame that replaces a lost one keeps its row, and its position is NaN.
     """
-    if not slips:
+    if not faults:
         return track
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
-    right, keep = correct_ticks(ticks, slips)
-    rows = kept_rows(len(track), slips)
+    right, keep = checks.correct_ticks(ticks, faults)
+    rows = kept_rows(len(track), faults)
     lost = ~keep[rows]
     columns: dict[str, Any] = {
         f.name: np.array(column)[rows]
@@ -151,8 +143,8 @@ def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
 
 def _timing_notes(faults: Sequence[Slip], n: int, *, clocked: bool) -> tuple[str, ...]:
     """Return notes on faults of the times of n frames: corrected, or contradicted by the camera's own time stamps."""
-    doubled = timing_note([s for s in faults if s.doubled])
-    missing = timing_note([s for s in faults if not s.doubled])
+    doubled = checks.timing_note([s for s in faults if s.doubled])
+    missing = checks.timing_note([s for s in faults if not s.doubled])
     if clocked:
         believed = "the camera's time stamps disagree and are used"
         return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
@@ -181,8 +173,8 @@ def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], p
     found = track.found
     um = None if pitch is None else 1e6 * pitch
     clean, *_ = _corrected_track(track, tracks.get("reference"), clocked=film.clocked)
-    locking, history = peak_locking(clean), scores(track)
-    both = forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
+    locking, history = checks.peak_locking(clean), checks.scores(track)
+    both = checks.forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
     return {
         "frames": len(track),

@@ -488,8 +488,7 @@ Pause = Annotated[float, _number("s", above=0.0)]
 
 Cost = Annotated[float, BeforeValidator(_cost)]
 Speeds = Annotated[
-    Pair,
-    _pair("m/s", "speeds = [slowest, fastest] in m/s", "the slowest speed first", may_be_equal=True, above=0.0),
+    Pair, _pair("m/s", "speeds = [slowest, fastest] in m/s", "the slowest speed first", may_be_equal=True, above=0.0)
 ]
 Masses = Annotated[tuple[float, ...], BeforeValidator(_masses)]
 FrameLimit = Annotated[float, BeforeValidator(_frame_limit)]

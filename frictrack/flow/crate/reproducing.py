@@ -18,20 +18,9 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import is_address, local_path, locate, only_listed
-from frictrack.flow import (
-    EXCLUDED,
-    Progress,
-    Session,
-    Values,
-    hash_path,
-    no_progress,
-    open_study,
-    recorded_models,
-    repeat_models,
-    stored_values,
-)
 from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
 from frictrack.flow.crate.writing import METADATA, MOVED
 
@@ -117,7 +106,7 @@ def read_crate(folder: Path) -> Crate:
 def has_same_bytes(path: Path, described: CrateFile) -> bool:
     """Return whether a file exists and has the bytes that a crate describes."""
     try:
-        return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
+        return path.is_file() and path.stat().st_size == described.size and flow.hash_path(path) == described.sha256
     except OSError as e:
         raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
@@ -187,7 +176,7 @@ def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path
     return study
 
 
-def find_inputs(crate: Crate, recordings: Path | None, progress: Progress | None) -> dict[str, Path]:
+def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress | None) -> dict[str, Path]:
     """Return the inputs on this machine by their places; every one has the bytes that the crate says."""
     found: dict[str, Path] = {}
     missing: list[str] = []
@@ -350,7 +339,7 @@ class GroupComparison:
 
 
 def compare_files(
-    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], *, exact: bool
+    stored: Mapping[str, Mapping[str, flow.Values]], computed: Mapping[str, Mapping[str, flow.Values]], *, exact: bool
 ) -> list[GroupComparison]:
     """Compare all groups of all files.
 
@@ -382,7 +371,9 @@ def tolerance_of(name: str) -> float:
     return next(found, RELATIVE_TOLERANCE)
 
 
-def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> GroupComparison:
+def _compare_group(
+    place: tuple[str, str], old: flow.Values | None, new: flow.Values | None, *, exact: bool
+) -> GroupComparison:
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
         return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1, same_conclusions=False)
@@ -448,7 +439,7 @@ def reproduce_crate(
     path: Path,
     out: Path,
     recordings: Path | None = None,
-    progress: Progress = no_progress,
+    progress: flow.Progress = flow.no_progress,
     *,
     allow_addresses: bool = False,
 ) -> dict[str, Any]:
@@ -487,7 +478,7 @@ def reproduce_crate(
         progress(0, 0, "checking the inputs")
         known = find_inputs(crate, recordings, progress if allow_addresses else None)
         with only_listed(known):
-            study = open_study(set_up_study(crate, _made(out / AGAIN), known))
+            study = flow.open_study(set_up_study(crate, _made(out / AGAIN), known))
     except FrictrackError:
         shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
         raise
@@ -496,10 +487,11 @@ def reproduce_crate(
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     stored = _stored_files(crate)
     with only_listed(known):
-        repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
+        flow.repeat_models(flow.Session(study, progress, author="reproduce"), flow.recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
-    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
-    groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
+    computed = {file.name: flow.stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
+    known_values = {name: flow.stored_values(file) for name, file in stored.items()}
+    groups = compare_files(known_values, computed, exact=not versions)
     return _summary(crate, versions, groups) | {
         "crate": str(path),
         "seconds": round(time.monotonic() - began, 1),
@@ -507,7 +499,7 @@ def reproduce_crate(
     }
 
 
-def _unpacked(path: Path, out: Path, progress: Progress) -> Crate:
+def _unpacked(path: Path, out: Path, progress: flow.Progress) -> Crate:
     folder = path
     if not path.is_dir():
         progress(0, 0, f"unpacking {path.name}")
@@ -543,7 +535,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
-        "excluded": [{"names": list(names), "reason": reason} for names, reason in EXCLUDED.items()],
+        "excluded": [{"names": list(names), "reason": reason} for names, reason in flow.EXCLUDED.items()],
         "approximate": [
             {"names": pattern.pattern, "tolerance": tolerance, "reason": reason}
             for pattern, tolerance, reason in APPROXIMATE

@@ -19,16 +19,7 @@ import h5py
 import numpy as np
 
 from frictrack.base.version import __version__
-from frictrack.flow.store.checksums import (
-    CHECKSUM,
-    add_checksums,
-    add_group_checksum,
-    array_checksum,
-    check_visited_once,
-    drop_checksums,
-    members,
-    read_array,
-)
+from frictrack.flow.store import checksums
 from frictrack.flow.store.file_header import HEADER_BYTES, SCHEMA
 from frictrack.results import to_builtins
 
@@ -69,7 +60,7 @@ def mark_default(file: h5py.File) -> None:
 def _set(file: h5py.File, group: h5py.Group, name: str, value: str) -> None:
     """Set an attribute of a group, and remove its checksum and those of its parents if it changes."""
     if str(group.attrs.get(name)) != value:
-        drop_checksums(file, group.name)
+        checksums.drop_checksums(file, group.name)
         group.attrs[name] = value
 
 
@@ -95,7 +86,9 @@ def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
 
 def _subgroups(group: h5py.Group | None) -> dict[str, h5py.Group]:
     """Return the groups inside a group by name, without links."""
-    return {} if group is None else {name: item for name, item in members(group) if isinstance(item, h5py.Group)}
+    return (
+        {} if group is None else {name: item for name, item in checksums.members(group) if isinstance(item, h5py.Group)}
+    )
 
 
 def _is_current(model: h5py.Group) -> bool:
@@ -162,7 +155,7 @@ def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] =
         if checksum is not None:
             inside[name] = checksum
     mark_data(group, type(content))
-    return add_group_checksum(group, inside)
+    return checksums.add_group_checksum(group, inside)
 
 
 def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> str | None:
@@ -193,30 +186,30 @@ def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **att
     compressed = {} if is_plain else {"compression": "gzip", "shuffle": True, "fletcher32": True}
     dataset = group.create_dataset(name, data=value, **compressed)
     dataset.attrs.update(attributes)
-    checksum = dataset.attrs[CHECKSUM] = array_checksum(value, attributes)
+    checksum = dataset.attrs[checksums.CHECKSUM] = checksums.array_checksum(value, attributes)
     return checksum
 
 
 def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
     """Read everything in a group as a dictionary, without the provenance."""
     met = set() if met is None else met
-    check_visited_once(group, met)
-    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    checksums.check_visited_once(group, met)
+    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != checksums.CHECKSUM}
     content = {k: _listed(to_python(v)) for k, v in without_marks(own).items()}
-    for name, item in members(group):
+    for name, item in checksums.members(group):
         if name not in without:
-            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
+            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else checksums.read_array(item)
     return content
 
 
 def read_record(group: h5py.Group, kind: Any) -> Any:
     """Read a group as the record type `kind`."""
     values = {}
-    inside = dict(members(group))
+    inside = dict(checksums.members(group))
     for f in fields(kind):
         if f.name in inside:
             item = inside[f.name]
-            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
+            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else checksums.read_array(item)
         elif f.name in group.attrs:
             raw = to_python(group.attrs[f.name])
             is_tuple = raw is not None and str(f.type).startswith("tuple")
@@ -260,7 +253,7 @@ def migrate(file: h5py.File) -> h5py.File:
         newer = empty_file_in_memory()
         MIGRATIONS[schema](file, newer)
         newer.attrs["schema"] = schema + 1
-        add_checksums(newer)
+        checksums.add_checksums(newer)
         file = newer
     return file
 
@@ -275,7 +268,7 @@ def _add_checksums(old: h5py.Group, new: h5py.Group) -> None:
         elif isinstance(old[name], h5py.Group):
             _add_checksums(old[name], new_group(new, name))
         else:
-            write_array(new, name, np.asarray(read_array(old[name])), **old[name].attrs)
+            write_array(new, name, np.asarray(checksums.read_array(old[name])), **old[name].attrs)
 
 
 MIGRATIONS: dict[int, Callable[[h5py.Group, h5py.Group], None]] = {1: _add_checksums}

@@ -22,20 +22,9 @@ import h5py
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
 from frictrack.base.version import __version__
-from frictrack.flow.store import encoding
+from frictrack.flow.store import encoding, file_header
 from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
 from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, migrate, without_marks
-from frictrack.flow.store.file_header import (
-    SCHEMA,
-    file_state,
-    header_of,
-    is_intact,
-    is_signed_by_user,
-    lacks_header,
-    opens_in_sandbox,
-    read_header,
-    sign,
-)
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"
@@ -241,14 +230,14 @@ def _reading(path: Path) -> Iterator[h5py.File]:
             yield _HELD.get()[path]
             return
         check_header(path)
-        if not (is_signed_by_user(path) or opens_in_sandbox(path)):
+        if not (file_header.is_signed_by_user(path) or file_header.opens_in_sandbox(path)):
             raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 raise FrictrackError(
                     f"expected {path} to be a frictrack result but another program wrote it; move it away"
                 )
-            yield file if file.attrs["schema"] == SCHEMA else _migrated(path, *file_state(path))
+            yield file if file.attrs["schema"] == file_header.SCHEMA else _migrated(path, *file_header.file_state(path))
 
 
 @lru_cache(maxsize=16)  # a page reads an old file a hundred times
@@ -260,16 +249,16 @@ def _migrated(path: Path, *_: int) -> h5py.File:
 
 def check_header(path: Path, *, reread: bool = False) -> None:
     """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema."""
-    header = read_header(path)
-    if header is None and lacks_header(path):
+    header = file_header.read_header(path)
+    if header is None and file_header.lacks_header(path):
         return  # of schema 1, or another program's
-    if header is None or not is_intact(path, reread=reread):
+    if header is None or not file_header.is_intact(path, reread=reread):
         raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
     schema, version = header
-    if schema > SCHEMA:
+    if schema > file_header.SCHEMA:
         raise FrictrackError(
-            f"expected {path} of schema {SCHEMA} at most but it has {schema} and was written by frictrack {version}, "
-            f"this is {__version__}; update it"
+            f"expected {path} of schema {file_header.SCHEMA} at most but it has {schema} and was written by frictrack "
+            f"{version}, this is {__version__}; update it"
         )
 
 
@@ -300,14 +289,14 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             if path.exists():
                 with _reading(path) as old:
                     copy_groups(old, file)
-            file.attrs.update(schema=SCHEMA, version=__version__)
+            file.attrs.update(schema=file_header.SCHEMA, version=__version__)
             file.attrs.pop(CHECKSUM, None)
             yield file
             mark_default(file)
             add_checksums(file)
             begin = file.userblock_size
         content = whole.getbuffer()
-        content[:begin] = header_of(content[begin:], __version__, sign)
+        content[:begin] = file_header.header_of(content[begin:], __version__, file_header.sign)
         part.write_bytes(content)
 
 

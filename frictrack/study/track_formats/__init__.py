@@ -19,26 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from frictrack.study.table_layout import TableFile
-from frictrack.study.track_formats.image_correlation import (
-    is_dice_file,
-    is_dice_folder,
-    read_dice,
-    read_pyidi_displacements,
-    refuse_pickle,
-)
-from frictrack.study.track_formats.instruments import (
-    is_labview_text,
-    read_labview_text,
-    read_matlab,
-    read_tdms,
-)
-from frictrack.study.track_formats.pose_tracks import (
-    is_deeplabcut_text,
-    is_hdf5,
-    read_deeplabcut_text,
-    read_hdf5_tracks,
-)
-from frictrack.study.track_formats.video_projects import is_kinovea_project, read_kinovea_project, read_tracker_project
+from frictrack.study.track_formats import image_correlation, instruments, pose_tracks, video_projects
 
 FOLDER = "/"  # in place of the end of a name
 
@@ -67,19 +48,23 @@ class TrackFormat:
 
 
 FORMATS = (
-    TrackFormat("LabVIEW", (".lvm",), read_labview_text),
-    TrackFormat("LabVIEW", (".txt", ".csv", ".tsv", ".dat"), read_labview_text, is_labview_text),
-    TrackFormat("LabVIEW", (".tdms",), read_tdms),
-    TrackFormat("MATLAB", (".mat",), read_matlab),
-    TrackFormat("Tracker", (".trk", ".trz"), read_tracker_project),
-    TrackFormat("Kinovea", (".kva",), read_kinovea_project),
-    TrackFormat("Kinovea", (".xml",), read_kinovea_project, is_kinovea_project),
-    TrackFormat("DeepLabCut", (".csv",), read_deeplabcut_text, is_deeplabcut_text),
-    TrackFormat("DICe", (".txt", ".csv"), read_dice, is_dice_file),
-    TrackFormat("DICe", (FOLDER,), read_dice, is_dice_folder),
-    TrackFormat("DeepLabCut, movement or SLEAP", (".h5", ".hdf5", ".nc"), read_hdf5_tracks, is_hdf5),
-    TrackFormat("pyidi", (".npy",), read_pyidi_displacements),
-    TrackFormat("pyidi", (".pkl", ".pickle"), refuse_pickle),
+    TrackFormat("LabVIEW", (".lvm",), instruments.read_labview_text),
+    TrackFormat(
+        "LabVIEW", (".txt", ".csv", ".tsv", ".dat"), instruments.read_labview_text, instruments.is_labview_text
+    ),
+    TrackFormat("LabVIEW", (".tdms",), instruments.read_tdms),
+    TrackFormat("MATLAB", (".mat",), instruments.read_matlab),
+    TrackFormat("Tracker", (".trk", ".trz"), video_projects.read_tracker_project),
+    TrackFormat("Kinovea", (".kva",), video_projects.read_kinovea_project),
+    TrackFormat("Kinovea", (".xml",), video_projects.read_kinovea_project, video_projects.is_kinovea_project),
+    TrackFormat("DeepLabCut", (".csv",), pose_tracks.read_deeplabcut_text, pose_tracks.is_deeplabcut_text),
+    TrackFormat("DICe", (".txt", ".csv"), image_correlation.read_dice, image_correlation.is_dice_file),
+    TrackFormat("DICe", (FOLDER,), image_correlation.read_dice, image_correlation.is_dice_folder),
+    TrackFormat(
+        "DeepLabCut, movement or SLEAP", (".h5", ".hdf5", ".nc"), pose_tracks.read_hdf5_tracks, pose_tracks.is_hdf5
+    ),
+    TrackFormat("pyidi", (".npy",), image_correlation.read_pyidi_displacements),
+    TrackFormat("pyidi", (".pkl", ".pickle"), image_correlation.refuse_pickle),
 )
 
 

@@ -154,11 +154,7 @@ def _deeplabcut(file: h5py.File) -> dict[str, Any]:
     if values.shape[1] != len(names) or len({len(name) for name in names}) != 1:
         raise ValueError(f"{len(names)} names for {values.shape[1]} columns")
     frames = np.asarray(rows["index"], dtype=float)
-    return {
-        "names": np.array([name[1:] for name in names]),
-        "frames": frames,
-        "values": values,
-    }
+    return {"names": np.array([name[1:] for name in names]), "frames": frames, "values": values}
 
 
 def _names_in_pickle(stored: bytes) -> list[tuple[str, ...]]:
