@@ -35,16 +35,9 @@ class FrictrackError(ValueError):
 
 
 class DiskFullError(FrictrackError):
-    """A file cannot be written because the disk is full: another machine may have space.
+    """A file cannot be written because the disk is full: another machine may have space."""
 
-    Attributes
-    ----------
-    worker
-        Address of the worker of a cluster on which it happened; empty elsewhere.
-
-    """
-
-    worker: str = ""
+    worker: str = ""  # address of the worker of a cluster on which it happened; empty elsewhere
 
 
 def is_disk_full(e: BaseException | None) -> bool:

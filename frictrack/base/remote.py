@@ -122,11 +122,6 @@ def _check_address(text: str) -> None:
 class RemoteFile:
     """The address of a remote file.
 
-    Attributes
-    ----------
-    url
-        The address.
-
     Examples
     --------
     >>> file = RemoteFile("s3://lab/course_a/v3.cine")
@@ -135,7 +130,7 @@ class RemoteFile:
 
     """
 
-    url: str
+    url: str  # the address
 
     def __post_init__(self) -> None:
         _check_address(self.url)

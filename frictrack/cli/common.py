@@ -117,22 +117,7 @@ class VerdictPrinter:
 
 
 def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "", look: str = "") -> None:
-    """Print the result of a command, as JSON or as tables, and where the files are.
-
-    Parameters
-    ----------
-    result
-        The JSON of the command.
-    as_json
-        Print JSON.
-    show
-        Name of the function in `output` or `tables` that prints the tables; empty for none.
-    where
-        The path that is printed last.
-    look
-        What to look at, printed before it.
-
-    """
+    """Print the result of a command, as JSON or as tables, and where the files are."""
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return

@@ -33,29 +33,15 @@ _KEYS = {  # key of a line in the log -> field of `Change`
 
 @dataclass
 class Change:
-    """One change of a study, and the state before and after it.
+    """One change of a study, and the state before and after it."""
 
-    Attributes
-    ----------
-    revision
-        Number of the change, from 1.
-    time
-        Local time in ISO 8601.
-    author
-        Where the command came from, as "cli" or "page".
-    command, arguments
-        Name and arguments of the command; see `Session.apply`.
-    before, after
-        The parts of the state that changed: "toml", the text of the study file, or "current", the group of the current
-        model. A change without `before` cannot be undone.
-
-    """
-
-    revision: int
-    time: str
-    author: str
-    command: str
+    revision: int  # number of the change, from 1
+    time: str  # local time in ISO 8601
+    author: str  # where the command came from, as "cli" or "page"
+    command: str  # command, arguments: name and arguments of the command; see `Session.apply`
     arguments: dict[str, Any] = field(default_factory=dict)
+    # before, after: the parts of the state that changed: "toml", the text of the study file, or "current", the group
+    # of the current model. A change without `before` cannot be undone
     before: dict[str, Any] = field(default_factory=dict)
     after: dict[str, Any] = field(default_factory=dict)
 
@@ -70,16 +56,7 @@ class Change:
 
     @classmethod
     def from_json(cls, line: bytes) -> Change:
-        """Read a line of the log.
-
-        Raises
-        ------
-        ValueError
-            If the line is not JSON, or a value has the wrong type.
-        TypeError, AttributeError, KeyError
-            If keys are missing or unknown.
-
-        """
+        """Read a line of the log."""
         change = cls(**{_KEYS[key]: value for key, value in json.loads(line).items()})
         texts, tables = (change.time, change.author, change.command), (change.arguments, change.before, change.after)
         sound = isinstance(change.revision, int) and all(isinstance(text, str) for text in texts)  # type: ignore[redundant-expr]  # as read
@@ -119,18 +96,7 @@ def undo_stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
 
 
 class CommandHistory:
-    """The log of one study.
-
-    Parameters
-    ----------
-    folder
-        Folder of the results of the study.
-    author
-        Recorded with every change.
-    expected_revision
-        The revision that the author has seen. A change is refused if the study is at another one; None allows any.
-
-    """
+    """The log of one study."""
 
     def __init__(self, folder: Path, author: str = "python", expected_revision: int | None = None) -> None:
         self.folder = folder
@@ -187,25 +153,7 @@ class CommandHistory:
 
     @contextmanager
     def record(self, command: str, **arguments: Any) -> Iterator[Change]:
-        """Lock the study, yield a change to be completed, and write it to the log if the block succeeds.
-
-        Parameters
-        ----------
-        command, **arguments
-            The command, as `Session.apply` takes it.
-
-        Yields
-        ------
-        Change
-            The block changes the study and sets `before` and `after`. A change without `before` cannot be undone; a
-            restart cannot be undone either, nor anything before it.
-
-        Raises
-        ------
-        FrictrackError
-            If the study is not at the expected revision, or the log is damaged or cannot be written.
-
-        """
+        """Lock the study, yield a change to be completed, and write it to the log if the block succeeds."""
         with lock_folder(self.folder):
             self.check_revision()
             path = self._move_former_log()
@@ -277,34 +225,15 @@ class KeptRows(Generic[Row]):
 
 @dataclass(frozen=True)
 class CompletenessTest:
-    """One diagnosis of one model, as the budget of significance counts it.
+    """One diagnosis of one model, as the budget of significance counts it."""
 
-    Attributes
-    ----------
-    key
-        Hash of model, data and seed; the same diagnosis again is no new test.
-    data
-        Hash of the runs.
-    model
-        Names of the effects.
-    sequence
-        Number of the sequence of tests, from 1.
-    alpha
-        Significance level.
-    named
-        Effects that were significant; None before the verdict is known.
-    verdict
-        The verdict; "" before it is known.
-
-    """
-
-    key: str
-    data: str
-    model: tuple[str, ...]
-    sequence: int
-    alpha: float
-    named: tuple[str, ...] | None = None
-    verdict: str = ""
+    key: str  # hash of model, data and seed; the same diagnosis again is no new test
+    data: str  # hash of the runs
+    model: tuple[str, ...]  # names of the effects
+    sequence: int  # number of the sequence of tests, from 1
+    alpha: float  # significance level
+    named: tuple[str, ...] | None = None  # effects that were significant; None before the verdict is known
+    verdict: str = ""  # the verdict; "" before it is known
 
     def allows(self, data: str, model: Collection[str]) -> bool:
         """Return whether a test of another model continues this one."""

@@ -49,50 +49,29 @@ MAX_TRACKS_SHOWN = 6  # names in a list of tracks
 
 @dataclass(frozen=True)
 class Surveyed:
-    """One recording as it was found.
+    """One recording as it was found."""
 
-    Parameters
-    ----------
-    path
-        The film, table, or folder of pictures.
-    words
-        What it holds, in a few words.
-    problem
-        Why it cannot be used; empty if it can.
-    fps, fps_source
-        Frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the camera's rate.
-    runs
-        Columns of every run of a table by short name, if the headers tell them with their units; one run without
-        columns of anything else.
-    columns_to_confirm
-        Lines of the study file that name the columns, one per run, if the units are missing or one of several tracks
-        is to be chosen.
-    left_open
-        What that line leaves open: "units" or "track".
-    camera_keys
-        Keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames.
-    n_frames, shape
-        Number of frames of a film, and height and width of its pictures, px; 0 for a table.
-    positions
-        Positions of a table that needs no camera, m, (n,).
-    needs_mass
-        Whether its friction force is not measured, so that it follows from mass and acceleration.
-
-    """
-
-    path: Path
-    words: str = ""
-    problem: str = ""
+    path: Path  # the film, table, or folder of pictures
+    words: str = ""  # what it holds, in a few words
+    problem: str = ""  # why it cannot be used; empty if it can
+    # fps, fps_source: frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the
+    # camera's rate
     fps: float | None = None
     fps_source: str = ""
+    # columns of every run of a table by short name, if the headers tell them with their units; one run without
+    # columns of anything else
     runs: Sequence[Mapping[str, str]] = ({},)
+    # lines of the study file that name the columns, one per run, if the units are missing or one of several tracks is
+    # to be chosen
     columns_to_confirm: Sequence[str] = ()
-    left_open: str = "units"
+    left_open: str = "units"  # what that line leaves open: "units" or "track"
+    # keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames
     camera_keys: tuple[str, ...] = ()
+    # n_frames, shape: number of frames of a film, and height and width of its pictures, px; 0 for a table
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
-    positions: Array | None = None
-    needs_mass: bool = True
+    positions: Array | None = None  # positions of a table that needs no camera, m, (n,)
+    needs_mass: bool = True  # whether its friction force is not measured, so that it follows from mass and acceleration
 
     @property
     def is_usable(self) -> bool:

@@ -48,45 +48,17 @@ def no_progress(done: int, total: int, what: str) -> None:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the measuring chain: it computes one group from other groups and from keys of the study file.
+    """One step of the measuring chain: it computes one group from other groups and from keys of the study file."""
 
-    Attributes
-    ----------
-    name
-        Name of the stage and of its group in the file of the run.
-    inputs
-        Names of the stages whose results it needs.
-    settings
-        Keys of ``[[run]]`` that it depends on.
-    make
-        Function ``make(pipeline, *results_of_the_inputs)`` that computes the result.
-    kind
-        Record type of the result, or `dict` for several tracks by name.
-
-    """
-
-    name: str
-    inputs: tuple[str, ...]
-    settings: tuple[str, ...]
-    make: Callable[..., Any]
-    kind: Any
+    name: str  # name of the stage and of its group in the file of the run
+    inputs: tuple[str, ...]  # names of the stages whose results it needs
+    settings: tuple[str, ...]  # keys of ``[[run]]`` that it depends on
+    make: Callable[..., Any]  # function ``make(pipeline, *results_of_the_inputs)`` that computes the result
+    kind: Any  # record type of the result, or `dict` for several tracks by name
 
 
 class RunPipeline:
-    """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated.
-
-    Parameters
-    ----------
-    study, run
-        The study, and the ``[[run]]`` of it.
-    stages
-        The stages by name, each after its inputs; see `frictrack.flow.stages`.
-    progress
-        Called while a stage is being computed.
-    stored_only
-        Take every stored result as up to date: nothing is computed and no recording is opened.
-
-    """
+    """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated."""
 
     def __init__(
         self,
@@ -141,14 +113,7 @@ class RunPipeline:
                 self._film = None
 
     def get(self, name: str) -> Any:
-        """Return the result of a stage; it is read if it is up to date, else computed and stored.
-
-        Raises
-        ------
-        FrictrackError
-            If the stage cannot be computed; the message names the run and the stage.
-
-        """
+        """Return the result of a stage; it is read if it is up to date, else computed and stored."""
         if name not in self._results:
             self._results[name] = self._read(name) if self.is_current(name) else self._compute(name)
         return self._results[name]
@@ -233,13 +198,6 @@ class RunPipeline:
         """Return what a stage is computed from.
 
         The hashes are computed once; a file that changes later is noticed by the next pipeline.
-
-        Returns
-        -------
-        list of (str, str)
-            Name and key of every group, then name and hash of every file. ``":/track"`` is a group of the file of this
-            run, ``"v3.h5:/track"`` a group of another file in the same folder.
-
         """
         if name not in self._inputs:
             stage = self.stages[name]
@@ -272,24 +230,7 @@ class RunPipeline:
     def content_hash(
         self, path: Path | RemoteFile, known: Mapping[str, str] = MappingProxyType({}), *, reread: bool = False
     ) -> str:
-        """Return the hash of a file, or of the files of a folder.
-
-        Parameters
-        ----------
-        path
-            The file or folder.
-        known
-            Hashes that stored results have, by path as written. A film's hash of an earlier version, which covers some
-            of its bytes, is returned as it is if these bytes are unchanged, so that the results remain valid.
-        reread
-            Read the files even if the hash of their present state is known.
-
-        Raises
-        ------
-        FrictrackError
-            If it cannot be read.
-
-        """
+        """Return the hash of a file, or of the files of a folder."""
         if path == self.run.video:
             found, before = self.recording.read_hash(reread=reread), known.get(self.as_written(path), "")
             return before if before not in ("", found) and before == self.recording.sampled_hash else found

@@ -39,12 +39,6 @@ class Findings:
 
     A finding is logged as a warning before the work that it concerns. One that cannot be right raises an error, unless
     the study file says `plausible = "checked"`.
-
-    Parameters
-    ----------
-    study
-        The study.
-
     """
 
     def __init__(self, study: Study) -> None:

@@ -343,14 +343,7 @@ class Session:
 
     @exclusive
     def name_next_run(self) -> dict[str, Any]:
-        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it.
-
-        Returns
-        -------
-        dict
-            "next": the run, see `frictrack.diagnose.experiments.next_run`, or None; "next_reason": why there is none.
-
-        """
+        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it."""
         from frictrack.diagnose.experiments import next_run  # noqa: PLC0415
 
         group, request = self.models.current()

@@ -73,21 +73,7 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
 
 
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
-    """Return the rows of all runs for one stage.
-
-    Parameters
-    ----------
-    pipelines
-        The runs, brought up to date up to the stage.
-    stage
-        ``"track"``, ``"motion"`` or ``"friction"``.
-
-    Returns
-    -------
-    list of dict
-        One row per run, as JSON; a table of positions has no row for ``"track"``.
-
-    """
+    """Return the rows of all runs for one stage."""
     describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
     made: list[dict[str, Any]] = to_builtins(
         [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
@@ -340,14 +326,7 @@ def read_results(study: Study) -> Results:
 
 
 class ResultsReader:
-    """Read the results of a study again and again; what has not changed in the files is read once.
-
-    Parameters
-    ----------
-    with_budgets
-        Compute the error budget of every run, which takes longer than reading it.
-
-    """
+    """Read the results of a study again and again; what has not changed in the files is read once."""
 
     def __init__(self, *, with_budgets: bool = True) -> None:
         self.with_budgets = with_budgets

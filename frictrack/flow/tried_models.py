@@ -40,17 +40,6 @@ GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another mo
 class FitRequest:
     """What the user asked of a fit: a model, edits of it, and how it is fitted.
 
-    Attributes
-    ----------
-    base
-        Name of a model ("tustin"), or names of effects.
-    edits
-        Effects that were added ("+texture") or removed ("-viscous") since.
-    domain, search, seed, per, over
-        See `frictrack.fit`.
-    settings
-        Settings of a global search that were asked for, by name.
-
     Examples
     --------
     >>> request = FitRequest("tustin").edited("+texture")
@@ -61,25 +50,19 @@ class FitRequest:
 
     """
 
-    base: str | tuple[str, ...]
-    edits: tuple[str, ...] = ()
-    domain: str = "displacement"
+    base: str | tuple[str, ...]  # name of a model ("tustin"), or names of effects
+    edits: tuple[str, ...] = ()  # effects that were added ("+texture") or removed ("-viscous") since
+    domain: str = "displacement"  # domain, search, seed, per, over: see `frictrack.fit`
     search: str = "varpro"
     seed: int = 0
     per: str | None = None
     over: str = "all"
+    # settings of a global search that were asked for, by name
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def method(self) -> str | SearchMethod:
-        """The search for `frictrack.fit`: its name, or with settings its record.
-
-        Raises
-        ------
-        FrictrackError
-            (usage) For settings that the search does not have, or that are out of range.
-
-        """
+        """The search for `frictrack.fit`: its name, or with settings its record."""
         if self.search == "varpro" and self.settings:
             raise FrictrackError(
                 f"expected settings ({', '.join(self.settings)}) with a global search ({', '.join(METHODS)}) but the "
@@ -95,14 +78,7 @@ class FitRequest:
         return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
 
     def model(self, tables: Iterable[EffectTable] = ()) -> Model:
-        """Return the model, with the settings of the study's `[[effect]]` tables.
-
-        Raises
-        ------
-        FrictrackError
-            (usage) For an unknown effect, or settings that contradict each other.
-
-        """
+        """Return the model, with the settings of the study's `[[effect]]` tables."""
         own = user_effects(tables)
         model = models.parse(self.base, own)
         for edit in self.edits:

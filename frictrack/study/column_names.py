@@ -82,11 +82,6 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
 
     Every column of times begins a run; each run has a column of positions.
 
-    Parameters
-    ----------
-    present
-        The headers of the table.
-
     Examples
     --------
     >>> runs_of_columns(["t 1 (s)", "x 1 (mm)", "t 2 (s)", "x 2 (mm)"])
@@ -170,13 +165,6 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
 
 def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name) -> dict[str, str]:
     """Guess time, position, height and friction by the usual names; a name that could be two columns is left out.
-
-    Parameters
-    ----------
-    present
-        The headers of the table.
-    name
-        Name of what a header holds.
 
     Examples
     --------

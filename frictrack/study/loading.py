@@ -42,52 +42,27 @@ _NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 @dataclass(frozen=True)
 class Study:
-    """A study file, read and checked.
+    """A study file, read and checked."""
 
-    Attributes
-    ----------
-    path, name
-        The study file, and the name of the study.
-    model
-        The first model: a name, or names of effects.
-    output
-        Folder of the results.
-    runs, effects
-        The ``[[run]]`` and ``[[effect]]`` tables.
-    mass
-        Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
-    fps, scale
-        Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
-    prior, prior_file
-        The law of another set-up, as a prior, and its file; None without one.
-    conditions
-        Conditions in which the studies of a campaign differ, by name.
-    functions
-        Functions of z in ``[study]``, for formulas.
-    costs
-        Costs of the next experiment.
-    search
-        How models are fitted; None without a table ``[search]``.
-    incomplete
-        What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
-
-    """
-
-    path: Path
+    path: Path  # path, name: the study file, and the name of the study
     name: str
-    model: str | tuple[str, ...]
-    output: Path
-    runs: tuple[schema.RunTable, ...]
+    model: str | tuple[str, ...]  # the first model: a name, or names of effects
+    output: Path  # folder of the results
+    runs: tuple[schema.RunTable, ...]  # runs, effects: the ``[[run]]`` and ``[[effect]]`` tables
     effects: tuple[schema.EffectTable, ...] = ()
+    # mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load
     mass: schema.Value | None = None
-    fps: float | None = None
+    fps: float | None = None  # fps, scale: frame rate (Hz) and scale in ``[camera]``, for a plan without runs
     scale: Any = None
+    # prior, prior_file: the law of another set-up, as a prior, and its file; None without one
     prior: Prior | None = None
     prior_file: Path | None = None
+    # conditions in which the studies of a campaign differ, by name
     conditions: Mapping[str, float | str] = field(default_factory=dict)
-    functions: tuple[str, ...] = ()
-    costs: Costs = DEFAULT_COSTS
-    search: schema.SearchTable | None = None
+    functions: tuple[str, ...] = ()  # functions of z in ``[study]``, for formulas
+    costs: Costs = DEFAULT_COSTS  # costs of the next experiment
+    search: schema.SearchTable | None = None  # how models are fitted; None without a table ``[search]``
+    # what its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`
     incomplete: tuple[str, ...] = ()
 
     @property

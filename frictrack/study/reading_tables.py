@@ -52,67 +52,36 @@ CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand fo
 
 @dataclass(frozen=True, eq=False)
 class TableData:
-    """The columns of a table in SI units, each of shape (n,); None for a column that is not there.
+    """The columns of a table in SI units, each of shape (n,); None for a column that is not there."""
 
-    Attributes
-    ----------
-    t
-        Time, s.
-    x, y
-        Position along and across the course, m.
-    sigma
-        Standard deviation of x, m.
-    drive, friction
-        Drive force and friction force, N.
-    a
-        Acceleration, m/s^2.
-    pressure
-        Pressure of a drive, Pa.
-    v, mu, sigma_friction, sigma_mu, load
-        Of points (v, F): constant speed, m/s, friction coefficient, standard deviations of force, N, and coefficient,
-        and normal load, N.
-    notes
-        What the program that tracked the positions says about them.
-    stamped_rate
-        Frame rate of the time stamps, Hz, if the given one contradicts it and replaced it.
-    clock_error
-        Relative standard deviation of the interval of the rows, where it was fitted to the time stamps.
-
-    """
-
-    t: Array
-    x: Array | None = None
-    sigma: Array | None = None
+    t: Array  # time, s
+    x: Array | None = None  # x, y: position along and across the course, m
+    sigma: Array | None = None  # standard deviation of x, m
     y: Array | None = None
-    drive: Array | None = None
-    a: Array | None = None
+    drive: Array | None = None  # drive, friction: drive force and friction force, N
+    a: Array | None = None  # acceleration, m/s^2
     friction: Array | None = None
-    pressure: Array | None = None
+    pressure: Array | None = None  # pressure of a drive, Pa
+    # v, mu, sigma_friction, sigma_mu, load: of points (v, F): constant speed, m/s, friction coefficient, standard
+    # deviations of force, N, and coefficient, and normal load, N
     v: Array | None = None
     mu: Array | None = None
     sigma_friction: Array | None = None
     sigma_mu: Array | None = None
     load: Array | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what the program that tracked the positions says about them
+    # frame rate of the time stamps, Hz, if the given one contradicts it and replaced it
     stamped_rate: float | None = None
+    # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
 
 
 @dataclass(frozen=True)
 class CameraUnits:
-    """What the camera's own units of a table are in SI units.
+    """What the camera's own units of a table are in SI units."""
 
-    Parameters
-    ----------
-    pixel
-        Size of a pixel, m; None if it is not known.
-    interval
-        Time from frame to frame, s; None if it is not known.
-
-    """
-
-    pixel: float | None = None
-    interval: float | None = None
+    pixel: float | None = None  # size of a pixel, m; None if it is not known
+    interval: float | None = None  # time from frame to frame, s; None if it is not known
 
 
 UNKNOWN_CAMERA = CameraUnits()
@@ -239,16 +208,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
 
 def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
-    """Return the headers of a table by short name: those given, and the others of the track whose x they name.
-
-    Parameters
-    ----------
-    table
-        The table.
-    columns
-        Headers that the study file gives; without any, those that the table knows.
-
-    """
+    """Return the headers of a table by short name: those given, and the others of the track whose x they name."""
     if len(table.tracks) != 1 and (not columns or not table.tracks):
         return TrackColumns({**table.columns, **columns})
     for track in table.tracks:

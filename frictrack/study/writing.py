@@ -96,22 +96,11 @@ bounds = {w = [0.002, 0.05]}"""
 
 @dataclass(frozen=True)
 class NewRun:
-    """The entry of a run in a new study file.
+    """The entry of a run in a new study file."""
 
-    Parameters
-    ----------
-    recording
-        The film or table.
-    keys
-        Known keys of the ``[[run]]``, such as fps and columns.
-    comment
-        What the user is to fill in.
-
-    """
-
-    recording: Path
-    keys: Mapping[str, Any] = field(default_factory=dict)
-    comment: str = ""
+    recording: Path  # the film or table
+    keys: Mapping[str, Any] = field(default_factory=dict)  # known keys of the ``[[run]]``, such as fps and columns
+    comment: str = ""  # what the user is to fill in
 
 
 def find_recordings(folder: Path) -> list[Path]:
@@ -296,19 +285,7 @@ def _commented_table(
 
 
 def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = ()) -> list[dict[str, str]]:
-    """Return a ``[[run]]`` for every recording, with its path relative to the study's folder.
-
-    Parameters
-    ----------
-    recordings
-        The recordings.
-    folder
-        Folder of the study file.
-    taken
-        Names of other runs. A run is named by the stem of its recording, or by the whole name if the stem is not
-        unique; several runs of one recording are numbered.
-
-    """
+    """Return a ``[[run]]`` for every recording, with its path relative to the study's folder."""
     stems = [p.stem.casefold() for p in dict.fromkeys(recordings)] + [name.casefold() for name in taken]
     tables = []
     for i, p in enumerate(recordings):

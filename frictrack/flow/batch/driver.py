@@ -42,37 +42,18 @@ Condition = tuple[float | str, str]  # value and unit; a category has no unit
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """The trend of one quantity over the series.
+    """The trend of one quantity over the series."""
 
-    Attributes
-    ----------
-    name, unit
-        The quantity.
-    at
-        Positions in the series, from 1, (n,).
-    value, std
-        Values and their standard deviations, NaN where unknown, (n,).
-    slope, slope_std
-        Change per position, and its standard deviation.
-    p
-        p-value of no slope, multiplied by the number of trends (Bonferroni).
-    scatter
-        Standard deviation tau from study to study.
-    axis
-        What a position is: "study" or "run".
-
-    """
-
-    name: str
+    name: str  # name, unit: the quantity
     unit: str
-    at: Array
-    value: Array
+    at: Array  # positions in the series, from 1, (n,)
+    value: Array  # value, std: values and their standard deviations, NaN where unknown, (n,)
     std: Array
-    slope: float
+    slope: float  # slope, slope_std: change per position, and its standard deviation
     slope_std: float
-    p: float
-    scatter: float
-    axis: str = "study"
+    p: float  # p-value of no slope, multiplied by the number of trends (Bonferroni)
+    scatter: float  # standard deviation tau from study to study
+    axis: str = "study"  # what a position is: "study" or "run"
 
     @property
     def holds(self) -> bool:
@@ -367,19 +348,7 @@ class _BatchOutput:
 
 
 def find_studies(patterns: Sequence[str]) -> list[Path]:
-    """Find study files, each once, with numbers in names in numerical order (``run_9`` before ``run_10``).
-
-    Parameters
-    ----------
-    patterns
-        Study files, folders (searched with their subfolders) and globs.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If a pattern matches no study file.
-
-    """
+    """Find study files, each once, with numbers in names in numerical order (``run_9`` before ``run_10``)."""
     found: dict[Path, None] = {}
     for pattern in patterns:
         matches = glob.glob(pattern, recursive=True) or [pattern]
@@ -403,14 +372,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 class Journal:
-    """A file of JSON lines that is only appended to; an incomplete last line is ignored.
-
-    Parameters
-    ----------
-    path
-        The file; it is created when the first study is appended.
-
-    """
+    """A file of JSON lines that is only appended to; an incomplete last line is ignored."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

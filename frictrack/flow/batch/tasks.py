@@ -58,37 +58,17 @@ def _state(path: Path | RemoteFile) -> list[int]:
 
 @dataclass
 class StudyOutcome:
-    """The outcome of a study.
-
-    Attributes
-    ----------
-    study
-        Absolute path of the study file.
-    summary
-        The row of the study in the table of the page.
-    rows
-        One row per run.
-    units
-        Units of the parameters.
-    files
-        States of the study's files; empty if something failed, so that the next batch tries again.
-    conditions
-        Conditions that the study file states, by name.
-    law
-        The law as a prior file; "" where there is none, or where it rests on the prior of another study.
-    seed, seconds
-        Seed of the diagnosis, and computing time, s.
-
-    """
+    """The outcome of a study."""
 
     study: str  # the file, from the root
-    summary: dict[str, Any]
-    rows: list[dict[str, Any]]
+    summary: dict[str, Any]  # the row of the study in the table of the page
+    rows: list[dict[str, Any]]  # one row per run
     units: dict[str, str] = field(default_factory=dict)  # of the parameters
+    # states of the study's files; empty if something failed, so that the next batch tries again
     files: FileStates = field(default_factory=dict)
-    conditions: dict[str, float | str] = field(default_factory=dict)
-    law: str = ""
-    seed: int = 0
+    conditions: dict[str, float | str] = field(default_factory=dict)  # conditions that the study file states, by name
+    law: str = ""  # the law as a prior file; "" where there is none, or where it rests on the prior of another study
+    seed: int = 0  # seed, seconds: seed of the diagnosis, and computing time, s
     seconds: float = 0.0
 
     @property
@@ -233,34 +213,15 @@ POLL_INTERVAL_S = 0.5
 
 @dataclass
 class BatchState:
-    """The progress of a batch.
+    """The progress of a batch."""
 
-    Attributes
-    ----------
-    studies
-        Number of studies.
-    kept
-        Number of studies that were finished before.
-    done
-        Studies that have ended, failed ones included.
-    runs
-        Number of runs of those.
-    failures
-        "study", "run" and "reason" of every failure.
-    under_way
-        Task -> time at which it began, s.
-    began
-        Time at which the batch began, s.
-
-    """
-
-    studies: int
-    kept: int = 0
-    done: list[str] = field(default_factory=list)
-    runs: int = 0
-    failures: list[dict[str, str]] = field(default_factory=list)
-    under_way: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.monotonic)
+    studies: int  # number of studies
+    kept: int = 0  # number of studies that were finished before
+    done: list[str] = field(default_factory=list)  # studies that have ended, failed ones included
+    runs: int = 0  # number of runs of those
+    failures: list[dict[str, str]] = field(default_factory=list)  # "study", "run" and "reason" of every failure
+    under_way: dict[str, float] = field(default_factory=dict)  # task -> time at which it began, s
+    began: float = field(default_factory=time.monotonic)  # time at which the batch began, s
 
     @property
     def seconds(self) -> float:
@@ -297,20 +258,7 @@ class _Task:
 
 
 class Scheduler:
-    """Submit the tasks of all studies to a pool of workers.
-
-    Parameters
-    ----------
-    studies
-        Paths of the study files.
-    seed
-        Seed of the diagnoses.
-    pool
-        The workers.
-    state
-        Is updated while the batch runs.
-
-    """
+    """Submit the tasks of all studies to a pool of workers."""
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
         self.seed = seed

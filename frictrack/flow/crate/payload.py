@@ -106,32 +106,15 @@ RESULTS = "results"  # the same of the results
 
 @dataclass(frozen=True)
 class Part:
-    """One file of a crate.
+    """One file of a crate."""
 
-    Attributes
-    ----------
-    source
-        The file on this machine.
-    place
-        Its path in the crate, with slashes.
-    role
-        "study", "input" or "result".
-    size, sha256
-        Its bytes, and their SHA-256.
-    is_film
-        Whether it belongs to a film, which is not compressed again.
-    is_included
-        Whether the crate contains it; else it is described by its hash.
-
-    """
-
-    source: Path
-    place: str
-    role: str
-    size: int
+    source: Path  # the file on this machine
+    place: str  # its path in the crate, with slashes
+    role: str  # "study", "input" or "result"
+    size: int  # size, sha256: its bytes, and their SHA-256
     sha256: str
-    is_film: bool = False
-    is_included: bool = True
+    is_film: bool = False  # whether it belongs to a film, which is not compressed again
+    is_included: bool = True  # whether the crate contains it; else it is described by its hash
 
     @classmethod
     def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
@@ -145,22 +128,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Payload:
-    """All files of a crate.
+    """All files of a crate."""
 
-    Attributes
-    ----------
-    parts
-        The files.
-    moved
-        Place in the crate by the path in the study file, of what lies elsewhere in the crate.
-    results
-        Place of the folder of the results.
-
-    """
-
-    parts: tuple[Part, ...]
-    moved: dict[str, str]
-    results: str
+    parts: tuple[Part, ...]  # the files
+    moved: dict[str, str]  # place in the crate by the path in the study file, of what lies elsewhere in the crate
+    results: str  # place of the folder of the results
 
 
 def list_payload(session: Session, *, include_recordings: bool) -> Payload:

@@ -30,50 +30,24 @@ ABSENT = "ni:"  # how the address of a file begins that the crate does not conta
 
 @dataclass(frozen=True)
 class CrateFile:
-    """A file that a crate describes.
+    """A file that a crate describes."""
 
-    Attributes
-    ----------
-    place
-        Its path in the crate.
-    size, sha256
-        Its bytes, and their SHA-256.
-    is_included
-        Whether the crate contains it.
-
-    """
-
-    place: str
-    size: int
+    place: str  # its path in the crate
+    size: int  # size, sha256: its bytes, and their SHA-256
     sha256: str
-    is_included: bool
+    is_included: bool  # whether the crate contains it
 
 
 @dataclass(frozen=True)
 class Crate:
-    """The description of a crate.
+    """The description of a crate."""
 
-    Attributes
-    ----------
-    folder
-        The unpacked crate.
-    study
-        The study file.
-    inputs, results
-        What the study was computed from, and what was computed.
-    moved
-        Place in the crate by the path in the study file, of what lies elsewhere.
-    versions
-        Versions of software and machine that computed the results.
-
-    """
-
-    folder: Path
-    study: CrateFile
-    inputs: tuple[CrateFile, ...]
+    folder: Path  # the unpacked crate
+    study: CrateFile  # the study file
+    inputs: tuple[CrateFile, ...]  # inputs, results: what the study was computed from, and what was computed
     results: tuple[CrateFile, ...]
-    moved: dict[str, str]
-    versions: dict[str, str]
+    moved: dict[str, str]  # place in the crate by the path in the study file, of what lies elsewhere
+    versions: dict[str, str]  # versions of software and machine that computed the results
 
     def path(self, file: CrateFile) -> Path:
         """Return the path of a file in the crate, which need not exist."""
@@ -275,55 +249,29 @@ MAX_TEXT = 200  # characters of a text in a difference
 
 @dataclass(frozen=True)
 class Difference:
-    """A value that is not the same in both copies.
+    """A value that is not the same in both copies."""
 
-    Attributes
-    ----------
-    file, group, value
-        Where it stands; `value` is empty if the whole group is in one copy only.
-    stored, computed
-        What the crate has, and what was computed again; a number is the one that differs most.
-    relative
-        Difference over the largest magnitude of that value's array or list; None for a text.
-
-    """
-
-    file: str
+    file: str  # file, group, value: where it stands; `value` is empty if the whole group is in one copy only
     group: str
     value: str
+    # stored, computed: what the crate has, and what was computed again; a number is the one that differs most
     stored: Any
     computed: Any
+    # difference over the largest magnitude of that value's array or list; None for a text
     relative: float | None = None
 
 
 @dataclass(frozen=True)
 class GroupComparison:
-    """The comparison of one group.
+    """The comparison of one group."""
 
-    Attributes
-    ----------
-    file, group
-        Name of the file and of the group.
-    numbers
-        How many numbers were compared.
-    largest
-        Largest relative difference of a number.
-    differences
-        The values that differ, at most `MAX_DIFFERENCES`.
-    n_differences
-        How many values differ.
-    same_conclusions
-        Whether model, verdict, parameters and errors are the same.
-
-    """
-
-    file: str
+    file: str  # file, group: name of the file and of the group
     group: str
-    numbers: int
-    largest: float
-    differences: tuple[Difference, ...]
-    n_differences: int
-    same_conclusions: bool
+    numbers: int  # how many numbers were compared
+    largest: float  # largest relative difference of a number
+    differences: tuple[Difference, ...]  # the values that differ, at most `MAX_DIFFERENCES`
+    n_differences: int  # how many values differ
+    same_conclusions: bool  # whether model, verdict, parameters and errors are the same
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of the group."""

@@ -41,27 +41,7 @@ def write(
     links: Mapping[str, str] = NOTHING,
     attribute_updates: Mapping[str, Mapping[str, Any]] = NOTHING,
 ) -> None:
-    """Write groups into a file, keep all others, and replace the file in one step.
-
-    Parameters
-    ----------
-    path
-        The file; it is created if it does not exist.
-    groups
-        Content by name of the group (``"track"``, ``"models/1_tustin"``). A group that exists is replaced.
-    remove
-        Names of groups to delete.
-    links
-        Target by name of a group: another file of the same folder, or with a leading slash another group.
-    attribute_updates
-        Attributes to set on existing groups, by name of the group.
-
-    Raises
-    ------
-    FrictrackError
-        If the existing file is not a frictrack file, or the folder cannot be written.
-
-    """
+    """Write groups into a file, keep all others, and replace the file in one step."""
     with _replacing(path) as file:
         for name in (*remove, *groups, *links, *(f"{name}/" for name in attribute_updates)):
             _guard(file, path, name)
@@ -116,19 +96,7 @@ def provenance(path: Path, group: str) -> Provenance | None:
 
 
 def provenances(path: Path) -> dict[str, Provenance]:
-    """Return the provenance of every group of a file, without the files that it links to.
-
-    Returns
-    -------
-    dict of str to Provenance
-        By name of the group, subgroups included (``"models/1_tustin"``).
-
-    Raises
-    ------
-    FrictrackError
-        If the file cannot be read.
-
-    """
+    """Return the provenance of every group of a file, without the files that it links to."""
     with _reading(path) as file:
         return dict(_provenances_in(file, ""))
 
@@ -187,14 +155,7 @@ def names(path: Path, group: str = "/") -> list[str]:
 
 @contextmanager
 def snapshot(*paths: Path) -> Iterator[None]:
-    """Read several files at one version: reads inside the block see the same content, even if the files are replaced.
-
-    Parameters
-    ----------
-    *paths
-        The files; those that do not exist are ignored.
-
-    """
+    """Read several files at one version: reads in the block see the same content, even if the files are replaced."""
     if not paths:
         yield
     elif not paths[0].exists() or paths[0] in _HELD.get():

@@ -33,14 +33,7 @@ class Fault:
 
 
 def check(path: Path) -> list[Fault]:
-    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds.
-
-    Returns
-    -------
-    list of Fault
-        Empty if the file is sound.
-
-    """
+    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds."""
     try:
         check_header(path, reread=True)
     except (FrictrackError, OSError) as e:

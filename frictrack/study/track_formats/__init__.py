@@ -26,24 +26,12 @@ FOLDER = "/"  # in place of the end of a name
 
 @dataclass(frozen=True)
 class TrackFormat:
-    """A format of tracks.
+    """A format of tracks."""
 
-    Parameters
-    ----------
-    programs
-        The programs that write it.
-    suffixes
-        Ends of the names of its files, or `FOLDER`.
-    read
-        Function that reads one; it raises `ValueError` if it cannot.
-    is_one
-        Function that says whether a file has this format, where other files end alike; None if none do.
-
-    """
-
-    programs: str
-    suffixes: tuple[str, ...]
-    read: Callable[[Path], TableFile]
+    programs: str  # the programs that write it
+    suffixes: tuple[str, ...]  # ends of the names of its files, or `FOLDER`
+    read: Callable[[Path], TableFile]  # function that reads one; it raises `ValueError` if it cannot
+    # function that says whether a file has this format, where other files end alike; None if none do
     is_one: Callable[[Path], bool] | None = None
 
 
@@ -69,14 +57,7 @@ FORMATS = (
 
 
 def find_track_format(path: Path) -> TrackFormat | None:
-    """Return the format of a file or folder; None if it holds no tracks of another program.
-
-    Parameters
-    ----------
-    path
-        The file or folder, which exists.
-
-    """
+    """Return the format of a file or folder; None if it holds no tracks of another program."""
     suffix = FOLDER if path.is_dir() else path.suffix.lower()
     alike = (one for one in FORMATS if suffix in one.suffixes)
     return next((one for one in alike if one.is_one is None or one.is_one(path)), None)

@@ -39,19 +39,7 @@ def is_dice_file(path: Path) -> bool:
 
 
 def read_dice(path: Path) -> TableFile:
-    """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing.
-
-    Parameters
-    ----------
-    path
-        A folder of solutions, or the solution of one subset.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or lacks the displacements.
-
-    """
+    """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
@@ -131,19 +119,7 @@ SAVE = 'numpy.save("displacements.npy", displacements)'
 
 
 def read_pyidi_displacements(path: Path) -> TableFile:
-    """Read the displacements of points, by frame.
-
-    Parameters
-    ----------
-    path
-        A .npy file.
-
-    Raises
-    ------
-    ValueError
-        If it holds something else.
-
-    """
+    """Read the displacements of points, by frame."""
     if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB; save fewer points")
     try:

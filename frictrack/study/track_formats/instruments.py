@@ -40,19 +40,7 @@ def is_labview_text(path: Path) -> bool:
 
 
 def read_labview_text(path: Path) -> TableFile:
-    """Read a LabVIEW measurement file with one time column, one per channel, or none but the interval of its samples.
-
-    Parameters
-    ----------
-    path
-        A .lvm file, or a text of the same content.
-
-    Raises
-    ------
-    ValueError
-        If it is cut off, or too large.
-
-    """
+    """Read a LabVIEW measurement file: one time column, one per channel, or none but the interval of its samples."""
     if path.stat().st_size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB")
     head, *parts = _END_OF_HEADER.split(path.read_text(encoding=text_encoding(path)))
@@ -112,19 +100,7 @@ def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channe
 
 
 def read_tdms(path: Path) -> TableFile:
-    """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times.
-
-    Parameters
-    ----------
-    path
-        A .tdms file.
-
-    Raises
-    ------
-    ValueError
-        If npTDMS cannot read it.
-
-    """
+    """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times."""
     from nptdms import TdmsFile  # noqa: PLC0415 - optional
 
     try:
@@ -147,19 +123,7 @@ def _waveforms(channels: list[Any]) -> Channels:
 
 
 def read_matlab(path: Path) -> TableFile:
-    """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures.
-
-    Parameters
-    ----------
-    path
-        A .mat file of any version.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or too large.
-
-    """
+    """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
     variables = read_arrays(path)
     vectors = {name: values for name, values in variables.items() if np.size(values) >= MIN_VALUES}
     recordings: dict[str, Channels] = {}

@@ -35,19 +35,7 @@ def is_deeplabcut_text(path: Path) -> bool:
 
 
 def read_deeplabcut_text(path: Path) -> TableFile:
-    """Read the points of a table of DeepLabCut, by frame; unlikely ones count as missing.
-
-    Parameters
-    ----------
-    path
-        A .csv file.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged.
-
-    """
+    """Read the points of a table of DeepLabCut, by frame; unlikely ones count as missing."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     levels = _levels(path) or LEVELS[0]
@@ -65,23 +53,7 @@ def read_deeplabcut_text(path: Path) -> TableFile:
 
 
 def deeplabcut_table(names: Sequence[Sequence[str]], frames: Array, values: Array) -> TableFile:
-    """Return the table of some columns of DeepLabCut.
-
-    Parameters
-    ----------
-    names
-        For each column (individual,) body part and coordinate: x, y or likelihood.
-    frames
-        Numbers of the frames, (n,).
-    values
-        The columns, (n, len(names)).
-
-    Raises
-    ------
-    ValueError
-        If a point lacks a coordinate.
-
-    """
+    """Return the table of some columns of DeepLabCut."""
     points: dict[tuple[str, ...], dict[str, Array]] = {}
     for name, column in zip(names, values.T, strict=True):
         points.setdefault(tuple(name[:-1]), {})[name[-1]] = column
@@ -116,19 +88,7 @@ def is_hdf5(path: Path) -> bool:
 
 
 def read_hdf5_tracks(path: Path) -> TableFile:
-    """Read tracks in HDF5, by time if the file states it, else by frame.
-
-    Parameters
-    ----------
-    path
-        A file of DeepLabCut, movement or SLEAP.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or of another program.
-
-    """
+    """Read tracks in HDF5, by time if the file states it, else by frame."""
     found = read_arrays(path)
     if "frames" in found:
         return deeplabcut_table([tuple(map(str, name)) for name in found["names"]], found["frames"], found["values"])

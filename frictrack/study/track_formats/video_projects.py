@@ -37,19 +37,7 @@ _INDEX = re.compile(r"\[(\d{1,8})\]")
 
 
 def read_tracker_project(path: Path) -> TableFile:
-    """Read the point masses of a project of Tracker as columns t, x and y, as its data tables show them.
-
-    Parameters
-    ----------
-    path
-        A .trk or .trz file.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or states no duration of a frame.
-
-    """
+    """Read the point masses of a project of Tracker as columns t, x and y, as its data tables show them."""
     panel = read_xml(_project(path))
     if moving := _text(panel, "referenceframe"):
         raise ValueError(
@@ -165,19 +153,7 @@ def is_kinovea_project(path: Path) -> bool:
 
 
 def read_kinovea_project(path: Path) -> TableFile:
-    """Read the tracks of annotations of Kinovea as columns t, x and y, in the unit of its calibration.
-
-    Parameters
-    ----------
-    path
-        A .kva file, or .xml.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, of an older format, or corrected for the distortion of the lens.
-
-    """
+    """Read the tracks of annotations of Kinovea as columns t, x and y, in the unit of its calibration."""
     with path.open("rb") as file:
         root = read_xml(read_limited(file))
     if root.tag != ROOT or (version := _number(root, "FormatVersion", 0.0)) < MIN_VERSION:
