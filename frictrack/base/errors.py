@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 MAX_MESSAGE_LENGTH = 8000  # characters
 FULL_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)  # no space, quota, limit of a file
@@ -88,3 +90,12 @@ def raise_faults(faults: list[str], what: str) -> None:
     """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
+
+
+@contextmanager
+def os_errors_as(what: str) -> Iterator[None]:
+    """Raise an error of the operating system as a `FrictrackError` that says what could not be done, and why."""
+    try:
+        yield
+    except OSError as e:
+        raise FrictrackError(f"{what}: {e.strerror or e}") from e

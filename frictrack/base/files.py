@@ -24,7 +24,7 @@ import psutil
 from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 
 MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
@@ -168,10 +168,8 @@ def make_subfolder(folder: Path, name: str) -> Path:
     path = folder / name
     if path.is_symlink():
         raise FrictrackError(f"expected a folder {path} but it is a link to another place; remove the link")
-    try:
+    with os_errors_as(f"cannot write results into {path}"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise FrictrackError(f"cannot write results into {path}: {e.strerror or e}") from e
     return path
 
 
@@ -261,6 +259,20 @@ def write_at(file: RawIOBase, start: int, content: Any) -> None:
     rest = memoryview(content).cast("B")
     while rest:
         rest = rest[file.write(rest) or 0 :]
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a log, safe on the disk when this returns; what a power cut left of a line is cut off."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab+") as file:
+        if file.seek(0, os.SEEK_END):
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                file.seek(0)
+                file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line.encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def replace_text(path: Path, text: str) -> Path:

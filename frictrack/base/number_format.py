@@ -275,6 +275,19 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else "".join(words)
 
 
+def first_words(words: Sequence[str], most: int) -> str:
+    """List the first of many words, and how many others there are.
+
+    Examples
+    --------
+    >>> first_words(["a", "b"], 2), first_words(["a", "b", "c", "d"], 2)
+    ('a, b', 'a, b and 2 more')
+
+    """
+    more = len(words) - most
+    return ", ".join(words[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def lower_first(sentence: str) -> str:
     """Turn a sentence into a clause: lower-case first letter, no full stop.
 

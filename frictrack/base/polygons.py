@@ -151,9 +151,9 @@ def _rectangle(x: float, y: float, w: float, h: float) -> Polygon:
 
 def are_coordinates(raw: Any, count: int) -> bool:
     """Return whether these are `count` numbers that can be pixel coordinates."""
-    numbers = (int, float, np.integer, np.floating)
     listed = isinstance(raw, list | tuple | np.ndarray) and len(raw) == count
-    return listed and all(isinstance(v, numbers) and not isinstance(v, bool) and abs(v) < MAX_PX for v in raw)
+    numbers = listed and all(isinstance(v, int | float | np.number) and not isinstance(v, bool) for v in raw)
+    return bool(numbers and all(abs(v) < MAX_PX for v in raw))
 
 
 def _shown(raw: Any) -> str:

@@ -8,7 +8,6 @@ an older revision is refused instead of overwriting the change of another user.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, replace_text
+from frictrack.base.files import INTERNAL_FOLDER, append_line, lock_folder, make_internal_folder, replace_text
 
 FILE_NAME = "log.jsonl"
 _KEYS = {  # key of a line in the log -> field of `Change`
@@ -157,14 +156,10 @@ class CommandHistory:
         with lock_folder(self.folder):
             self.check_revision()
             path = self._move_former_log()
-            self._cut_incomplete_line()
             time = datetime.now().astimezone().isoformat(timespec="seconds")
             change = Change(self.revision + 1, time, self.author, command, arguments)
             yield change
-            with path.open("ab") as log:
-                log.write(change.to_json().encode() + b"\n")
-                log.flush()
-                os.fsync(log.fileno())
+            append_line(path, change.to_json())
             self.expected_revision = None if self.expected_revision is None else change.revision
 
     def _move_former_log(self) -> Path:
@@ -176,12 +171,6 @@ class CommandHistory:
         if former.exists() and not path.exists():
             former.replace(path)
         return path
-
-    def _cut_incomplete_line(self) -> None:
-        """Remove what a power cut left of a line."""
-        if self.path.exists() and not (text := self.path.read_bytes()).endswith(b"\n") and text:
-            with self.path.open("r+b") as log:
-                log.truncate(text.rfind(b"\n") + 1)
 
 
 Row = TypeVar("Row")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_plus_minus
+from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.plausibility_checks import known_pitch
@@ -190,8 +190,7 @@ def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Sur
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:
     """Propose the first of several tracks; the user chooses."""
     headers = [track.columns["x"] for track in table.tracks]
-    more = f" and {len(headers) - MAX_TRACKS_SHOWN} more" if len(headers) > MAX_TRACKS_SHOWN else ""
-    shown = ", ".join(headers[:MAX_TRACKS_SHOWN]) + more
+    shown = first_words(headers, MAX_TRACKS_SHOWN)
     words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {shown}"
     lines = [columns_line({"x": headers[0]})]
     needed = _camera_keys(table.tracks[0].columns)
@@ -210,9 +209,7 @@ def _columns(table: TableFile) -> dict[str, str] | None:
     """
     proposed = propose_columns(table.frame, table.columns)
     heads = list(map(str, table.frame.columns))
-    if {"t", "x"} <= table.columns.keys() or all(
-        any(head.split(" (")[0] == name for head in heads) for name in STANDARD
-    ):
+    if {"t", "x"} <= table.columns.keys() or {head.split(" (")[0] for head in heads} >= set(STANDARD):
         return {}
     known = [key for key, name in zip(("t", "x"), STANDARD, strict=True) if name in heads or key in proposed]
     return proposed if len(known) == len(STANDARD) else None
@@ -261,28 +258,22 @@ def check_entered(keys: Mapping[str, Any]) -> None:
         (usage) With all of them, each with what was read and what to type instead.
 
     """
-    found = [_as_option(str(one)) for one in implausible_entries(read_keys(keys))]
+    checked = 'if it is right, set plausible = "checked"'
+    in_file = f"{checked} in a study file, which `frictrack init` writes"
+    found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible_entries(read_keys(keys))]
     if found:
         raise FrictrackError("; ".join(found), usage=True)
 
 
 def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
     """Read the numbers that a user typed."""
+    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
+    bare = frozenset(key for key in ("mass", "scale") if lacks_unit(keys.get(key)))
     try:
-        return _entered_values(keys)
+        kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
+        return EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except FrictrackError as e:
         raise FrictrackError(str(e), usage=True) from e
-
-
-def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
-    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
-    bare = {key for key, value in (("mass", mass), ("scale", scale)) if lacks_unit(value)}
-    return EnteredValues(
-        mass=None if mass in (None, "fit") else _kilograms(mass)[0],
-        pitch=known_pitch(scale),
-        fps=fps,
-        bare=frozenset(bare),
-    )
 
 
 def _kilograms(mass: Any) -> tuple[float, float]:
@@ -290,12 +281,6 @@ def _kilograms(mass: Any) -> tuple[float, float]:
     if not value > 0:
         raise FrictrackError(f"expected a mass above 0 kg but got {mass}")
     return value, std
-
-
-def _as_option(words: str) -> str:
-    """Return a finding on a key of the study file as one on an option of the command line."""
-    checked = 'if it is right, set plausible = "checked"'
-    return _KEY.sub(r"--\1 ", words).replace(checked, f"{checked} in a study file, which `frictrack init` writes")
 
 
 def describe_keys(keys: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
 from frictrack.base.version import __version__
@@ -234,10 +234,8 @@ class RunPipeline:
         if path == self.run.video:
             found, before = self.recording.read_hash(reread=reread), known.get(self.as_written(path), "")
             return before if before not in ("", found) and before == self.recording.sampled_hash else found
-        try:
+        with os_errors_as(f"cannot read {path}"):
             return hash_path(local_path(path), reread=reread)
-        except OSError as e:
-            raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
     @property
     def final_track(self) -> Track:

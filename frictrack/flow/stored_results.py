@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_number, format_plus_minus
+from frictrack.base.number_format import first_words, format_number, format_plus_minus
 from frictrack.base.version import __version__
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -39,6 +39,7 @@ PICTURE_STAGES = ("recording", "track", "tracks")  # whose results are the posit
 HEAD_BYTES = 2000  # of a report, in which its key stands
 REPORT_KEY = re.compile(r"[0-9a-f]{64} ([0-9a-f]{64}) ([^\"<>]+)")  # all inputs, the results, the current model
 MAX_NAMES = 3  # runs named in a reason
+_named = partial(first_words, most=MAX_NAMES)
 OPTIONAL_STAGES = ("cutoff", "friction", "events", "repaired")  # not needed by a fit, or not for what is shown
 
 
@@ -246,7 +247,7 @@ def _outdated_models(
     by_reason: dict[str, list[str]] = {}  # each changed key once, with the names of its runs
     for run in runs:
         by_reason.setdefault(run.reason, []).append(run.name)
-    changed_keys = [f"{reason} ({_names(names)})" for reason, names in by_reason.items()]
+    changed_keys = [f"{reason} ({_named(names)})" for reason, names in by_reason.items()]
     current = models.current_group
     for group in models.groups:
         made = store.provenance(models.path, f"models/{group}") or Provenance()
@@ -270,18 +271,13 @@ def _changed_inputs(pipelines: Sequence[RunPipeline], inputs: Sequence[Sequence[
     now = {pipeline.path.name.removesuffix(".h5"): pipeline for pipeline in pipelines}
     added, removed = [name for name in now if name not in fitted], sorted(fitted - now.keys())
     if added:
-        yield f"it was fitted without {_names(added)}"
+        yield f"it was fitted without {_named(added)}"
     if removed:
-        yield f"it was fitted with {_names(removed)}, which the study no longer has"
+        yield f"it was fitted with {_named(removed)}, which the study no longer has"
     pairs = [(name, stage) for name in now if name in fitted for stage in ("friction", "motion")]
     different = [name for name, stage in pairs if then.get(f"{name}.h5:/{stage}") != now[name].key(stage)]
     if again := list(dict.fromkeys(different)):
-        yield f"{_names(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
-
-
-def _names(names: Sequence[str]) -> str:
-    more = len(names) - MAX_NAMES
-    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+        yield f"{_named(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
 
 
 def _outdated_report(

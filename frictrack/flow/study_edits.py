@@ -33,6 +33,13 @@ class OpenStudy:
     models: TriedModels
 
 
+def _edit(opened: OpenStudy, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
+    """Rewrite the study file and record the command; return its arguments."""
+    with opened.history.record(command, **arguments) as change:
+        change.before, change.after = _rewrite(opened.study.path, rewrite)
+    return arguments
+
+
 def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file."""
 
@@ -43,9 +50,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
             request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
         return after
 
-    with opened.history.record("edit", table=table, which=which, key=key, value=value) as change:
-        change.before, change.after = _rewrite(opened.study.path, rewrite)
-    return {"table": table, "which": which, "key": key, "value": value}
+    return _edit(opened, "edit", rewrite, table=table, which=which, key=key, value=value)
 
 
 def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
@@ -54,24 +59,18 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise FrictrackError(f"expected a recording {', '.join(missing)} but there is no such file", usage=True)
-    with opened.history.record("take_in", recordings=list(recordings)) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: with_runs(text, folder, paths))
-    return {"recordings": list(recordings)}
+    return _edit(opened, "take_in", lambda text: with_runs(text, folder, paths), recordings=list(recordings))
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
     """Remove a run from the study file; its recording and its results stay where they are."""
-    with opened.history.record("leave_out", run=run) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: without_run(text, run))
-    return {"run": run}
+    return _edit(opened, "leave_out", lambda text: without_run(text, run), run=run)
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
-    with opened.history.record("define", effect=keys) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: with_effect(text, keys))
-    return {"effect": keys}
+    return _edit(opened, "define", lambda text: with_effect(text, keys), effect=keys)
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
 from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
@@ -39,6 +41,7 @@ MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
 MAX_NAMES_SHOWN = 12  # headers in a message
+_listed = partial(first_words, most=MAX_NAMES_SHOWN)
 DAY_S = 86400.0
 MAX_STEP_OF_DAYS = 1e-6  # between times without a unit: closer ones are days, as Excel counts them
 _ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
@@ -297,12 +300,6 @@ def _read(
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
     return values | ({"notes": notes} if notes else {})
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names for a message; the first ones of very many."""
-    more = len(names) - MAX_NAMES_SHOWN
-    return ", ".join(names[:MAX_NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:

@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -53,45 +54,6 @@ known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100,
     ),
     "lens": ("lens.yml", "camera matrix and distortion, if the lens was calibrated before (OpenCV's yml or json)"),
 }
-RUN = """Optional keys of a run:
-mass = "0.70 kg"            if it differs from the mass in [study]
-target = [410, 232, 96, 64] position of the slider in the first frame (x, y, w, h), if it is not found automatically;
-                            or a click on it [x, y], or a picture of it "slider.png"; template = 30: in frame 30
-target = [[410, 232], [500, 236], [470, 290]]   its outline, corner by corner
-exclude = [[[430, 240], [450, 240], [450, 260]]]   polygons or rectangles in that frame that are not part of the target
-obstacles = [[600, 0, 24, 400]]    polygons or rectangles fixed in the picture, behind which the target passes
-repair = [{from = 120, to = 160, how = "track", target = [410, 232, 96, 64]}]   frames that were tracked wrongly: the
-                            target in frame 120 tells where it is; or how = "interpolate" or "leave_out"
-reference = [8, 80, 64, 32] a fixed object to measure camera shake, if the automatic choice is wrong; or "none"
-axis = "track"              +x along the path itself, if the course is not level in the picture; or [dx, dy]
-normal_load = "5 N"         where the friction was measured: gives its coefficient; no mass is needed
-incline = "22 deg"          the course rises toward +x; negative where it falls
-free = ["0.01 s", "0.2 s"]  the free section that is fitted, if the automatic choice is wrong
-cutoff = "120 Hz"           a plain low-pass, instead of separating trend, vibrations and events automatically
-filter = "butterworth"      another filter; or "savitzky-golay", "kalman", "gaussian-process" or "papers" (as in the two
-                            papers); with cutoff, order, window, causal = true; in [motion] for all runs
-drive = "drive.csv"         the drive force with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
-                            {table = "p.csv", area = "3.14 cm^2", until = "release"}; then mass = "fit" is possible
-sensor = "acc.csv"          an accelerometer or load cell with its own clock (t_s, a_m_s2 or friction_N)
-impact_energy = "2 J"       energy of the hammer: the kinetic energy at release must be smaller
-role = "validation"         predicted only, not fitted
-plausible = "checked"       mass, scale, speed and incline were checked, although they look implausible"""
-
-EFFECT = """Settings of an effect, for every model that has it; `frictrack effects` lists the effects:
-[[effect]]
-effect = "vibration"
-fix = {frequency = 60}             fixed value; false frees a value that is fixed by default (stribeck's delta)
-bounds = {amplitude = [0, 2]}      in SI units
-prior = {frequency = [60, 0.5]}    known from another source: mean and standard deviation
-tie = {frequency = "2*vibration:2.frequency"}   equal to another parameter, or a multiple of it
-per_run = ["amplitude"]            one value per run; {phase = false}: one value for all runs
-A new effect, which `frictrack add` adds to the model. t, x, v, s (direction), L (load) and mass belong to the run;
-every other name is a parameter:
-[[effect]]
-effect = "magnet"
-formula = "F * s * exp(-((x - x_c)/w)^2)"
-units = {F = "N", x_c = "m", w = "m"}
-bounds = {w = [0.002, 0.05]}"""
 
 
 @dataclass(frozen=True)
@@ -203,10 +165,8 @@ def write_study(
         for line in new.comment.splitlines():
             table.add(tomlkit.comment(line))
         document["run"].append(table)
-    text = tomlkit.dumps(document)
-    for words in (RUN, EFFECT) if commented else ():
-        text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
-    return replace_text(path, text)
+    optional = files("frictrack").joinpath("study", "optional_keys.toml").read_text(encoding="utf-8")
+    return replace_text(path, tomlkit.dumps(document) + (optional if commented else ""))
 
 
 def refuse_existing(path: Path) -> None:

@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from frictrack.base.distributions import student_sf
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import atomic_write, make_internal_folder
+from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
 from frictrack.base.workers import local_workers
 from frictrack.fit import CovariateTrend, CovariateTrends, trend
+from frictrack.fit.covariates import ParameterEstimates
 from frictrack.flow.batch.cluster import cluster_workers
 from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged
 from frictrack.present.report import write_campaign
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MIN_POINTS = 4  # needed to fit a slope
+MIN_VARIANCE = 1e-12  # of values without a deviation, over their spread
 ALPHA = 0.01  # for all trends over the series together, and for those over all conditions
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 Condition = tuple[float | str, str]  # value and unit; a category has no unit
@@ -126,24 +127,14 @@ def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float
     (1.0, 0.0, True)
 
     """
-    n = len(y)
-    unit = float(np.std(y)) or 1.0
-    z, e, x = (y - np.mean(y)) / unit, s / unit, (at - np.mean(at)) / float(np.std(at))
-    floor = 1e-12
-
-    def fitted(tau2: float) -> tuple[Array, Array, float]:
-        w = 1.0 / (e**2 + tau2 + floor)
-        a = np.column_stack([np.ones(n), x])
-        cov = np.linalg.inv(a.T @ (w[:, None] * a))
-        b = cov @ (a.T @ (w * z))
-        return b, np.asarray(cov, dtype=np.float64), float(np.sum(w * (z - a @ b) ** 2)) - (n - 2)
-
-    tau2 = 0.0 if fitted(0.0)[2] <= 0.0 else float(brentq(lambda v: fitted(v)[2], 0.0, 100.0))
-    b, cov, _ = fitted(tau2)
-    deviation = float(np.sqrt(cov[1, 1]))
-    p = float(2.0 * student_sf(abs(b[1]) / deviation, n - 2))
-    per_place = unit / float(np.std(at))
-    return float(b[1]) * per_place, deviation * per_place, float(np.sqrt(tau2)) * unit, p
+    unit, spread = float(np.std(y)) or 1.0, float(np.std(at))
+    rows = np.column_stack([np.ones(len(y)), (at - np.mean(at)) / spread])
+    seen = ParameterEstimates((y - np.mean(y)) / unit, (s / unit) ** 2 + MIN_VARIANCE, rows)
+    tau = seen.scatter_of(seen.degrees)  # the sum of squares equals its expectation
+    b, covariance, _ = seen.at_scatter(tau)
+    deviation = float(np.sqrt(covariance[1, 1]))
+    p = float(2.0 * student_sf(abs(b[1]) / deviation, seen.degrees))
+    return float(b[1]) * unit / spread, deviation * unit / spread, tau * unit, p
 
 
 def _column(rows: Sequence[Mapping[str, Any]], key: str) -> Array:
@@ -330,11 +321,9 @@ class _BatchOutput:
 
     def _write_table(self) -> list[Path]:
         units = {name: unit for one in self.outcomes.values() for name, unit in one.units.items()}
-        return write_table(self._rows(), self.stem, units)
-
-    def _rows(self) -> list[dict[str, Any]]:
         kept = ((label, self.outcomes.get(path)) for path, label in self.labels.items())
-        return [{"study": str(label), **row} for label, one in kept if one for row in one.rows]
+        rows = [{"study": str(label), **row} for label, one in kept if one for row in one.rows]
+        return write_table(rows, self.stem, units)
 
     def _links(self) -> dict[str, str]:
         """Return the path of every report, relative to the page."""
@@ -387,13 +376,7 @@ class Journal:
         """Append the outcome of a study."""
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("ab") as file:
-                if file.tell() and not _ended(self.path):
-                    file.write(b"\n")  # after an incomplete line
-                file.write(line.encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
+            append_line(self.path, line)
         except OSError as e:
             raise FrictrackError(
                 f"cannot write {self.path}: {e.strerror or e}; what was finished before is kept"
@@ -416,12 +399,6 @@ class Journal:
             except (ValueError, TypeError, KeyError, AttributeError):
                 continue  # incomplete or not ours: the study is run again
         return outcomes
-
-
-def _ended(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
 
 
 def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:

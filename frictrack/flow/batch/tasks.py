@@ -20,7 +20,7 @@ from frictrack.base.errors import DiskFullError, FrictrackError, is_disk_full
 from frictrack.base.remote import RemoteFile, locate
 from frictrack.base.workers import WorkerPool
 from frictrack.flow import Session, open_study, run_pipeline
-from frictrack.study import RunTable, Study
+from frictrack.study import Study
 
 FileStates = dict[str, list[int]]  # path -> size, time of change in ns
 Reasons = Mapping[str, str]  # run -> why it failed
@@ -163,7 +163,7 @@ def without_runs(study: Study, failed: Reasons) -> Study:
 
 def _measure_run(study: Study, name: str) -> str | None:
     """Bring every stage of a run up to date; return the reason if one fails, else None."""
-    pipeline = run_pipeline(study, _run(study, name))
+    pipeline = run_pipeline(study, next(run for run in study.runs if run.name == name))
     try:
         for stage in pipeline.stages:
             if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
@@ -171,10 +171,6 @@ def _measure_run(study: Study, name: str) -> str | None:
     except Exception as e:  # noqa: BLE001
         return _reason(e).removeprefix(f'run "{name}", ')
     return None
-
-
-def _run(study: Study, name: str) -> RunTable:
-    return next(run for run in study.runs if run.name == name)
 
 
 def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOutcome:
@@ -189,7 +185,8 @@ def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOut
         **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
         **{f"{name} std_misfit": p["std_misfit"] for name, p in fit["parameters"].items() if "std_misfit" in p},
     }
-    rows = [shared | _run_row(run) for run in fit["per_run"]]
+    own = ("run", "role", "level", "noise_um", "segments")
+    rows = [shared | {k: run.get(k) for k in own} | run.get("errors", {}) for run in fit["per_run"]]
     rows += [{"run": run, "reason": why} for run, why in failed.items()]
     summary = {
         "verdict": diagnosis["verdict"],
@@ -201,11 +198,6 @@ def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOut
         "results": result["output"],
     }
     return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
-
-
-def _run_row(run: dict[str, Any]) -> dict[str, Any]:
-    own = {k: run.get(k) for k in ("run", "role", "level", "noise_um", "segments")}
-    return own | run.get("errors", {})
 
 
 POLL_INTERVAL_S = 0.5

@@ -23,7 +23,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.remote import RemoteFile, local_path, locate
 from frictrack.base.version import __version__
 from frictrack.flow import RunPipeline, Session, hash_path
@@ -119,11 +119,9 @@ class Part:
     @classmethod
     def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
         """Return the part of a file, with its size and hash."""
-        try:
+        with os_errors_as(f"cannot read {source}"):
             size = source.stat().st_size
             return cls(source, safe_place(place), role, size, hash_path(source), is_film, is_included)
-        except OSError as e:
-            raise FrictrackError(f"cannot read {source}: {e.strerror or e}") from e
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -19,7 +20,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack import flow
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
 from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
 from frictrack.flow.crate.writing import METADATA, MOVED
@@ -79,10 +81,8 @@ def read_crate(folder: Path) -> Crate:
 
 def has_same_bytes(path: Path, described: CrateFile) -> bool:
     """Return whether a file exists and has the bytes that a crate describes."""
-    try:
+    with os_errors_as(f"cannot read {path}"):
         return path.is_file() and path.stat().st_size == described.size and flow.hash_path(path) == described.sha256
-    except OSError as e:
-        raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
 
 def _inside(folder: Path, place: str) -> Path:
@@ -134,19 +134,18 @@ def _ids(values: Any) -> list[str]:
 
 
 MAX_LISTED = 5  # files that a message names
+_listed = partial(first_words, most=MAX_LISTED)
 
 
 def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
     """Make a copy of the study in an empty folder; return its study file."""
     study = folder / crate.study.place
-    try:
+    with os_errors_as(f"cannot copy the study into {folder}"):
         study.parent.mkdir(parents=True, exist_ok=True)
         for place, source in inputs.items():
             _link(source, folder / place)
         text = crate.path(crate.study).read_bytes()
         study.write_bytes(_with_places(text, crate.moved) if crate.moved else text)
-    except OSError as e:
-        raise FrictrackError(f"cannot copy the study into {folder}: {e.strerror or e}") from e
     return study
 
 
@@ -196,11 +195,6 @@ def _files_by_name(folder: Path | None) -> dict[str, list[Path]]:
     for path in sorted(folder.rglob("*")):
         found.setdefault(path.name, []).append(path)
     return found
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
-    return ", ".join(names[:MAX_LISTED]) + more
 
 
 def _link(source: Path, target: Path) -> None:
@@ -510,8 +504,6 @@ def _check_paths(path: Path, out: Path) -> None:
 
 
 def _made(folder: Path) -> Path:
-    try:
+    with os_errors_as(f"cannot create {folder}"):
         folder.mkdir(parents=True)
-    except OSError as e:
-        raise FrictrackError(f"cannot create {folder}: {e.strerror or e}") from e
     return folder

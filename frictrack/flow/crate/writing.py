@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
@@ -365,7 +365,7 @@ def _write(target: Path, parts: Sequence[Part]) -> None:
                 with part.source.open("rb") as source, file.open(info, "w", force_zip64=True) as copy:
                     shutil.copyfileobj(source, copy, COPY_BYTES)
         return
-    try:
+    with os_errors_as(f"cannot write {target}"):
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{target.name}_", dir=target.parent) as scratch:
             folder = Path(scratch) / target.name
@@ -374,5 +374,3 @@ def _write(target: Path, parts: Sequence[Part]) -> None:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(part.source, path)
             os.replace(folder, target)
-    except OSError as e:
-        raise FrictrackError(f"cannot write {target}: {e.strerror or e}") from e

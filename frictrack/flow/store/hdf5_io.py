@@ -28,8 +28,8 @@ from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"
-MAX_FILES_KNOWN = 256  # whose attributes are kept
-_ATTRIBUTES: dict[Path, tuple[Any, dict[str, dict[str, Any]]]] = {}  # version of a file, attributes by group
+MAX_GROUPS_KNOWN = 10_000  # whose attributes are kept
+_ATTRIBUTES: dict[tuple[Path, Any, str], dict[str, Any]] = {}  # by file, its version and the group
 _HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
 
 
@@ -110,23 +110,17 @@ def attributes(path: Path, group: str) -> dict[str, Any]:
 
 
 def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
-    """Return the attributes of a group; those of the last versions of many files are kept, a page asks again and again.
-
-    The version is that of the opened file, which may have been replaced since.
-    """
+    """Return the attributes of a group; those of many groups are kept, since a page asks again and again."""
     version = _opened_version(file)
-    known = _ATTRIBUTES.get(path) if version else None
-    if known is None or known[0] != version:
-        known = (version, {})
-        if version:
-            _ATTRIBUTES.pop(path, None)
-            _ATTRIBUTES[path] = known
-        if len(_ATTRIBUTES) > MAX_FILES_KNOWN:
-            _ATTRIBUTES.pop(next(iter(_ATTRIBUTES)), None)
-    if group not in known[1]:
+    known = _ATTRIBUTES.get((path, version, group)) if version else None
+    if known is None:
         found = _found(file, path, group)
-        known[1][group] = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
-    return known[1][group]
+        known = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+        if version:
+            if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
+                _ATTRIBUTES.clear()
+            _ATTRIBUTES[path, version, group] = known
+    return known
 
 
 def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
