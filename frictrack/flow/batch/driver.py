@@ -6,7 +6,6 @@ import glob
 import json
 import os
 import re
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -226,8 +225,6 @@ def _change(one: CovariateTrend, own: str, unit: str) -> str:
     return "is " + ", ".join(f"{value} ({term})" for term, value in rows.items())
 
 
-MIN_TABLE_INTERVAL_S = 10.0  # between two tables while studies are running
-MAX_TABLE_TIME_SHARE = 0.05  # of the whole time
 FIRST_COLUMNS = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")  # of the table of runs
 
 
@@ -269,71 +266,43 @@ def batch(
     outcomes = journal.finished(labels, seed)
     state = BatchState(len(labels), kept=len(outcomes))
     todo = [path for path in labels if path not in outcomes]
-    output = _BatchOutput(stem, labels, outcomes)
     if todo:
         with cluster_workers(scheduler) if scheduler else local_workers(workers) as pool:
             for one in Scheduler(todo, seed, pool, state).run(watch):
                 journal.append(one)
                 outcomes[Path(one.study)] = one
-                output.write_if_due()
-    return output.write_all(state)
+    return _write_results(stem, [(label, outcomes[path]) for path, label in labels.items() if path in outcomes], state)
 
 
-@dataclass
-class _BatchOutput:
-    """Write the files of a batch."""
-
-    stem: Path
-    labels: dict[Path, Path]  # a study file from the root -> as the user named it
-    outcomes: dict[Path, StudyOutcome]
-    _next: float = 0.0
-
-    def write_if_due(self) -> None:
-        """Write the table of the finished studies, unless it was written shortly before."""
-        start = time.monotonic()
-        if start >= self._next:
-            self._write_table()
-            end = time.monotonic()
-            self._next = end + max(MIN_TABLE_INTERVAL_S, (end - start) / MAX_TABLE_TIME_SHARE)
-
-    def write_all(self, state: BatchState) -> dict[str, Any]:
-        """Write tables and page; return the JSON of `batch`."""
-        files = self._write_table()
-        kept = [(label, self.outcomes[path]) for path, label in self.labels.items() if path in self.outcomes]
-        studies = [{"study": str(label), **one.summary} for label, one in kept]
-        found = find_trends([one for _, one in kept])
-        result: dict[str, Any] = to_builtins(
-            {
-                "studies": studies,
-                "failed": [{"study": str(label), **failure} for label, one in kept for failure in one.failures],
-                "kept": state.kept,
-                "seconds": state.seconds,
-                "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
-                "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
-                "trends": [trend.summary() for trend in found],
-                "conditions": condition_trends([one for _, one in kept]),
-                "tables": [str(path) for path in files],
-            }
-        )
-        plots = [trend.to_plot() for trend in found]
-        output = write_campaign(result, plots, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
-        return result | {"output": str(output)}
-
-    def _write_table(self) -> list[Path]:
-        units = {name: unit for one in self.outcomes.values() for name, unit in one.units.items()}
-        kept = ((label, self.outcomes.get(path)) for path, label in self.labels.items())
-        rows = [{"study": str(label), **row} for label, one in kept if one for row in one.rows]
-        return write_table(rows, self.stem, units)
-
-    def _links(self) -> dict[str, str]:
-        """Return the path of every report, relative to the page."""
-        folder = self.stem.resolve().parent
-        reports = {
-            str(label): Path(self.outcomes[path].summary["results"]) / "report.html"
-            for path, label in self.labels.items()
-            if path in self.outcomes and self.outcomes[path].summary.get("results")
+def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state: BatchState) -> dict[str, Any]:
+    """Write tables and page of the studies, each as the user named it; return the JSON of `batch`."""
+    outcomes = [one for _, one in done]
+    rows = [{"study": str(label), **row} for label, one in done for row in one.rows]
+    files = write_table(rows, stem, {name: unit for one in outcomes for name, unit in one.units.items()})
+    studies = [{"study": str(label), **one.summary} for label, one in done]
+    found = find_trends(outcomes)
+    result: dict[str, Any] = to_builtins(
+        {
+            "studies": studies,
+            "failed": [{"study": str(label), **failure} for label, one in done for failure in one.failures],
+            "kept": state.kept,
+            "seconds": state.seconds,
+            "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
+            "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
+            "trends": [trend.summary() for trend in found],
+            "conditions": condition_trends(outcomes),
+            "tables": [str(path) for path in files],
         }
-        return {name: Path(os.path.relpath(report, folder)).as_posix() for name, report in reports.items()}
+    )
+    folder = stem.resolve().parent
+    reports = {
+        str(label): Path(os.path.relpath(Path(one.summary["results"]) / "report.html", folder)).as_posix()
+        for label, one in done
+        if one.summary.get("results")
+    }
+    plots = [trend.to_plot() for trend in found]
+    page = write_campaign(result, plots, reports, stem.with_name(f"{stem.name}.html"))
+    return result | {"output": str(page)}
 
 
 def find_studies(patterns: Sequence[str]) -> list[Path]:
