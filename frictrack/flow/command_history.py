@@ -1,8 +1,25 @@
-"""Record every change of a study in a log, one line of JSON each; lock the study while it is being changed.
+"""What a study remembers besides its results: its changes, the tests made of its models, predictions of runs.
 
 The log is ``.frictrack/log.jsonl`` in the folder of the results. Every line holds the command and the state before
 and after it, so that a change can be undone. The number of lines is the revision of the study: a user whose page shows
 an older revision is refused instead of overwriting the change of another user.
+
+The probability that any effect named in the whole work on a study is false is bounded, however often it is diagnosed.
+Every diagnosis tests the hypothesis that its model is complete. Diagnoses form sequences: a test continues a sequence
+if it has the same data, and its model adds to the last model of the sequence only effects that the last test named. A
+sequence is tested at one significance level alpha in every step: a false effect can be named only at its first
+complete model, so all its steps together err with a probability of at most alpha (fixed-sequence testing). Any other
+test (an alternative model, changed data, another seed) begins a new sequence at a smaller alpha. The probability that
+any named effect is false is at most the sum of alpha over the sequences (Bonferroni).
+
+A run that `frictrack plan` names is kept with the evidence that is expected of it. The first diagnosis of the same
+model with exactly one run more fills in what was realised.
+
+References
+----------
+Maurer, Hothorn & Lehmacher (1995), Multiple comparisons in drug clinical trials: a-priori ordered hypotheses.
+Foster & Stine (2008), Alpha-investing, J. R. Statist. Soc. B 70, 429 (a level for every test, spent in turn).
+
 """
 
 from __future__ import annotations

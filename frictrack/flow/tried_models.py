@@ -1,4 +1,7 @@
-"""Keep the models tried on a study in ``study.h5``, in order, and fit again only what has changed."""
+"""Keep the models tried on a study in ``study.h5``, in order, and fit again only what has changed.
+
+`FitRequest` is what a user asked of a fit; `TriedModels` are the fits, and all that was computed from them.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,11 @@
-"""Work on a whole study in one call: run it, change its model, plan the next films, run the demonstration.
+"""Work on a whole study in one call: run it, change its model, plan the next films, run the demonstration, repeat it.
 
 What a person waits for comes first: the verdict, then what is shown next, then the report. Everything is stored as soon
 as it is known, so that the process may be ended at any moment after the verdict.
+
+An analysis is repeated as a Python script of the commands in the history, which leads to the current model, or at once
+from the models tried: `repeat_models` fits and diagnoses every model that is stored, in order, with its settings, seeds
+and significance levels, so that the results can be compared group by group.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The base of records and results: columns with units, checked when a record is built; views for notebooks."""
+"""Records with columns that have units and are checked when a record is built: what was measured, what a model says."""
 
 from __future__ import annotations
 

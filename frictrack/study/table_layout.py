@@ -1,4 +1,7 @@
-"""Find the layout of a text table: separator, decimal sign, lines before the header, and a row of units."""
+"""Find the layout of a text table: separator, decimal sign, lines before the header, and a row of units.
+
+`TableFile` holds the cells of a table and what its format says about the columns.
+"""
 
 from __future__ import annotations
 

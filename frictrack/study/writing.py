@@ -1,4 +1,4 @@
-"""Write a study file from recordings; with comments for a new user."""
+"""Write a study file from recordings, with comments for a new user; change one key or table in the text of one."""
 
 from __future__ import annotations
 

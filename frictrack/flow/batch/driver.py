@@ -1,4 +1,18 @@
-"""Run a batch: find the studies, skip finished ones, run the others, write tables and page."""
+"""Run a batch: find the studies, skip finished ones, run the others, test for trends, write tables and page.
+
+The studies are in the order in which the user named them. A value y_i with standard deviation s_i varies from study to
+study by more than s_i:
+
+    y_i = a + b i + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
+
+tau is the value at which the weighted sum of squares equals its expectation n - 2, and b is tested by Student's t with
+n - 2 degrees of freedom.
+
+References
+----------
+Paule & Mandel (1982), J. Res. NBS 87, 377 (tau, here with a slope).
+
+"""
 
 from __future__ import annotations
 

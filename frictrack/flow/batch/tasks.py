@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -230,35 +230,46 @@ class BatchState:
 Watch = Callable[[BatchState], None]
 
 
+Call = tuple[
+    Callable[..., Any], tuple[Any, ...], str
+]  # a function of this module, its arguments, and the film it is of
+
+
+def study_steps(path: Path, seed: int) -> Generator[list[Call], list[Any], StudyOutcome]:
+    """Run one study: yield calls that may run side by side, receive their results or errors; return the outcome."""
+    (first,) = yield [(begin_study, (path, seed), "")]
+    if isinstance(first, StudyOutcome):
+        return first
+    if not isinstance(first, StudyStarted):
+        return failed_study(path, {}, describe_failure(first))
+    reasons = yield [(measure_film, (path, run, dict(first.failed)), run) for run in first.others]
+    said = [describe_failure(one) if isinstance(one, BaseException) else one for one in reasons]
+    failed = first.failed | {run: why for run, why in zip(first.others, said, strict=True) if why is not None}
+    (done,) = yield [(finish_study, (path, seed, dict(failed)), "")]
+    return done if isinstance(done, StudyOutcome) else failed_study(path, failed, describe_failure(done))
+
+
 @dataclass
-class _StudyProgress:
-    """A study that is being run."""
+class _Running:
+    """A study under way: what it does next, and the results of the calls that it waits for."""
 
     path: Path
-    films: int = 0  # number of films that are being measured
-    failed: dict[str, str] = field(default_factory=dict)  # run -> reason
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A call of a function of `frictrack.flow.batch.tasks`; `run` names the film that it measures."""
-
-    study: _StudyProgress
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    run: str = ""
+    steps: Generator[list[Call], list[Any], StudyOutcome]
+    results: list[Any] = field(default_factory=list)
+    waits_for: int = 0  # calls
 
 
 class Scheduler:
-    """Submit the tasks of all studies to a pool of workers."""
+    """Submit the calls of all studies to a pool of workers."""
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
-        self.seed = seed
         self.pool = pool
         self.state = state
-        self._studies = deque(studies)
-        self._tasks: deque[_Task] = deque()  # of studies that have begun: they come before new studies
-        self._running: dict[Future[Any], _Task] = {}
+        self._studies = deque(_Running(path, study_steps(path, seed)) for path in studies)
+        self._calls: deque[tuple[_Running, int, Call]] = (
+            deque()
+        )  # of studies that have begun: they come before new ones
+        self._running: dict[Future[Any], tuple[_Running, int, str]] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
         """Yield the outcome of every study as it ends; call `watch` several times a second."""
@@ -266,54 +277,38 @@ class Scheduler:
             watch(self.state)
             ended, _ = wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED)
             for future in ended:
-                task = self._running.pop(future)
-                self.state.under_way.pop(_title(task), None)
-                done = self._on_task_end(task, future)
+                study, place, title = self._running.pop(future)
+                self.state.under_way.pop(title, None)
+                study.results[place] = _result_or_error(future)
+                study.waits_for -= 1
+                done = None if study.waits_for else self._advance(study)
                 if done is not None:
                     self._count(done)
                     yield done
         watch(self.state)
 
     def _fill(self) -> bool:
-        """Submit as many tasks as the pool has capacity for; return whether any task or study is left."""
+        """Submit as many calls as the pool has capacity for; return whether any call or study is left."""
         room = self.pool.capacity()
-        while len(self._running) < room and (self._tasks or self._studies):
-            task = self._tasks.popleft() if self._tasks else self._start_task(self._studies.popleft())
-            self._running[self.pool.submit(task.function, *task.arguments)] = task
-            self.state.under_way[_title(task)] = time.monotonic()
-        return bool(self._tasks or self._studies)
+        while len(self._running) < room and (self._calls or self._studies):
+            if not self._calls:
+                self._advance(self._studies.popleft())
+            study, place, (function, arguments, run) = self._calls.popleft()
+            title = f"{study.path}, {run}" if run else str(study.path)
+            self._running[self.pool.submit(function, *arguments)] = (study, place, title)
+            self.state.under_way[title] = time.monotonic()
+        return bool(self._calls or self._studies)
 
-    def _start_task(self, path: Path) -> _Task:
-        return _Task(_StudyProgress(path), begin_study, (path, self.seed))
-
-    def _on_task_end(self, task: _Task, future: Future[Any]) -> StudyOutcome | None:
-        """Continue the study of a task that has ended; return the outcome if the study has ended."""
-        study = task.study
-        error = _task_error(future)
-        if task.function is measure_film:
-            reason = describe_failure(error) if error is not None else future.result()
-            study.films -= 1
-            if reason is not None:
-                study.failed[task.run] = reason
-            self._finish_if_measured(study)
-            return None
-        if error is not None:
-            return failed_study(study.path, study.failed, describe_failure(error))
-        found = future.result()
-        if isinstance(found, StudyStarted):
-            study.failed |= found.failed
-            study.films = len(found.others)
-            self._tasks += [
-                _Task(study, measure_film, (study.path, run, dict(study.failed)), run) for run in found.others
-            ]
-            self._finish_if_measured(study)
-            return None
-        return found if isinstance(found, StudyOutcome) else None
-
-    def _finish_if_measured(self, study: _StudyProgress) -> None:
-        """Submit the last task of a study when all its films have been measured."""
-        if study.films == 0:
-            self._tasks.append(_Task(study, finish_study, (study.path, self.seed, dict(study.failed))))
+    def _advance(self, study: _Running) -> StudyOutcome | None:
+        """Give a study its results and take its next calls; return the outcome if it has ended."""
+        try:
+            calls = study.steps.send(study.results) if study.results else next(study.steps)
+        except StopIteration as end:
+            outcome: StudyOutcome = end.value
+            return outcome
+        study.results, study.waits_for = [None] * len(calls), len(calls)
+        self._calls += [(study, place, call) for place, call in enumerate(calls)]
+        return None
 
     def _count(self, done: StudyOutcome) -> None:
         self.state.done.append(done.study)
@@ -321,14 +316,8 @@ class Scheduler:
         self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
 
 
-def _task_error(future: Future[Any]) -> BaseException | None:
-    """Return why a task has no result; None if it has one."""
+def _result_or_error(future: Future[Any]) -> Any:
+    """Return the result of a call, or why it has none."""
     if future.cancelled():
         return FrictrackError("its task was cancelled, as happens when workers are shut down; run the batch again")
-    return future.exception()
-
-
-def _title(task: _Task) -> str:
-    """Return the name of a task for the user."""
-    name = str(task.study.path)
-    return f"{name}, {task.run}" if task.run else name
+    return future.exception() or future.result()

@@ -1,4 +1,4 @@
-"""List the files of a crate: the study file, what it was computed from, and the results.
+"""List the files of a crate: the study file, what it was computed from, the results, and tables of them with units.
 
 A file lies in the crate where it lies beside the study file, so that the unpacked crate is a study like any other. An
 input from outside the folder of the study gets a place in ``inputs/``. A recording of more than `MAX_INCLUDED_BYTES`

@@ -1,4 +1,4 @@
-"""Compute the results of a crate again and compare every number."""
+"""Read a crate, find its recordings, compute its results again and compare every number."""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""Write a study with all its results as one research object: an RO-Crate, as a zip file or as a folder."""
+"""Write a study with all its results as one research object: an RO-Crate, as a zip file or as a folder.
+
+Its metadata are JSON-LD: RO-Crate 1.1 with the profile of a process run.
+
+References
+----------
+RO-Crate Metadata Specification 1.1, https://w3id.org/ro/crate/1.1.
+Process Run Crate 0.5, https://w3id.org/ro/wfrun/process/0.5.
+Farrell et al. (2013), Naming things with hashes, RFC 6920, for files that the crate does not contain.
+
+"""
 
 from __future__ import annotations
 

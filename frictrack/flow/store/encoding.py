@@ -2,7 +2,18 @@
 
 A record becomes a group. Its columns are datasets with the attributes `unit` and, for viewers, `units`; its numbers and
 strings are attributes; its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a
-subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers; see `nexus`.
+subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers.
+
+The marks follow the NeXus standard, so that a viewer (silx, h5web, NeXpy) draws the right curve at a double click: a
+group with one row per frame is an NXdata whose `signal` names the column that is drawn and `axes` that of the time, and
+`default` leads from the root to the curve that tells most. Nothing of them is read back.
+
+Files of earlier schemas are migrated in memory, step by step; on disk they change only when something is written.
+
+References
+----------
+NeXus manual, classes NXdata and NXroot, https://manual.nexusformat.org.
+
 """
 
 from __future__ import annotations

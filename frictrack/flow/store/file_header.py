@@ -4,8 +4,7 @@ Damage must be known before HDF5 opens a file: on one flipped byte in a heap of 
 return. This checksum also finds a flipped bit in the structure between the data, which nothing else would find.
 
 The signature is an HMAC under the user's secret. HDF5 may crash on malicious bytes, and a checksum does not tell who
-wrote them. A separate process therefore opens files without this user's signature first
-(`frictrack.flow.store.file_header`).
+wrote them. A separate process therefore opens files without this user's signature first.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Read the files of other programs as tables: which format a file has, and who reads it.
 
-    tracker_project      Tracker (Open Source Physics): .trk, .trz
-    kinovea_project      Kinovea: .kva
-    deeplabcut           DeepLabCut: .csv
-    hdf5_tracks          DeepLabCut .h5, movement .nc, SLEAP .h5; `hdf5_contents` reads them in another process
-    dice_solution        DICe: a folder of solutions, or the solution of one subset
-    pyidi_displacements  pyidi: .npy
-    instruments          LabVIEW: .lvm, .tdms; MATLAB: .mat
-    track_table          positions of several tracks -> one table
+    video_projects     Tracker (Open Source Physics): .trk, .trz; Kinovea: .kva
+    pose_tracks        DeepLabCut: .csv, .h5; movement: .nc; SLEAP: .h5; `hdf5_contents` reads HDF5 in another process
+    image_correlation  DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
+    instruments        LabVIEW: .lvm, .tdms; MATLAB: .mat
+    track_table        positions of several tracks -> one table
 
 A new format is one module and one line in `FORMATS`.
 """

@@ -1,10 +1,15 @@
-"""Read the solutions of DICe (Digital Image Correlation Engine, Sandia): one file per frame, or one per subset.
+"""Read the displacements of image correlation: solutions of DICe, arrays of pyidi.
 
-Lines that begin with *** stand above the names of the columns. A file per frame has a row for each subset, and the
+DICe (Digital Image Correlation Engine, Sandia) writes one file per frame, or one per subset. Lines that begin with *** stand above the names of the columns. A file per frame has a row for each subset, and the
 number of the frame in its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own
 number in its name. The position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard
 deviation of the displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``);
 STATUS_FLAG then says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
+
+Displacements of pyidi are read from a NumPy array: (points, frames, 2) in px, rows (y) before columns (x).
+
+pyidi itself saves ``results.pkl`` (``IDIMethod.save`` of github.com/ladisk/pyidi). A pickle can run any code when it is
+opened, so it is refused; ``numpy.save`` writes what ``get_displacements`` returns without that risk.
 """
 
 from __future__ import annotations

@@ -1,6 +1,11 @@
-"""Read tracks in HDF5: tables of DeepLabCut (.h5), datasets of movement (.nc), and analysis files of SLEAP (.h5).
+"""Read tracks of pose estimation: DeepLabCut (.csv, .h5), datasets of movement (.nc), analysis files of SLEAP (.h5).
 
-`hdf5_contents` opens the file in a process of its own.
+A table of DeepLabCut as text has rows scorer, (individuals,) bodyparts, coords above the columns. Each point has the
+columns x, y in px (y down) and likelihood; the first column holds the number of the frame. The file is what
+``pandas.DataFrame.to_csv`` makes of the table in ``pose_estimation_tensorflow/predict_videos.py`` and
+``pose_estimation_pytorch/apis/videos.py`` of github.com/DeepLabCut/DeepLabCut.
+
+`hdf5_contents` opens files in HDF5 in a process of its own.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Read the point masses of a project of Tracker (Open Source Physics): .trk, or .trz, a ZIP file with a .trk.
+"""Read the tracks in projects of video programs: Tracker (Open Source Physics) and Kinovea (format 2.0 and later).
+
+Tracker: .trk, or .trz, a ZIP file with a .trk; its point masses are read.
 
 A .trk is the XML of the panel: ``videoclip`` (first frame, step size, number of steps, start time in ms),
 ``clipcontrol`` (``delta_t``, duration of a frame in ms), ``coords`` (origin in px, angle in degrees, scale in px per
@@ -7,6 +9,12 @@ for each frame.
 
 World coordinates follow ``ImageCoordSystem.updateTransforms`` and times ``StepperClipControl.getStepTime``, both of
 github.com/OpenSourcePhysics/osp; tracks ``PointMass.Loader`` of github.com/OpenSourcePhysics/tracker.
+
+Kinovea: .kva. It is XML: tracks of points ``x;y;time stamp`` in px, time stamps per frame, the frame rate of the
+camera, and the calibration: a quadrilateral in the picture that is a rectangle of known size, or a line of known
+length. Coordinates follow ``CalibratorPlane`` (``ReadPlaneXml``, ``ReadLineXml``, ``MakeQuad``,
+``GridToWorldWithOffset``), times ``Metadata.GetNumericalTime`` of github.com/Kinovea/Kinovea; there they are shown
+rounded to milliseconds.
 """
 
 from __future__ import annotations
