@@ -121,8 +121,6 @@ def is_busy(folder: Path) -> bool:
 def make_internal_folder(folder: Path) -> Path:
     """Create the hidden folder in a folder of results, for locks, logs and jobs; return its path.
 
-    Locks that earlier versions left among the results are removed.
-
     Parameters
     ----------
     folder

@@ -1,10 +1,11 @@
 """Read the displacements of image correlation: solutions of DICe, arrays of pyidi.
 
-DICe (Digital Image Correlation Engine, Sandia) writes one file per frame, or one per subset. Lines that begin with *** stand above the names of the columns. A file per frame has a row for each subset, and the
-number of the frame in its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own
-number in its name. The position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard
-deviation of the displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``);
-STATUS_FLAG then says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
+DICe (Digital Image Correlation Engine, Sandia) writes one file per frame, or one per subset. Lines that begin with
+*** stand above the names of the columns. A file per frame has a row for each subset, and the number of the frame in
+its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own number in its name. The
+position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard deviation of the
+displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``); STATUS_FLAG then
+says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
 
 Displacements of pyidi are read from a NumPy array: (points, frames, 2) in px, rows (y) before columns (x).
 
