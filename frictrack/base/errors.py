@@ -45,11 +45,6 @@ class DiskFullError(FrictrackError):
 def is_disk_full(e: BaseException | None) -> bool:
     """Return whether an error, or one that caused it, says that the disk, a quota or a limit of file size is full.
 
-    Parameters
-    ----------
-    e
-        The error.
-
     Examples
     --------
     >>> is_disk_full(OSError(errno.ENOSPC, "No space left on device")), is_disk_full(ValueError("no"))

@@ -39,11 +39,6 @@ LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fract
 def is_file_name(name: str) -> bool:
     """Return whether a name can be a file name on every operating system, and cannot lead out of the folder.
 
-    Parameters
-    ----------
-    name
-        The name, without suffix.
-
     Examples
     --------
     >>> is_file_name("run 3"), is_file_name("../run"), is_file_name("nul")
@@ -301,23 +296,6 @@ MIN_AGE_S = 2.0  # of a file's last change: within the resolution of a clock, it
 
 def hash_file(path: Path, *, reread: bool = False) -> str:
     """Return the SHA-256 of all bytes of a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    reread
-        Read it even if the hash of its present state is known.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
 
     Examples
     --------

@@ -25,20 +25,6 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def format_number(value: float | None, digits: int = 3, missing: str = DASH) -> str:
     """Format a number with a fixed count of significant digits.
 
-    Parameters
-    ----------
-    value : float or None
-        The number.
-    digits : int
-        Significant digits.
-    missing : str
-        Text for None, NaN and infinity.
-
-    Returns
-    -------
-    str
-        Thousands are separated by a thin space. A power of ten is written outside 1e-3 to 1e6.
-
     Examples
     --------
     >>> format_number(0.012345), format_number(None), format_number(5.0, 1)
@@ -106,20 +92,6 @@ def format_change(value: float) -> str:
 
 def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     """Format a value with its standard deviation and unit.
-
-    Parameters
-    ----------
-    value : float or None
-        The value; None gives "not determined".
-    std : float or None
-        The standard deviation, in the same unit. None, 0 and infinity are left out.
-    unit : str
-        The SI unit, such as ``"N s/m"``; ``"1"`` for a pure number.
-
-    Returns
-    -------
-    str
-        Lengths, times, forces and impulses below 0.1 are given in thousandths or millionths.
 
     Examples
     --------

@@ -18,21 +18,6 @@ Polygon = tuple[tuple[float, float], ...]  # corners (x, y) px, in order
 def polygon(raw: Any) -> Polygon:
     """Read a polygon from corners or a rectangle.
 
-    Parameters
-    ----------
-    raw : list, tuple or array
-        Corners [[x, y], ...] or a rectangle [x, y, width, height], px.
-
-    Returns
-    -------
-    tuple of tuple of float
-        Corners (x, y), px; those of a rectangle are the outer edges of its pixels.
-
-    Raises
-    ------
-    FrictrackError
-        For fewer than three corners, values that are no positions in a picture, crossing sides, or corners on one line.
-
     Examples
     --------
     >>> polygon([[0, 0], [4, 0], [0, 4]])
@@ -86,20 +71,6 @@ def inside(corners: Polygon, shape: tuple[int, ...], origin: tuple[int, int] = (
     """Mark the pixels whose centres lie inside a polygon.
 
     A ray from each pixel crosses the outline an odd number of times (Shimrat 1962, Commun. ACM 5:434).
-
-    Parameters
-    ----------
-    corners : sequence of tuple of float
-        Polygon, px.
-    shape : tuple of int
-        Height and width of the mask, px.
-    origin : tuple of int
-        Upper left pixel (x, y) of the mask in the picture.
-
-    Returns
-    -------
-    array of bool (h, w)
-        True inside.
 
     Examples
     --------

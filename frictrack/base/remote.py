@@ -70,23 +70,6 @@ def only_listed(files: Collection[str]) -> Iterator[None]:
 def locate(text: str, folder: Path = Path()) -> Path | RemoteFile:
     """Return the file that a text names. Every path and address from outside passes here or through `RemoteFile`.
 
-    Parameters
-    ----------
-    text
-        A path, or an address of one of `PROTOCOLS`.
-    folder
-        Folder to which a path is relative.
-
-    Returns
-    -------
-    Path or RemoteFile
-        A path need not exist.
-
-    Raises
-    ------
-    FrictrackError
-        If the address has another protocol, or the file is not one of `only_listed`.
-
     Examples
     --------
     >>> locate("s3://lab/v3.cine").name

@@ -286,11 +286,6 @@ def _kilograms(mass: Any) -> tuple[float, float]:
 def describe_keys(keys: Mapping[str, Any]) -> str:
     """Describe the numbers of the command line as they were read.
 
-    Parameters
-    ----------
-    keys
-        mass, scale and fps as they were typed; None if not given.
-
     Examples
     --------
     >>> describe_keys({"mass": "350g", "scale": "0.5mm/px", "fps": 4000.0})

@@ -102,11 +102,6 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
 def guess_points(present: Sequence[str]) -> dict[str, str]:
     """Guess the columns of points (v, F) at constant speeds, by usual names, else by units; empty if it holds none.
 
-    Parameters
-    ----------
-    present
-        The headers of the table.
-
     Examples
     --------
     >>> guess_points(["speed (mm/s)", "COF", "load (N)"])
@@ -140,13 +135,6 @@ def guess_points(present: Sequence[str]) -> dict[str, str]:
 
 def find_header(written: str, present: Sequence[str]) -> str | None:
     """Return the header of the table that a name means, or None.
-
-    Parameters
-    ----------
-    written
-        The name in the study file, perhaps with a unit: ``"t (ms)"`` also finds ``"t"``, ``"t"`` also ``"t (ms)"``.
-    present
-        The headers of the table.
 
     Examples
     --------
@@ -183,13 +171,6 @@ def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name
 def may_hold(header: str, key: str) -> bool:
     """Return whether the unit of a column, if it states one, is that of a short name.
 
-    Parameters
-    ----------
-    header
-        The header of the column.
-    key
-        The short name, such as "x".
-
     Examples
     --------
     >>> may_hold("Laser (mm)", "x"), may_hold("Force (N)", "x"), may_hold("Force", "x")
@@ -213,11 +194,6 @@ def has_units(columns: Mapping[str, str]) -> bool:
 
 def columns_line(columns: Mapping[str, str]) -> str:
     """Return the line of a study file that names columns; the SI unit stands where the header has none.
-
-    Parameters
-    ----------
-    columns
-        Headers by short name.
 
     Examples
     --------

@@ -268,27 +268,6 @@ ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several 
 def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
     """Set or remove one key.
 
-    Parameters
-    ----------
-    text
-        Text of the study file.
-    table
-        ``"study"``, ``"camera"``, ``"run"`` or ``"effect"``.
-    key, value
-        The key and its value; None removes the key.
-    which
-        Name of the run or effect. An effect that does not exist is added.
-
-    Returns
-    -------
-    str
-        The new text.
-
-    Raises
-    ------
-    FrictrackError
-        (usage) If the text is not TOML, or there is no such run.
-
     Examples
     --------
     >>> lines = ["[study]  # steel on brass", "mass = 0.35"]
