@@ -35,8 +35,7 @@ from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
 from frictrack.base.workers import local_workers
-from frictrack.fit import CovariateTrend, CovariateTrends, trend
-from frictrack.fit.covariates import ParameterEstimates
+from frictrack.fit import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.flow.batch.cluster import cluster_workers
 from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged
 from frictrack.present.report import write_campaign
