@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
-from frictrack.cli.diagnosis_output import verdict
+from frictrack.cli.output import verdict
 from frictrack.flow import Session, open_study, read_results
 from frictrack.flow.new_study import propose_study
 from frictrack.measure.motion import differentiate, low_pass

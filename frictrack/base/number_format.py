@@ -25,20 +25,6 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def format_number(value: float | None, digits: int = 3, missing: str = DASH) -> str:
     """Format a number with a fixed count of significant digits.
 
-    Parameters
-    ----------
-    value : float or None
-        The number.
-    digits : int
-        Significant digits.
-    missing : str
-        Text for None, NaN and infinity.
-
-    Returns
-    -------
-    str
-        Thousands are separated by a thin space. A power of ten is written outside 1e-3 to 1e6.
-
     Examples
     --------
     >>> format_number(0.012345), format_number(None), format_number(5.0, 1)
@@ -106,20 +92,6 @@ def format_change(value: float) -> str:
 
 def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     """Format a value with its standard deviation and unit.
-
-    Parameters
-    ----------
-    value : float or None
-        The value; None gives "not determined".
-    std : float or None
-        The standard deviation, in the same unit. None, 0 and infinity are left out.
-    unit : str
-        The SI unit, such as ``"N s/m"``; ``"1"`` for a pure number.
-
-    Returns
-    -------
-    str
-        Lengths, times, forces and impulses below 0.1 are given in thousandths or millionths.
 
     Examples
     --------
@@ -273,6 +245,19 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
 
     """
     return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else "".join(words)
+
+
+def first_words(words: Sequence[str], most: int) -> str:
+    """List the first of many words, and how many others there are.
+
+    Examples
+    --------
+    >>> first_words(["a", "b"], 2), first_words(["a", "b", "c", "d"], 2)
+    ('a, b', 'a, b and 2 more')
+
+    """
+    more = len(words) - most
+    return ", ".join(words[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def lower_first(sentence: str) -> str:

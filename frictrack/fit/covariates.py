@@ -193,9 +193,9 @@ class ParameterEstimates:
 
     def scatter_interval(self) -> tuple[float, float]:
         """Return the 95 % interval of tau: where its sum of squares is likely for chi-squared (Viechtbauer)."""
-        return self._scatter_of(chi2_ppf(0.975, self.degrees)), self._scatter_of(chi2_ppf(0.025, self.degrees))
+        return self.scatter_of(chi2_ppf(0.975, self.degrees)), self.scatter_of(chi2_ppf(0.025, self.degrees))
 
-    def _scatter_of(self, squares: float) -> float:
+    def scatter_of(self, squares: float) -> float:
         """Return the tau at which the weighted sum of squares, which falls with tau, has a value; 0 if it is less."""
         if self.at_scatter(0.0)[2] <= squares:
             return 0.0

@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 
 from frictrack.base.workers import limit_memory
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
@@ -53,26 +53,7 @@ def run() -> None:
 
 
 def contents(path: Path) -> dict[str, Any]:
-    """Return the arrays of a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Of DeepLabCut "names" (k, levels), "frames" (n,) and "values" (n, k); of others "program", "source" (the program
-        that tracked), "names" (m, 2) of individual and keypoint, "at" (n,), "in_seconds", "x", "y" and "confidence",
-        (m, n), NaN where not known. Of MATLAB the numeric variables by their names.
-
-    Raises
-    ------
-    ValueError
-        If it is of another kind.
-
-    """
+    """Return the arrays of a file."""
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         return dict(_matlab_variables(path))
     with h5py.File(path, "r", locking=False) as file:
@@ -154,11 +135,7 @@ def _deeplabcut(file: h5py.File) -> dict[str, Any]:
     if values.shape[1] != len(names) or len({len(name) for name in names}) != 1:
         raise ValueError(f"{len(names)} names for {values.shape[1]} columns")
     frames = np.asarray(rows["index"], dtype=float)
-    return {
-        "names": np.array([name[1:] for name in names]),
-        "frames": frames,
-        "values": values,
-    }
+    return {"names": np.array([name[1:] for name in names]), "frames": frames, "values": values}
 
 
 def _names_in_pickle(stored: bytes) -> list[tuple[str, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.number_format import describe_change, format_change, format_number
-from frictrack.flow import AttemptsReader, effect_of_formula
+from frictrack.flow import ResultsReader, effect_of_formula
 from frictrack.present import plots
 from frictrack.present.plots.style import BAND_SIGMAS
 from frictrack.present.report import (
@@ -68,7 +68,7 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     if snapshot.study is None or results is None or results.current is None:
         return None
     tried = snapshot.attempted.get(effect)
-    tried = tried or AttemptsReader().read(snapshot.study, [effect]).get(effect)  # any effect can be tried
+    tried = tried or ResultsReader().attempts(snapshot.study, [effect]).get(effect)  # any effect can be tried
     if tried is None:
         return None
     columns = candidate_columns(results.runs, results.current, tried)

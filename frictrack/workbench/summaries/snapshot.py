@@ -11,7 +11,6 @@ from typing import Any, TypedDict
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import (
-    AttemptsReader,
     Change,
     CommandHistory,
     ResultsReader,
@@ -75,7 +74,6 @@ class SnapshotReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._results = ResultsReader(with_budgets=False)
-        self._attempts = AttemptsReader()
         self._last = Snapshot(path)
 
     def read(self) -> Snapshot:
@@ -92,7 +90,7 @@ class SnapshotReader:
             history = CommandHistory(study.output)
             results = self._results.read(study)
             names = [candidate["effect"] for candidate in (results.diagnosis or {}).get("candidates", [])]
-            attempted = self._attempts.read(study, names)
+            attempted = self._results.attempts(study, names)
             changes, tests = tuple(history.changes), SignificanceBudget(study.output).summary()
             self._last = Snapshot(self.path, study, results, raw, changes, tests, recordings, attempted)
         except (FrictrackError, OSError, UnicodeDecodeError) as e:

@@ -1,10 +1,16 @@
-"""Read the solutions of DICe (Digital Image Correlation Engine, Sandia): one file per frame, or one per subset.
+"""Read the displacements of image correlation: solutions of DICe, arrays of pyidi.
 
-Lines that begin with *** stand above the names of the columns. A file per frame has a row for each subset, and the
-number of the frame in its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own
-number in its name. The position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard
-deviation of the displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``);
-STATUS_FLAG then says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
+DICe (Digital Image Correlation Engine, Sandia) writes one file per frame, or one per subset. Lines that begin with
+*** stand above the names of the columns. A file per frame has a row for each subset, and the number of the frame in
+its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own number in its name. The
+position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard deviation of the
+displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``); STATUS_FLAG then
+says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
+
+Displacements of pyidi are read from a NumPy array: (points, frames, 2) in px, rows (y) before columns (x).
+
+pyidi itself saves ``results.pkl`` (``IDIMethod.save`` of github.com/ladisk/pyidi). A pickle can run any code when it is
+opened, so it is refused; ``numpy.save`` writes what ``get_displacements`` returns without that risk.
 """
 
 from __future__ import annotations
@@ -15,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile
 from frictrack.study.track_formats.track_table import FRAMES, TargetPositions, table_of_tracks
 
 if TYPE_CHECKING:
@@ -39,19 +45,7 @@ def is_dice_file(path: Path) -> bool:
 
 
 def read_dice(path: Path) -> TableFile:
-    """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing.
-
-    Parameters
-    ----------
-    path
-        A folder of solutions, or the solution of one subset.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or lacks the displacements.
-
-    """
+    """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
@@ -125,3 +119,29 @@ def _track(rows: pd.DataFrame) -> TargetPositions:
     return TargetPositions(
         f"subset {rows[SUBSET].iloc[0]:.0f}", rows[FRAME].to_numpy(dtype=float), x, y, sigma=sigma, note=note
     )
+
+
+SAVE = 'numpy.save("displacements.npy", displacements)'
+
+
+def read_pyidi_displacements(path: Path) -> TableFile:
+    """Read the displacements of points, by frame."""
+    if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB; save fewer points")
+    try:
+        found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
+    except Exception as e:  # damaged headers make NumPy fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
+    if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind != "f":
+        raise ValueError(f"expected displacements (points, frames, 2) but got {found.dtype} {found.shape}")
+    frames = np.arange(found.shape[1], dtype=float)
+    tracks = [
+        TargetPositions(f"point {i}", frames, np.array(point[:, 1], dtype=float), np.array(point[:, 0], dtype=float))
+        for i, point in enumerate(found)
+    ]
+    return table_of_tracks("pyidi", tracks, FRAMES)
+
+
+def refuse_pickle(path: Path) -> TableFile:
+    """Raise `ValueError`: opening a pickle could run any code."""
+    raise ValueError(f"a pickle, which can run any code when it is opened, is never read; save with {SAVE}")
