@@ -287,6 +287,11 @@ def lower_first(sentence: str) -> str:
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
+def upper_first(sentence: str) -> str:
+    """Write the first letter of a sentence in upper case."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def describe_change(before: float | None, after: float | None, unit: str = "") -> str:
     """Describe how a number changes.
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from frictrack.base.errors import FrictrackError
+from frictrack.workbench import jobs
 from frictrack.workbench.errors import MissingError, OutdatedError
-
-if TYPE_CHECKING:
-    from frictrack.workbench.jobs import Job
-    from frictrack.workbench.live_study import LiveStudy
+from frictrack.workbench.live_study import LiveStudy
 
 AUTHOR = "page"  # of changes, in the history of the study
 CHANGES = ("edit", "take_in", "leave_out", "define", "use", "undo", "redo")
@@ -126,8 +124,6 @@ def _describe_change(do: str, given: Mapping[str, Any]) -> str:
 
 def _end_useless_work(live: LiveStudy, do: str, revision: int) -> None:
     """Cancel work on the former state of the study; measurements and runs begin again with the new one."""
-    from frictrack.workbench import jobs  # noqa: PLC0415
-
     job = live.running_job()
     if job is None:
         return
@@ -171,9 +167,7 @@ def start_job(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, 
     return {"job": _start(live, do, given, seen).summary}
 
 
-def _start(live: LiveStudy, do: str, arguments: Mapping[str, Any], seen: int | None) -> Job:
-    from frictrack.workbench import jobs  # noqa: PLC0415
-
+def _start(live: LiveStudy, do: str, arguments: Mapping[str, Any], seen: int | None) -> jobs.Job:
     return jobs.start(live.path, live.output, jobs.JobSpec(do, arguments, seen, AUTHOR), live.launcher.launch)
 
 

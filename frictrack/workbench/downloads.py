@@ -188,21 +188,22 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     return figure_bytes(made, "svg")
 
 
+# Kinds of figures of the page: name in the list of figures, and how the page draws it.
+PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
+    "law": ("law", {"title": False, "width": 4.8}),
+    "search": ("convergence", {}),
+    "cutoff": ("cutoff", {}),
+    "filters": ("filters", {}),
+}
+
+
 def _draw(name: str, results: Results) -> Figure | None:
     from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    model = next((one for one in results.models if one.name == which), None) if which else results.current
-    run = next((one for one in results.runs if one.name == which), None)
-    drawn: Figure | None = None
-    if kind == "law" and model is not None and plots.has_law(model):
-        drawn = plots.law(model, results.runs, title=False, width=4.8)
-    elif kind == "search" and model is not None and model.convergence:
-        drawn = plots.convergence(model)
-    elif kind == "cutoff" and run is not None and run.cutoff is not None:
-        drawn = plots.cutoff(run.name, run.cutoff, run.mass)
-    elif kind == "filters" and run is not None:
-        drawn = plots.filters(run)
-    elif kind == "scan" and plots.has_scan(results.figures.get(which, {})):
-        drawn = plots.scan(which, results.figures[which], width=5.0)
-    return drawn
+    if kind == "scan":  # of any candidate; the list has that of the best
+        curves = results.figures.get(which, {})
+        return plots.scan(which, curves, width=5.0) if plots.has_scan(curves) else None
+    listed, options = PAGE_FIGURES.get(kind, ("", {}))
+    draw = dict(plots.study_figures(results)).get(f"{listed} {which}")
+    return None if draw is None else draw(**options)

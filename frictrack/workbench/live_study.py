@@ -15,85 +15,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER
 from frictrack.workbench.films import Films
-from frictrack.workbench.job_launcher import WarmLauncher
-
-if TYPE_CHECKING:
-    from frictrack.workbench.jobs import Job
-
-
-@dataclass(frozen=True)
-class JobsNow:
-    """The running job and the one that ended last, as the page shows them; see `Job.summary`."""
-
-    running: dict[str, Any] | None = None
-    last: dict[str, Any] | None = None
-
-
-class JobFollower:
-    """Find the running and the last ended job; one that ended before the server started counts only if interrupted."""
-
-    def __init__(self) -> None:
-        self._began = time.time()
-        self._ended: set[str] = set()
-        self._output: Path | None = None
-        self._last: dict[str, Any] | None = None
-
-    def look(self, output: Path) -> JobsNow:
-        """Look at the jobs as they are now.
-
-        Parameters
-        ----------
-        output : Path
-            Folder of the results.
-
-        """
-        if output != self._output:
-            self._output, self._ended, self._last = output, set(), None
-        running = None
-        for name in self._names(output):
-            if name in self._ended or not self._is_written(output, name):
-                continue
-            try:
-                found = self._summary(output, name)
-            except (FrictrackError, OSError, KeyError):  # damaged, or removed meanwhile
-                self._ended.add(name)
-                continue
-            if found["state"] == "running":
-                running = found
-            else:
-                self._ended.add(name)
-                self._last = found if found["state"] == "interrupted" or self._is_new(output, name) else None
-        return JobsNow(running, self._last)
-
-    def _is_written(self, output: Path, name: str) -> bool:
-        """Whether a job is there, not only the folder for it, which is made a moment before."""
-        return (output / INTERNAL_FOLDER / "jobs" / name / "spec.json").exists()
-
-    def _is_new(self, output: Path, name: str) -> bool:
-        """Whether a job ended since the server started."""
-        times = [self._began]
-        for file in ("result.json", "cancel"):
-            with suppress(OSError):
-                times.append((output / INTERNAL_FOLDER / "jobs" / name / file).stat().st_mtime)
-        return len(times) > 1 and max(times[1:]) >= self._began
-
-    def _names(self, output: Path) -> list[str]:
-        with suppress(OSError):
-            return sorted(name for name in os.listdir(output / INTERNAL_FOLDER / "jobs") if name.isdecimal())
-        return []
-
-    def _summary(self, output: Path, name: str) -> dict[str, Any]:
-        from frictrack.workbench.jobs import Job  # noqa: PLC0415
-
-        return Job(output / INTERNAL_FOLDER / "jobs" / name).summary
-
+from frictrack.workbench.jobs import Job, JobFollower, JobsNow, WarmLauncher, running_job
 
 POLL_S = 0.1  # between two checks of the files
 RESUME_S = 2.0  # without a job: the user may try the next candidate
@@ -240,8 +168,6 @@ class LiveStudy:
 
     def running_job(self) -> Job | None:
         """The running job, as the files are now."""
-        from frictrack.workbench.jobs import running_job  # noqa: PLC0415
-
         return running_job(self.output)
 
     def _read_state(self, version: int) -> str:

@@ -26,7 +26,7 @@ from frictrack.results import ModelResults, Results, RunResults
 from frictrack.workbench import plot_data
 
 if TYPE_CHECKING:
-    from frictrack.workbench.frame_images import FrameImages
+    from frictrack.workbench.films import FrameImages
     from frictrack.workbench.plot_data import PlotData
 
 STATIC = files("frictrack.workbench").joinpath("static")
@@ -100,7 +100,7 @@ class NotebookFilms:
     def __getitem__(self, run: str) -> FrameImages:
         """Pictures of a run's film."""
         if run not in self._open:
-            from frictrack.workbench.frame_images import FrameImages  # noqa: PLC0415 - OpenCV, only with films
+            from frictrack.workbench.films import FrameImages  # noqa: PLC0415 - OpenCV, only with films
 
             self._open[run] = FrameImages(*self._sources[run])
         return self._open[run]

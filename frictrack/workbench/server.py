@@ -12,6 +12,7 @@ import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from tornado.httpserver import HTTPServer
@@ -19,10 +20,62 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 
 from frictrack.base.errors import FrictrackError
-from frictrack.workbench.actions import resume_background
+from frictrack.workbench.actions import cancel, change, copy_sample, resume_background, start_job, take_in
 from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, clean_names, protect
+from frictrack.workbench.handlers import (
+    STATIC,
+    ActionHandler,
+    CandidateHandler,
+    CheckHandler,
+    DownloadHandler,
+    EffectsHandler,
+    EventsHandler,
+    FilmHandler,
+    FrameHandler,
+    GlossaryHandler,
+    PageFiles,
+    PictureHandler,
+    PlotsHandler,
+    StateHandler,
+    UnknownHandler,
+)
 from frictrack.workbench.live_study import LiveStudy
-from frictrack.workbench.routes import routes
+from frictrack.workbench.uploads import UploadHandler
+
+
+def routes(live: LiveStudy) -> list[Any]:
+    """Addresses and their handlers.
+
+    Parameters
+    ----------
+    live : LiveStudy
+        The study.
+
+    """
+    more: dict[str, Any] = {"live": live}
+    return [
+        (r"/api/state", StateHandler, more),
+        (r"/api/events", EventsHandler, more),
+        (r"/api/effects", EffectsHandler, more),
+        (r"/api/glossary", GlossaryHandler, more),
+        (r"/api/check", CheckHandler, more),
+        (r"/api/study", ActionHandler, more | {"act": take_in, "keys": ("recordings", "fields")}),
+        (r"/api/sample", ActionHandler, more | {"act": copy_sample}),
+        (r"/api/do", ActionHandler, more | {"act": change, "keys": ("do", "arguments", "seen")}),
+        (r"/api/job", ActionHandler, more | {"act": start_job, "keys": ("do", "arguments", "seen")}),
+        (r"/api/cancel", ActionHandler, more | {"act": cancel}),
+        (r"/api/upload", UploadHandler, more),
+        (r"/api/film", FilmHandler, more),
+        (r"/api/frame", FrameHandler, more),
+        (r"/api/plots", PlotsHandler, more),
+        (r"/api/candidate", CandidateHandler, more),
+        (r"/api/(sheet|figure)", PictureHandler, more),
+        (r"/api/download", DownloadHandler, more),
+        (r"/static/(.*)", PageFiles, {"path": str(STATIC)}),
+        (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
+        (r".*", UnknownHandler, more),
+    ]
+
 
 MAX_BODY_BYTES = 4_000_000  # of a request that is no upload
 SHOWN_S = 60.0  # that a browser has to read the file which forwards it to the page

@@ -1,4 +1,4 @@
-"""Describe a fit: the error of the scale, the model's own motion, bootstrap and correlations."""
+"""Describe a fit: the error of the scale, the model's own motion and bootstrap."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import MINUS, format_number, format_quantity, format_range, join_words, lower_first
+from frictrack.base.number_format import format_number, format_quantity, format_range, join_words, lower_first
 from frictrack.fit.parameters import SCATTER_BOUNDS
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, Results
@@ -143,13 +143,9 @@ def bootstrap_sentence(model: ModelResults) -> str:
     return f"Bootstrap of {bootstrap['draws']} draws from the fitted model, with {noise}{failed}."
 
 
-def correlation_sentence(first: str, second: str, r: float) -> Markup:
-    """Describe the correlation `r` of two parameters."""
-    way = "decreases" if r < 0 else "increases too"
-    return Markup(
-        "<code>{}</code> and <code>{}</code> are strongly correlated ({}): if one increases and the other {}, the "
-        "prediction hardly changes. These runs determine a combination of them better than either."
-    ).format(first, second, f"{r:+.3f}".replace("-", MINUS), way)
+def remarks(model: ModelResults) -> list[Markup]:
+    """Remarks on the parameters; none of a model that was stored without."""
+    return [mark_addresses(line) for line in model.summary.get("remarks", [])]
 
 
 MAX_GAPS = 2  # open questions whose answer is proposed

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from frictrack.base.number_format import (
     DASH,
+    format_change,
     format_interval,
     format_number,
     format_quantity,
@@ -23,6 +24,7 @@ from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
 from frictrack.results.error_rows import error_rows
+from frictrack.results.motion_axes import AXES
 
 Cell = str | Markup
 
@@ -320,6 +322,22 @@ def failing_span_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
 
 def _p_value(p: float | None) -> str:
     return "" if p is None else "< 10⁻⁶" if p < MIN_P_SHOWN else format_number(p, 1)
+
+
+def repeatability_table(found: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of how far the other runs predict the misfit of each run, by axis."""
+    rows = [
+        (
+            AXES[r["axis"]].name + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            f"{100 * r['share']:.0f} %",
+            f"{r['runs']} of {r['of']}",
+            format_change(r["evidence"]),
+            "yes" if r["holds"] else "no",
+        )
+        for r in found
+    ]
+    headings = ("over", "misfit that the other runs predict", "runs", "evidence", "repeats")
+    return make_table(headings, rows, (1, 2, 3))
 
 
 def track_table(runs: Sequence[RunResults]) -> TextTable:

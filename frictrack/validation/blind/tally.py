@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest, norm
 
-from frictrack.validation.blind.equivalents import NOTHING
-from frictrack.validation.blind.outcome import Outcome
+from frictrack.validation.blind.outcome import NOTHING, Outcome
 from frictrack.validation.blind.truth import effect_named
 from frictrack.validation.blind.truth_sampling import KINDS
 

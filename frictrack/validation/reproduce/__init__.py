@@ -5,6 +5,7 @@
 
 Each function that returns a `Section` reproduces one part; notebooks call them one by one.
 """
+# ruff: noqa: F401 - the imports are the interface
 
 from __future__ import annotations
 
@@ -16,40 +17,24 @@ from typing import Any
 
 from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
-from frictrack.validation.reproduce.augmented_models import equation_4, orders, two_models
-from frictrack.validation.reproduce.page import (
+from frictrack.validation.reproduce.first_paper import equation_4, orders, time_units, tustin_groups, two_models
+from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
+from frictrack.validation.reproduce.second_paper import sine_filter
+from frictrack.validation.reproduce.sections import (
+    FULL,
+    QUICK,
+    Claim,
+    Effort,
+    Progress,
     Reproduction,
+    ResultTable,
+    Section,
     SectionStore,
     cannot_write,
+    silent,
     tables_html,
     write_reproduction,
 )
-from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
-from frictrack.validation.reproduce.second_paper import sine_filter
-from frictrack.validation.reproduce.sections import FULL, QUICK, Claim, Effort, Progress, ResultTable, Section, silent
-from frictrack.validation.reproduce.tustin_model import time_units, tustin_groups
-
-__all__ = [
-    "FULL",
-    "QUICK",
-    "Claim",
-    "Effort",
-    "Reproduction",
-    "ResultTable",
-    "Section",
-    "eq8_trials",
-    "equation_4",
-    "genetic_searches",
-    "orders",
-    "reproduce",
-    "run_sections",
-    "sine_filter",
-    "tables_html",
-    "time_units",
-    "tustin_groups",
-    "two_models",
-]
-
 
 SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
     "time_units": (time_units, (), 2),

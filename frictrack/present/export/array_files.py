@@ -1,18 +1,22 @@
-"""Export results as one netCDF file, after the CF conventions as far as they know such quantities.
+"""Export results as one file of arrays: MATLAB version 5, or netCDF after the CF conventions.
 
-Groups: ``runs/<run>`` (all that is known at the frames of the displacement), ``tracks/<run>/<target>`` (positions in
-the picture), ``budgets/<run>`` (sources of error of the friction force), ``models/<model>`` (parameters) and
-``models/<model>/<run>`` (motion by the model). Lists and dictionaries are texts in JSON.
+    study = load('study.mat').study;
+    plot(study.runs(1).t, study.runs(1).v)      % study.runs(1).units.v is 'm/s'
+
+Groups of netCDF: ``runs/<run>`` (all that is known at the frames of the displacement), ``tracks/<run>/<target>``
+(positions in the picture), ``budgets/<run>``, ``models/<model>`` (parameters) and ``models/<model>/<run>`` (motion by
+the model). Lists and dictionaries are texts in JSON.
 
 References
 ----------
+MathWorks: MAT-File Format, level 5. Names of fields have at most 63 characters.
 CF Conventions 1.11, https://cfconventions.org: `units`, `long_name`, `ancillary_variables` for standard deviations.
 
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,11 +38,89 @@ from frictrack.present.export.tables import (
     track_columns,
     tracks_of,
 )
-from frictrack.results import ModelResults, Results
+from frictrack.results import ModelResults, Results, RunResults
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+
+EMPTY = np.zeros((0, 0))  # MATLAB's [] for what is unknown
+
+
+def write_mat(results: Results) -> ExportedFiles:
+    """Write the file."""
+    from scipy.io import savemat  # noqa: PLC0415 - slow to load
+    from scipy.io.matlab import MatWriteError  # noqa: PLC0415
+
+    own = own_motion(results)
+    study = {
+        **study_attributes(results),
+        "version": results.version,
+        "runs": _array_of([_run(run, own.get(run.name)) for run in results.runs]),
+        "models": _array_of([_model(model) for model in results.models]),
+    }
+    path = results.output / f"{results.path.stem}.mat"
+    try:
+        with atomic_write(path) as part:
+            savemat(part, {"study": study}, long_field_names=True, do_compression=True, oned_as="column")
+    except MatWriteError as e:
+        raise FrictrackError(f"MATLAB's format cannot hold these results ({e}); export --to netcdf") from e
+    return ExportedFiles((path,))
+
+
+def _run(run: RunResults, own: Any) -> dict[str, Any]:
+    """Return the struct of a run: its columns, their units, its description and its tracks."""
+    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in tracks_of(run).items()]
+    return {
+        "name": run.name,
+        **_columns(all_columns(run, own)),
+        "attributes": run_attributes(run),
+        "tracks": _array_of(tracks),
+        "budget": _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY,
+    }
+
+
+def _model(model: ModelResults) -> dict[str, Any]:
+    """Return the struct of a model: its parameters, its errors, and the motion of each run."""
+    table = parameters_table([model]).drop(columns="model").rename(columns={"parameter": "name"})
+    return {
+        "name": model.name,
+        **model_attributes(model),
+        "current": model.current,
+        "parameters": _rows(table),
+        "errors": {key: _known(value) for key, value in model.summary["errors"].items()},
+        "motion": _array_of([{"run": one.run, **_columns(motion_columns(one))} for one in model.motion]),
+    }
+
+
+def _columns(columns: Iterable[Column]) -> dict[str, Any]:
+    """Return columns as fields, texts as cells, and the struct of their units."""
+    columns = list(columns)
+    values = {c.name: c.values.astype(object) if c.values.dtype.kind == "U" else c.values for c in columns}
+    return {**values, "units": {c.name: c.unit for c in columns}}
+
+
+def _array_of(structs: Sequence[Mapping[str, Any]]) -> Any:
+    """Return structs as one array of structs, which needs the same fields in all; missing ones are empty."""
+    if not structs:
+        return EMPTY
+    names = list(dict.fromkeys(name for struct in structs for name in struct))
+    array = np.empty((1, len(structs)), dtype=[(name, object) for name in names])
+    for i, struct in enumerate(structs):
+        array[0, i] = tuple(struct.get(name, EMPTY) for name in names)
+    return array
+
+
+def _rows(table: pd.DataFrame) -> Any:
+    """Return the rows of a table as an array of structs."""
+    return _array_of([{str(k): _known(value) for k, value in row.items()} for row in table.to_dict("records")])
+
+
+def _known(value: Any) -> Any:
+    """Return a cell of a table; empty if it is unknown."""
+    return EMPTY if value is None or value != value else value  # noqa: PLR0124 - NaN differs from itself
+
 
 CONVENTIONS = "CF-1.11"
 MAX_ATTRIBUTE_CHARACTERS = 16_000  # HDF5 keeps an attribute below 64 kB; a longer text becomes a variable

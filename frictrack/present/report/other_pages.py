@@ -1,4 +1,4 @@
-"""Write the page of a batch: verdicts of the studies, trends over the series, failed runs."""
+"""Write the pages of a batch of studies and of a plan of runs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.base.files import replace_text
-from frictrack.base.number_format import format_number, format_quantity
+from frictrack.base.number_format import format_number, format_quantity, format_size
 from frictrack.present import plots
-from frictrack.present.report.markup import SvgEmbedder, now, page_template
+from frictrack.present.report.markup import SvgEmbedder, mark_code, now, page_template
 from frictrack.present.report.tables import Cell, TextTable, code_cell, make_table
 
 MAX_STUDIES_SHOWN = 1000  # in the table of the page; the files hold all
@@ -48,18 +48,18 @@ def write_campaign(
         If the folder cannot be written.
 
     """
-    return replace_text(path, _render(result, trends, links))
+    return replace_text(path, _render_campaign(result, trends, links))
 
 
-def _render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> str:
+def _render_campaign(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> str:
     """The page as HTML."""
     page = page_template("campaign.html.j2")
     clearest = sorted(trends, key=lambda one: one["p"])[:MAX_PANELS]
     return page.render(
         result=result,
-        headline=headline(result),
+        headline=campaign_headline(result),
         kind=_kind(result),
-        summary=_summary(result),
+        summary=_campaign_summary(result),
         trends=_trends(trends),
         n_significant=sum(bool(one["holds"]) for one in trends),
         series=SvgEmbedder()(plots.trends(clearest)) if clearest else Markup(""),
@@ -73,7 +73,7 @@ def _render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], link
     )
 
 
-def headline(result: Mapping[str, Any]) -> str:
+def campaign_headline(result: Mapping[str, Any]) -> str:
     """Describe the batch in one sentence."""
     studies = result["studies"]
     finished = [one for one in studies if not one["reason"]]
@@ -94,7 +94,7 @@ def _kind(result: Mapping[str, Any]) -> str:
     return "complete" if set(result["verdicts"]) <= {"complete"} and not result["failed"] else "missing"
 
 
-def _summary(result: Mapping[str, Any]) -> str:
+def _campaign_summary(result: Mapping[str, Any]) -> str:
     runs = sum(one["runs"] for one in result["studies"])
     text = f"{_count(runs, 'run', 'runs')} in {_count(len(result['studies']), 'study', 'studies')}"
     processed = len(result["studies"]) - result["kept"]
@@ -166,3 +166,103 @@ def _linked(study: str, links: Mapping[str, str]) -> Cell:
     if study not in links:
         return study
     return Markup('<a href="{}">{}</a>').format(links[study], study)
+
+
+def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
+    """Write the page of a plan as HTML, completely or not at all.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of `frictrack plan`.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
+    """
+    return replace_text(path, _render_plan(plan))
+
+
+def _render_plan(plan: Mapping[str, Any]) -> str:
+    """The page as HTML."""
+    page = page_template("plan.html.j2")
+    draw = SvgEmbedder()
+    return page.render(
+        plan=plan,
+        headline=plan_headline(plan),
+        written=now(),
+        remaining=draw(plots.remaining_pairs(plan)),
+        separation=draw(plots.pair_separation(plan)),
+        runs=_runs(plan["runs"]),
+        left=_left(plan["left"]),
+        unseen=_unseen(plan["unseen"]),
+        limits=_limits(plan["detection_limits"]),
+        mark_code=mark_code,
+    )
+
+
+def plan_headline(plan: Mapping[str, Any]) -> str:
+    """Describe the plan in one sentence."""
+    runs = plan["runs"]
+    if not runs:
+        return (
+            "No further run distinguishes more effects" if plan["done"] else "No run of the menu distinguishes effects"
+        )
+    after = runs[-1]["pairs_left"]
+    more = " more" if plan["done"] else ""
+    count = sum(run["speed"] is not None for run in runs)
+    return (
+        f"{count}{more} run{'s' if count > 1 else ''}: {plan['pairs'] - after} of {plan['pairs']} pairs distinguished"
+    )
+
+
+def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [
+        (
+            str(k),
+            mark_code(run["what"]),
+            str(run["adds"]),
+            str(run["pairs_left"]),
+            _examples(run["separates"]),
+            ", ".join(run["shows"]),
+        )
+        for k, run in enumerate(runs, 1)
+    ]
+    return make_table(("", "run", "pairs separated", "pairs left", "for example", "now detectable"), rows, (2, 3))
+
+
+def _examples(pairs: Sequence[Sequence[str]], count: int = 3) -> str:
+    """Some pairs, spread over the list."""
+    step = max(1, len(pairs) // count)
+    return "; ".join(" from ".join(pair) for pair in pairs[::step][:count])
+
+
+def _left(left: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [(" and ".join(one["effects"]), one["why"], mark_code(one["settle"])) for one in left]
+    return make_table(("pair", "why", "what settles it"), rows)
+
+
+def _unseen(unseen: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [(code_cell(one["effect"]), one["why"], mark_code(one["settle"])) for one in unseen]
+    return make_table(("effect", "why", "what makes it detectable"), rows)
+
+
+def _limits(limits: Mapping[str, Mapping[str, Any]]) -> TextTable:
+    rows = [
+        (
+            code_cell(name),
+            format_size(limit["value"], limit["unit"]) if limit["value"] is not None else limit["reason"],
+            limit["at_words"],
+        )
+        for name, limit in limits.items()
+    ]
+    return make_table(("effect", "smallest detectable size", "at"), rows, (1,))
