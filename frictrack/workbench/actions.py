@@ -30,32 +30,14 @@ CHANGED_INPUT = ("edit", "take_in", "leave_out", "define")  # changes after whic
 
 
 def list_effects(snapshot: Any) -> Any:
-    """List all effects, and those that the study defines.
-
-    Parameters
-    ----------
-    snapshot : Snapshot or None
-        The study as it was read last.
-
-    """
+    """List all effects, and those that the study defines."""
     from frictrack.workbench.summaries import effect_library  # noqa: PLC0415
 
     return effect_library(snapshot.study if snapshot else None)
 
 
 def check(snapshot: Any, fields: Any, run: str | None) -> Any:
-    """Read numbers as they are typed.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The study as it was read last.
-    fields : dict
-        Texts of mass, fps and scale.
-    run : str or None
-        Name of the run that they are for.
-
-    """
+    """Read numbers as they are typed."""
     from frictrack.workbench.summaries import check_fields  # noqa: PLC0415
 
     texts = {key: "" if text is None else str(text) for key, text in _mapping(fields, "fields").items()}
@@ -200,29 +182,8 @@ def try_effect(live: LiveStudy, effect: str) -> None:
     _start(live, "attempt", {"effect": effect}, None)
 
 
-def resume_background(live: LiveStudy) -> None:
-    """Start the background work again that the fit of a candidate has interrupted.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
-    live.resumes_background = False
-    if live.running_job() is None and live.path.exists():
-        _start(live, "background", {}, None)
-
-
 def cancel(live: LiveStudy) -> dict[str, Any]:
-    """Cancel the running job; finished steps are kept.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
+    """Cancel the running job; finished steps are kept."""
     job, live.resumes_background = live.running_job(), False
     if job is not None:
         job.cancel()
@@ -230,18 +191,7 @@ def cancel(live: LiveStudy) -> dict[str, Any]:
 
 
 def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
-    """Write a study file for some recordings, or take them into the study.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-    recordings : list of str
-        File names in the folder of the study.
-    fields : dict
-        Texts of mass, fps and scale; may be empty.
-
-    """
+    """Write a study file for some recordings, or take them into the study."""
     from frictrack.flow import CommandHistory  # noqa: PLC0415
     from frictrack.workbench.summaries import new_study  # noqa: PLC0415
 
@@ -257,14 +207,7 @@ def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
 
 
 def copy_sample(live: LiveStudy) -> dict[str, Any]:
-    """Copy the sample films and their study file into the folder, if it has neither a study nor recordings.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
+    """Copy the sample films and their study file into the folder, if it has neither a study nor recordings."""
     from frictrack import samples  # noqa: PLC0415
     from frictrack.study import list_files  # noqa: PLC0415
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from frictrack.results import Results
     from frictrack.study import Study
 
+DOWNLOADS = ("report.html", "report.pdf", "tables.zip", "hdf5.zip", "repeat.py", "figures.zip")
 FIGURE_FORMATS = ("svg", "png", "pdf")
 MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
 CONTENT_TYPES = {
@@ -65,69 +66,32 @@ def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | N
         raise MissingError(f"expected results for {what} but there are none; press Run first")
     if what.startswith("report") and outdated:
         raise OutdatedError(f"{outdated.rstrip('.')}; write it again or download it as it is")
-    return DOWNLOADS[what](snapshot.study, snapshot.results, form)
+    return _content(what, snapshot.study, snapshot.results, form)
 
 
-def _report_path(study: Study) -> Path:
+def _content(what: str, study: Study, results: Results, form: str) -> Content:
+    """Make one of the files that exist or can be made of the results."""
+    from frictrack.flow import replay_script  # noqa: PLC0415
+    from frictrack.present import export  # noqa: PLC0415
+
+    if what == "repeat.py":
+        return BytesIO(replay_script(study).encode())
+    if what == "tables.zip":
+        return zip_files((path.name, path) for path in export.write(results, "csv"))
+    if what == "hdf5.zip":
+        return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
+    from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
+
+    if what == "figures.zip":
+        return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
     path = study.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
-    return path
-
-
-def _report_html(study: Study, results: Results, form: str) -> Content:
-    return _report_path(study).open("rb")
-
-
-def _report_pdf(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present.report import print_pdf  # noqa: PLC0415
-
-    return print_pdf(_report_path(study)).open("rb")
-
-
-def _tables(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present.export import write  # noqa: PLC0415
-
-    return zip_files((path.name, path) for path in write(results, "csv"))
-
-
-def _hdf5_files(study: Study, results: Results, form: str) -> Content:
-    return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
-
-
-def _script(study: Study, results: Results | None, form: str) -> Content:
-    from frictrack.flow import replay_script  # noqa: PLC0415
-
-    return BytesIO(replay_script(study).encode())
-
-
-def _figures(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present import plots  # noqa: PLC0415 - loads Matplotlib
-
-    return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
-
-
-DOWNLOADS: dict[str, Callable[[Any, Any, str], Content]] = {
-    "report.html": _report_html,
-    "report.pdf": _report_pdf,
-    "tables.zip": _tables,
-    "hdf5.zip": _hdf5_files,
-    "repeat.py": _script,
-    "figures.zip": _figures,
-}
+    return (report.print_pdf(path) if what == "report.pdf" else path).open("rb")
 
 
 def figure_bytes(made: Figure, form: str) -> bytes:
-    """Convert a figure to the content of a file.
-
-    Parameters
-    ----------
-    made : Figure
-        The figure.
-    form : str
-        "svg", "png" or "pdf".
-
-    """
+    """Convert a figure to the content of a file."""
     from frictrack.present import plots  # noqa: PLC0415
 
     if form == "svg":

@@ -227,14 +227,7 @@ class Films:
         self._lock = Lock()
 
     def open(self, file: FilmFile) -> OpenFilm:
-        """Open a film, or find it open; the pictures are decoded when they are asked for.
-
-        Parameters
-        ----------
-        file : FilmFile
-            The film as it is now.
-
-        """
+        """Open a film, or find it open; the pictures are decoded when they are asked for."""
         with self._lock:
             held = self._open.get(file.path)
             if held is None or held.file != file:

@@ -158,16 +158,7 @@ class TokenHandler(RequestHandler):
 
 
 def protect(application: Application, guard: RequestGuard) -> None:
-    """Check every request to a server: pages, WebSocket, static files, downloads and uploads.
-
-    Parameters
-    ----------
-    application : Application
-        Tornado application of the server; its routing rules are changed.
-    guard : RequestGuard
-        Decides which requests are refused.
-
-    """
+    """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
     application.default_router.rules[:0] = [
         Rule(RefusedRequest(guard), RefusalHandler),
         Rule(TokenRequest(guard), TokenHandler),

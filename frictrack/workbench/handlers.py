@@ -114,16 +114,7 @@ class Api(RequestHandler):
 
 
 def describe_error(error: Any, status: int) -> tuple[int, str]:
-    """Status and sentence of an error.
-
-    Parameters
-    ----------
-    error : Exception or None
-        What was raised.
-    status : int
-        Status if the error does not tell one.
-
-    """
+    """Status and sentence of an error."""
     if isinstance(error, OutdatedError):
         return 409, str(error)
     if isinstance(error, FrictrackError):

@@ -39,16 +39,7 @@ class ProgressFile:
         self._write({"done": 0, "total": 0, "what": "the verdict is stored"})
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """Write one line, unless one with the same text was written just before.
-
-        Parameters
-        ----------
-        done, total : int
-            Steps done, and all steps.
-        what : str
-            The current step.
-
-        """
+        """Write one line, unless one with the same text was written just before."""
         self.step = what if total == 0 else self.step  # 0 of 0 announces a new step
         if total and " " not in what:  # "runs", or the name of a search at its end: the page counts runs itself
             return
@@ -65,15 +56,7 @@ class ProgressFile:
 
 
 def main(folder: Path) -> None:
-    """Run a job.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job. The command is read from ``spec.json``; the result or the error is written to
-        ``result.json``.
-
-    """
+    """Run a job."""
     with FileLock(folder / "alive"):
         (folder / "began").touch()
         Thread(target=_end_when_asked, args=(folder,), daemon=True).start()

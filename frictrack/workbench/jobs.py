@@ -266,18 +266,7 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
 
 
 def is_superseded(job: Job, do: str, revision: int) -> bool:
-    """Whether a running job becomes useless by a new one. Its finished steps are stored and are not lost.
-
-    Parameters
-    ----------
-    job : Job
-        The running job.
-    do : str
-        The command of the new job.
-    revision : int
-        Revision of the study: a job that adds an effect is superseded only after the effect was added.
-
-    """
+    """Whether a running job becomes useless by a new one. Its finished steps are stored and are not lost."""
     old, seen = job.spec["do"], job.spec.get("seen")
     if job.summary["background"] or old in ("attempt", "background") or old == do in REPEATED:
         return True
@@ -308,14 +297,7 @@ def list_jobs(output: Path) -> list[Job]:
 
 
 def running_job(output: Path) -> Job | None:
-    """The running job of a study, if there is one.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-
-    """
+    """The running job of a study, if there is one."""
     return next((job for job in reversed(list_jobs(output)) if job.state == RUNNING), None)
 
 
@@ -358,14 +340,7 @@ class JobFollower:
         self._last: dict[str, Any] | None = None
 
     def look(self, output: Path) -> JobsNow:
-        """Look at the jobs as they are now.
-
-        Parameters
-        ----------
-        output : Path
-            Folder of the results.
-
-        """
+        """Look at the jobs as they are now."""
         if output != self._output:
             self._output, self._ended, self._last = output, set(), None
         running = None
@@ -401,14 +376,7 @@ COMMAND = (sys.executable, "-P", "-m", MODULE)  # -P: import nothing from this f
 
 
 def launch_process(folder: Path) -> None:
-    """Start a new process for a job.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job.
-
-    """
+    """Start a new process for a job."""
     with (folder / "output.txt").open("wb") as output:
         process = subprocess.Popen(
             [*COMMAND, str(folder)], stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
@@ -454,14 +422,7 @@ class WarmLauncher:
             _collect(self._spare)
 
     def launch(self, folder: Path) -> None:
-        """Give a job to the process that waits; without one, start a new process.
-
-        Parameters
-        ----------
-        folder : Path
-            Folder of the job.
-
-        """
+        """Give a job to the process that waits; without one, start a new process."""
         with self._lock:
             spare, self._spare, self._used = self._spare, None, time.monotonic()
         if spare is None or not _write_line(spare, json.dumps(str(folder))):

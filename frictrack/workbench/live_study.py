@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import math
 import os
 import secrets
 import time
@@ -20,8 +19,8 @@ from typing import Any, TypeVar
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER
+from frictrack.workbench import jobs
 from frictrack.workbench.films import Films
-from frictrack.workbench.jobs import Job, JobFollower, JobsNow, WarmLauncher, running_job
 
 POLL_S = 0.1  # between two checks of the files
 RESUME_S = 2.0  # without a job: the user may try the next candidate
@@ -47,12 +46,11 @@ class LiveStudy:
         self.state: dict[str, Any] = {}
         self._text = "{}"
         self.output = path.parent / f"{path.stem}_results"  # until the study file is read
-        self.launcher = WarmLauncher()
+        self.launcher = jobs.WarmLauncher()
         self.resumes_background = False  # the fit of a candidate has interrupted it
-        self.resume_background: Callable[[LiveStudy], None] = lambda live: None  # the server sets it
         self._idle_since = time.monotonic()
         self._seen: object = None
-        self._jobs, self._follower = JobsNow(), JobFollower()
+        self._jobs, self._follower = jobs.JobsNow(), jobs.JobFollower()
         self._listeners: set[Callable[[str], object]] = set()
         self.films = Films()
         self._reader, self._writer, self._drawer = (ThreadPoolExecutor(1, name) for name in ("read", "write", "draw"))
@@ -130,15 +128,21 @@ class LiveStudy:
         if self.launcher.is_needed:
             await asyncio.to_thread(self.launcher.prepare)
         if self.resumes_background and time.monotonic() - self._idle_since > RESUME_S:
-            await self.write(self.resume_background)
+            await self.write(LiveStudy._resume_background)
+
+    def _resume_background(self) -> None:
+        """Start the background work again that the fit of a candidate has interrupted."""
+        self.resumes_background = False
+        if self.running_job() is None and self.path.exists():
+            jobs.start(self.path, self.output, jobs.JobSpec("background"), self.launcher.launch)
 
     async def _check(self) -> None:
         """Read the files if they have changed. The marks are taken first: a change while they are read is seen next."""
-        marks, jobs = await self.read(self._look)
-        ended = jobs.last is not None and jobs.last != self._jobs.last
-        self._idle_since = time.monotonic() if jobs.running else self._idle_since
-        if jobs != self._jobs:
-            self._jobs = jobs
+        marks, now = await self.read(self._look)
+        ended = now.last is not None and now.last != self._jobs.last
+        self._idle_since = time.monotonic() if now.running else self._idle_since
+        if now != self._jobs:
+            self._jobs = now
             self._send(f'{{"type":"job",{self._job_json}}}')
         if marks != self._seen or ended:
             self._seen = marks
@@ -147,7 +151,7 @@ class LiveStudy:
             self._ready.set()
             self._send(f'{{"type":"state","state":{self._whole}}}')
 
-    def _look(self) -> tuple[object, JobsNow]:
+    def _look(self) -> tuple[object, jobs.JobsNow]:
         """Marks of the files, and the jobs."""
         self.output = output_folder(self.path)
         return file_marks(self.path, self.output), self._follower.look(self.output)
@@ -166,9 +170,9 @@ class LiveStudy:
         """The state with the jobs, as JSON."""
         return f"{self._text[:-1]},{self._job_json}}}"
 
-    def running_job(self) -> Job | None:
+    def running_job(self) -> jobs.Job | None:
         """The running job, as the files are now."""
-        return running_job(self.output)
+        return jobs.running_job(self.output)
 
     def _read_state(self, version: int) -> str:
         """Read the study and describe it; what cannot be read is said in `error`."""
@@ -230,14 +234,7 @@ _outputs: dict[Path, tuple[int, Path]] = {}  # study file -> its time of change,
 
 
 def output_folder(path: Path) -> Path:
-    """Folder of the results of a study; where the study file cannot be read, the last one known or the default.
-
-    Parameters
-    ----------
-    path : Path
-        Study file, which need not exist.
-
-    """
+    """Folder of the results of a study; where the study file cannot be read, the last one known or the default."""
     from frictrack.study import results_folder  # noqa: PLC0415 - loads pydantic
 
     known = _outputs.get(path)
@@ -259,22 +256,6 @@ def to_json(value: Any) -> str:
     '{"a":null}'
 
     """
-    try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_builtin)
-    except ValueError:
-        return json.dumps(_finite(json.loads(json.dumps(value, default=_builtin))), separators=(",", ":"))
+    from frictrack.results import to_builtins  # noqa: PLC0415 - loads NumPy
 
-
-def _builtin(value: Any) -> Any:
-    """Convert NumPy numbers and arrays, paths and sets."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    return sorted(value) if isinstance(value, set | frozenset) else str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(to_builtins(value), separators=(",", ":"), default=list)  # sets become lists

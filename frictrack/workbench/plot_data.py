@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
-from frictrack.present.plots.style import BAND_SIGMAS, unsmeared_frames
+from frictrack.present.plots.style import BAND_SIGMAS, axis_label, unsmeared_frames
 from frictrack.records import Array, Friction, Track
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -97,11 +97,7 @@ def axis(column: str, name: str, unit: str) -> dict[str, str]:
         Unit; "" for none.
 
     """
-    return {"column": column, "name": name, "unit": unit, "label": f"{name} / {_in_label(unit)}" if unit else name}
-
-
-def _in_label(unit: str) -> str:
-    return f"({unit})" if "/" in unit else unit
+    return {"column": column, "name": name, "unit": unit, "label": axis_label(name, unit)}
 
 
 def plot(

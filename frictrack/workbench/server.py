@@ -20,7 +20,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 
 from frictrack.base.errors import FrictrackError
-from frictrack.workbench.actions import cancel, change, copy_sample, resume_background, start_job, take_in
+from frictrack.workbench.actions import cancel, change, copy_sample, start_job, take_in
 from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, clean_names, protect
 from frictrack.workbench.handlers import (
     STATIC,
@@ -44,14 +44,7 @@ from frictrack.workbench.uploads import UploadHandler
 
 
 def routes(live: LiveStudy) -> list[Any]:
-    """Addresses and their handlers.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
+    """Addresses and their handlers."""
     more: dict[str, Any] = {"live": live}
     return [
         (r"/api/state", StateHandler, more),
@@ -167,18 +160,8 @@ async def open_browser(address: str) -> None:
 
 
 def application(live: LiveStudy, guard: RequestGuard) -> Application:
-    """Create the application of a page, in which the guard checks every request.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-    guard : RequestGuard
-        Decides which requests are refused.
-
-    """
+    """Create the application of a page, in which the guard checks every request."""
     logging.getLogger("tornado.access").setLevel(logging.ERROR)  # refusals and missing films are told to the page
-    live.resume_background = resume_background
     made = Application(routes(live), websocket_ping_interval=PING_INTERVAL_S)
     protect(made, guard)
     return made

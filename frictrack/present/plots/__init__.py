@@ -21,6 +21,7 @@ from frictrack.present.plots.law import has_law, law, law_title, loops
 from frictrack.present.plots.measured import film, friction, friction_title, motion, motions, motions_title, table
 from frictrack.present.plots.measurement_errors import budget, budgets, budgets_title, cutoff, cutoffs, filters
 from frictrack.present.plots.model import (
+    error_words,
     failing,
     fit,
     history,
@@ -31,9 +32,8 @@ from frictrack.present.plots.model import (
     routes,
 )
 from frictrack.present.plots.modelled import modelled
-from frictrack.present.plots.notebook import html
 from frictrack.present.plots.parameters import convergence, profiles
 from frictrack.present.plots.plan import next_experiments, pair_separation, remaining_pairs, trends
-from frictrack.present.plots.style import numbered_name, pdf, plain_name, png, svg, svg_file
+from frictrack.present.plots.style import html, numbered_name, pdf, plain_name, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import passes

@@ -319,12 +319,13 @@ def missing_force(
     """
     whole = at_reference_load(figures["residual_force"])
     shown = [name for name in AXES if name in whole]
-    figure = new_figure(5.4, _title(repeats))
+    drawn, styles = _strongest_runs(whole, styles)
+    n = len(np.unique(whole["run"]))
+    figure = new_figure(5.4, _title(repeats) + (f" ({len(styles)} runs of {n})" if len(styles) < n else ""))
     panels = figure.subplots(2, 3)
     factor, unit = style.axis_scale(whole["F"], "N")
     low, high = force_limits(whole)
     shares = {r["axis"]: r for r in repeats}
-    drawn, styles = _strongest_runs(whole, styles)
     for ax, name in zip(np.ravel(panels), shown, strict=False):
         draw_runs(ax, drawn, name, factor, list(styles.values()))
         draw_common(ax, figures.get(f"common_{name}"), factor)
@@ -340,8 +341,6 @@ def missing_force(
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
     _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
-    if len(styles) < len(np.unique(whole["run"])):
-        figure.suptitle(f"{_title(repeats)} ({len(styles)} runs of {len(np.unique(whole['run']))})", x=0.01, ha="left")
     return figure
 
 

@@ -161,17 +161,20 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
 
 
 def fit_title(model: ModelResults) -> str:
-    """Title of `fit`: the verdict, and the residual against the noise."""
-    errors, noise = model.summary["errors"], noise_um(model)
-    name, rms = plain_name(model.name), errors["rms_displacement_um"]
-    figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
-    if rms is not None and noise is not None:
-        figures = f"residual {format_number(rms)} µm, noise {format_number(noise)} µm"
+    """Title of `fit`: the verdict, and the errors."""
     verdict = (model.diagnosis or {}).get("verdict")
-    if verdict is None:
-        return f"{name}: {figures}"
-    word = {"complete": "is complete", "undetermined": "is undetermined"}.get(verdict, "fails")
-    return f"{name} {word}: {figures}"
+    words = {None: "", "complete": " is complete", "undetermined": " is undetermined"}.get(verdict, " fails")
+    return f"{plain_name(model.name)}{words}: {error_words(model)}"
+
+
+def error_words(model: ModelResults) -> str:
+    """Residual, noise and force error of a model, as far as they are known."""
+    errors, noise = model.summary["errors"], noise_um(model)
+    rms, force = errors.get("rms_displacement_um"), errors.get("relative_force_error")
+    parts = [] if rms is None else [f"residual {format_number(rms)} µm"]
+    parts += [] if rms is None or noise is None else [f"noise {format_number(noise)} µm"]
+    parts += [] if force is None else [f"force error {format_number(100 * force, 2)} %"]
+    return ", ".join(parts)
 
 
 def _how_many(model: ModelResults, shown: Sequence[str]) -> str:

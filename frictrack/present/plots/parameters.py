@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from frictrack.base.distributions import normal_ppf
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_number, format_unit
+from frictrack.base.number_format import format_interval, format_number, format_unit
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model
 from frictrack.present.plots.style import axis_scale, new_figure, styled
@@ -128,21 +128,18 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
         ax.set_axis_off()
     for ax in panels[:, 0]:
         ax.set_ylabel("rise of chi²")
+    level = next(iter(found.values()))["level"]
     handles: list[Any] = [
         Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),
         Line2D([], [], color=style.MODEL_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="parabola of the standard deviation"),
         Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
-        Patch(color=style.NOISE_COLOUR, label=f"{100 * _level(found):.0f} % interval"),
+        Patch(color=style.NOISE_COLOUR, label=f"{100 * level:.0f} % interval"),
     ]
     if summary.get("misfit"):
         label = "† standard deviation with the misfit"
         handles.append(Line2D([], [], color=style.MEASURED_COLOUR, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
     style.legend_below(figure, handles)
     return figure
-
-
-def _level(found: Mapping[str, Any]) -> float:
-    return float(next(iter(found.values()))["level"])
 
 
 def _profiles_title(found: Mapping[str, Any]) -> str:
@@ -179,7 +176,9 @@ def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str,
     ax.set_xlim(factor * low, factor * high)
     ax.set_ylim(-0.06 * limit, MAX_SHOWN_RISE * limit)
     ax.set_title(name, fontweight="normal")
-    ax.set_xlabel(f"{_interval(profile, factor)} {format_unit(unit)}".strip())
+    known = profile["low"] is not None or profile["high"] is not None
+    interval = format_interval((profile["low"], profile["high"]), factor)
+    ax.set_xlabel(f"{interval} {format_unit(unit) if known else ''}".strip())
 
 
 def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:
@@ -201,12 +200,3 @@ def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
     x = np.unique(np.concatenate([np.linspace(at[0], at[-1], N_CURVE_POINTS), at]))
     curve = np.asarray(PchipInterpolator(at, root)(x)) ** 2
     return (np.exp(x) if logarithmic else x), curve
-
-
-def _interval(profile: Mapping[str, Any], factor: float) -> str:
-    low, high = (None if profile[key] is None else factor * profile[key] for key in ("low", "high"))
-    if low is None and high is None:
-        return "any"
-    if low is None:
-        return f"below {format_number(high)}"
-    return f"above {format_number(low)}" if high is None else f"{format_number(low)} to {format_number(high)}"

@@ -431,7 +431,8 @@ def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
         handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label=f"all runs, ± {style.BAND_SIGMAS:g} std"))
     after = data.after
     if after is not None and "force" in after.rows:
-        names, look = np.unique(after.rows["run"]), {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2))}
+        names = np.unique(after.rows["run"])
+        look: dict[str, Any] = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2))}
         shown = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]  # spread over all
         per_load = factor / _load_of(whole, after.rows["run"])
         _draw_lines(ax, after.rows, axis, "force", shown, per_load, **look, zorder=5)

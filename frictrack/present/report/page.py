@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from markupsafe import Markup
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import format_number, upper_first
 from frictrack.present import plots
 from frictrack.present.report import fit_text, measurement_quality, tables, verdict_text
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
@@ -25,7 +23,6 @@ from frictrack.results.candidates import MAIN_KINDS, candidate_rows
 from frictrack.results.verdicts import CHECK_FIRST, describe_formula, describe_unnamed, force_without_effect
 
 MAX_FILMS = 4  # films of which the first frame is shown
-MAX_SPANS_SHOWN = 12  # the others are folded
 
 
 def write(results: Results, path: Path, key: str = "") -> Path:
@@ -93,9 +90,15 @@ def render(results: Results, key: str = "") -> str:
         mark_equation=mark_equation,
         symbols_in=symbols_in,
         verdict=verdict_text.study_verdict(results),
-        failures=[_failure(m, figure) for m in judged if plots.is_rejected(m.diagnosis)],
-        rejected=[_evidence(m, figure) for m in judged],
-        earlier=[_headline(m) for m in earlier],
+        judged=judged,
+        earlier=earlier,
+        headline=_headline,
+        is_rejected=plots.is_rejected,
+        main_kinds=MAIN_KINDS,
+        candidate_rows=candidate_rows,
+        force_without_effect=force_without_effect,
+        describe_formula=describe_formula,
+        describe_unnamed=describe_unnamed,
         films=_first_frames(results),
         of_points=any(run.is_of_points for run in results.runs),
     )
@@ -113,80 +116,6 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
 
 def _headline(model: ModelResults) -> str:
     return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
-
-
-def _failure(model: ModelResults, figure: Callable[..., Markup]) -> dict[str, Any]:
-    """Where one model fails: what the misfit is, figures, repeatability and spans."""
-    diagnosis = model.diagnosis or {}
-    found = diagnosis.get("fails_at", [])
-    return dict(
-        headline=_headline(model),
-        lack_of_fit=_lack_of_fit(diagnosis),
-        residual=figure(f"fails {model.name}"),
-        force=figure(f"missing force {model.name}"),
-        repeatability=diagnosis.get("repeats_words", ""),
-        repeats=tables.repeatability_table(diagnosis.get("repeats", [])),
-        spans=tables.failing_span_table(found[:MAX_SPANS_SHOWN]),
-        more_spans=tables.failing_span_table(found[MAX_SPANS_SHOWN:]),
-    )
-
-
-def _lack_of_fit(diagnosis: Mapping[str, Any]) -> str:
-    """Describe the lack of fit in one sentence; "" if it is not known."""
-    chi2, p = diagnosis.get("reduced_chi2"), diagnosis.get("p_lack_of_fit")
-    if chi2 is None or p is None:
-        return ""
-    often = "in none of 999 draws" if p <= 0.001 else f"in {format_number(100 * p, 2)} % of the draws"
-    return (
-        f"The residual is {format_number(float(chi2) ** 0.5, 3)} times the noise (reduced chi-squared "
-        f"{format_number(chi2, 3)}). Noise alone gives such a residual {often}."
-    )
-
-
-def _evidence(model: ModelResults, figure: Callable[..., Markup]) -> dict[str, Any]:
-    """What one model lacks, and the evidence for it."""
-    diagnosis = model.diagnosis or {}
-    rows = candidate_rows(diagnosis)
-    signals = enumerate(diagnosis.get("evidence") or [])
-    return dict(
-        headline=_headline(model),
-        candidates=tables.candidate_table(rows),
-        cards=tables.candidate_cards([row for row in rows if row.kind in MAIN_KINDS]),
-        scan=figure(f"scan {model.name}"),
-        unexplained=_unexplained_force(diagnosis, figure(f"unexplained {model.name}")),
-        correlated_signals=[
-            {"words": upper_first(one["words"]), "picture": figure(f"signal {k} {model.name}")} for k, one in signals
-        ],
-        importance=tables.importance_table(diagnosis),
-        undetermined=tables.undetermined_table(diagnosis),
-    )
-
-
-def _unexplained_force(diagnosis: Mapping[str, Any], picture: Markup) -> dict[str, Any] | None:
-    """The force that no effect explains, with the formulas that fit it."""
-    left = force_without_effect(diagnosis)
-    if not left:
-        return None
-    rows = [
-        {
-            "formula": f["formula"],
-            "certainty": ". ".join(map(upper_first, describe_formula(f))),
-            "beside": f.get("beside", []),
-            "share": f"{100 * f['share']:.1f} %",
-            "delta_bic": format_number(f["delta_bic"], 4),
-            "chi2": format_number(f.get("reduced_chi2", float("nan")), 3),
-        }
-        for f in left["formulas"]
-    ]
-    words = left.get("words", "")
-    return {
-        "picture": picture,
-        "formulas": rows,
-        "toml": left["formulas"][0].get("toml", "") if rows else "",
-        "title": "A force of one variable" if words else "Unexplained force",
-        "words": upper_first(words),
-        "none": describe_unnamed(left),
-    }
 
 
 def _first_frames(results: Results) -> list[Markup]:

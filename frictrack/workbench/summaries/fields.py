@@ -48,16 +48,7 @@ def study_fields(snapshot: Snapshot) -> dict[str, Field]:
 
 
 def run_fields(snapshot: Snapshot, run: RunTable) -> dict[str, Field]:
-    """Describe the values of one run: its own, or those that it inherits.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-    run
-        One of its runs.
-
-    """
+    """Describe the values of one run: its own, or those that it inherits."""
     return {key: _field_of(snapshot, key, run) for key in KEYS}
 
 
@@ -129,14 +120,7 @@ def refuse_implausible(table: str, key: str, value: Any) -> None:
 
 
 def missing_fields(snapshot: Snapshot) -> list[str]:
-    """Return the names of the fields that must be filled in before Run.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
+    """Return the names of the fields that must be filled in before Run."""
     if snapshot.study is None:
         return []
     return [NAMES[key] for key in KEYS if any(_is_missing(run, key) for run in snapshot.study.runs)]

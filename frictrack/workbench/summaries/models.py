@@ -185,14 +185,7 @@ def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
 
 
 def value_text(value: Mapping[str, Any]) -> str:
-    """Write a fitted value with its standard deviation, and why it is not determined.
-
-    Parameters
-    ----------
-    value
-        "value", "std", "unit" and perhaps "std_misfit" and "reason", as the JSON of a fit has them.
-
-    """
+    """Write a fitted value with its standard deviation, and why it is not determined."""
     reason = f" ({value['reason']})" if value.get("reason") else ""
     if value["value"] is None:
         return f"not determined{reason}"

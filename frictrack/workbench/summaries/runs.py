@@ -25,14 +25,7 @@ NOT_MEASURED = {"n_frames_lost": 0, "suspect": [], "checks": [], "notes": [], "w
 
 
 def summarise_runs(snapshot: Snapshot) -> list[dict[str, Any]]:
-    """Describe every run of the study file.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
+    """Describe every run of the study file."""
     if snapshot.study is None:
         return []
     measured = {run.name: run for run in snapshot.results.runs} if snapshot.results else {}

@@ -106,14 +106,7 @@ def _reader(path: Path) -> SnapshotReader:
 
 
 def read_snapshot(path: Path) -> Snapshot:
-    """Read the files of a study as they are now; nothing is computed and nothing is raised.
-
-    Parameters
-    ----------
-    path
-        The study file, which need not exist.
-
-    """
+    """Read the files of a study as they are now; nothing is computed and nothing is raised."""
     return _reader(path).read()
 
 
@@ -147,26 +140,12 @@ def _surveyed(path: Path, *_: int) -> Surveyed:
 
 
 def surveyed_source(path: Any) -> Surveyed | None:
-    """Return what is known of the recording of a run; None for one at an address, or one that is gone.
-
-    Parameters
-    ----------
-    path
-        `RunTable.source`.
-
-    """
+    """Return what is known of the recording of a run; None for one at an address, or one that is gone."""
     return _survey(path) if isinstance(path, Path) and path.exists() else None
 
 
 def file_version(path: Any) -> str:
-    """Return a text that changes when the content of a recording changes; "" for one at an address.
-
-    Parameters
-    ----------
-    path
-        `RunTable.source`.
-
-    """
+    """Return a text that changes when the content of a recording changes; "" for one at an address."""
     if not isinstance(path, Path) or not path.exists():
         return ""
     state = path.stat()

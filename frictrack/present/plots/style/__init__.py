@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import io
 import re
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, wraps
+from html import escape
 from threading import RLock
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -451,11 +453,10 @@ def svg(figure: Figure) -> str:
         same text.
 
     """
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        canvas = _SvgCanvas(figure)
-        figure.set_dpi(SVG_DPI)
-        with _laid_out(figure):
-            text = canvas.to_svg()
+    canvas = _SvgCanvas(figure)
+    figure.set_dpi(SVG_DPI)
+    with _laid_out(figure):
+        text = canvas.to_svg()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
@@ -504,7 +505,7 @@ def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
-    with collection_paused(), ticks_in_rows(figure):
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused(), ticks_in_rows(figure):
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -523,19 +524,38 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
         Dots per inch.
 
     """
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        buffer = io.BytesIO()
-        canvas = FigureCanvasAgg(figure)
-        figure.set_dpi(dpi)
-        with _laid_out(figure):
-            canvas.print_png(buffer)
+    buffer, canvas = io.BytesIO(), FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    with _laid_out(figure):
+        canvas.print_png(buffer)
     return buffer.getvalue()
 
 
 def pdf(figure: Figure) -> bytes:
     """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        buffer = io.BytesIO()
-        with _laid_out(figure):
-            FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
+    buffer = io.BytesIO()
+    with _laid_out(figure):
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return buffer.getvalue()
+
+
+class Drawable(Protocol):
+    """What prints itself in a line and can be drawn."""
+
+    def plot(self) -> Figure:
+        """Return the figure."""
+        ...
+
+
+def html(result: Drawable) -> str:
+    """Return the text and the figure of a result as HTML, for a notebook.
+
+    Parameters
+    ----------
+    result : object
+        A result with `plot`; its text is its `repr`.
+
+    """
+    picture = b64encode(png(result.plot())).decode()
+    image = f'<img alt="" style="max-width: 100%" src="data:image/png;base64,{picture}">'
+    return f"<p><code>{escape(repr(result))}</code></p>{image}"
