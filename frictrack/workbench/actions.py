@@ -71,8 +71,9 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
         If the change is refused.
 
     """
+    from frictrack.base.number_format import upper_first  # noqa: PLC0415 - loads NumPy
     from frictrack.flow import CommandHistory, Session, open_study  # noqa: PLC0415
-    from frictrack.workbench.summaries import refuse_implausible  # noqa: PLC0415
+    from frictrack.workbench.summaries import change_words, refuse_implausible  # noqa: PLC0415
 
     if do not in CHANGES:
         raise FrictrackError(f"expected one of the changes {', '.join(CHANGES)} but got {do!r}", usage=True)
@@ -89,19 +90,10 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
         raise
     except TypeError as e:
         raise FrictrackError(f"expected other arguments of {do}: {e}", usage=True) from e
-    revision = CommandHistory(study.output).revision
+    history = CommandHistory(study.output)
     live.resumes_background = False
-    _end_useless_work(live, do, revision)
-    return {"revision": revision, "words": _describe_change(do, given)}
-
-
-def _describe_change(do: str, given: Mapping[str, Any]) -> str:
-    """What was changed, in one sentence."""
-    if do == "edit":
-        where = f" of {given['which']}" if given.get("which") else ""
-        return f"{given.get('key')}{where}: {'removed' if given.get('value') is None else 'changed'}."
-    done = {"undo": "Undone.", "redo": "Redone.", "leave_out": f"{given.get('run')} is left out."}
-    return done.get(do, f"{do}: done.")
+    _end_useless_work(live, do, history.revision)
+    return {"revision": history.revision, "words": f"{upper_first(change_words(history.changes[-1]))}."}
 
 
 def _end_useless_work(live: LiveStudy, do: str, revision: int) -> None:

@@ -13,8 +13,6 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from frictrack.base.errors import FrictrackError
 from frictrack.workbench.errors import MissingError
 
@@ -29,7 +27,7 @@ UNKNOWN_FPS = 1000.0  # 1/s: a film whose rate nobody has told yet can be looked
 
 
 class FrameImages:
-    """JPEG pictures of the frames of one recording. Several threads may use it.
+    """JPEG pictures of the frames of one recording, for one thread.
 
     Parameters
     ----------
@@ -41,12 +39,13 @@ class FrameImages:
     """
 
     def __init__(self, path: Path, fps: float | None) -> None:
+        import numpy as np  # noqa: PLC0415 - slow to load
+
         from frictrack.recording import random_access  # noqa: PLC0415 - loads OpenCV
 
         self._stack = ExitStack()
         recording, self.fps = _open(path, fps)
         self._recording = self._stack.enter_context(random_access(recording))
-        self._lock = Lock()
         self._cache: OrderedDict[int, bytes] = OrderedDict()
         first = self._recording.frame(0)
         deep = first.dtype != np.uint8
@@ -68,20 +67,16 @@ class FrameImages:
     def __getitem__(self, number: int) -> tuple[int, bytes]:
         """Number and JPEG of a frame; a number outside the film is clipped."""
         number = min(max(number, 0), self._recording.n_frames - 1)
-        with self._lock:
-            if number not in self._cache:
-                self._cache[number] = self._jpeg(self._recording.frame(number))
-            self._cache.move_to_end(number)
-            while len(self._cache) > MAX_CACHED_FRAMES:
-                self._cache.popitem(last=False)
-            return number, self._cache[number]
-
-    def __contains__(self, number: int) -> bool:
-        """Whether the picture of a frame is cached."""
-        return number in self._cache
+        if number not in self._cache:
+            self._cache[number] = self._jpeg(self._recording.frame(number))
+        self._cache.move_to_end(number)
+        while len(self._cache) > MAX_CACHED_FRAMES:
+            self._cache.popitem(last=False)
+        return number, self._cache[number]
 
     def _jpeg(self, frame: Frame) -> bytes:
         import cv2  # noqa: PLC0415
+        import numpy as np  # noqa: PLC0415
 
         low, high = self._limits
         if (low, high) != (0.0, 255.0):

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -153,7 +154,8 @@ class LiveStudy:
 
     def _look(self) -> tuple[object, jobs.JobsNow]:
         """Marks of the files, and the jobs."""
-        self.output = output_folder(self.path)
+        with suppress(OSError, FrictrackError):  # a study file that cannot be read: the folder known last
+            self.output = _output_folder(self.path, self.path.stat().st_mtime_ns)
         return file_marks(self.path, self.output), self._follower.look(self.output)
 
     @property
@@ -230,21 +232,12 @@ def _marks_in(folder: Path) -> list[tuple[str, int, int, int]]:
     return out
 
 
-_outputs: dict[Path, tuple[int, Path]] = {}  # study file -> its time of change, folder of its results
-
-
-def output_folder(path: Path) -> Path:
-    """Folder of the results of a study; where the study file cannot be read, the last one known or the default."""
+@lru_cache(8)
+def _output_folder(path: Path, changed: int) -> Path:
+    """Folder of the results of a study file of some time of change."""
     from frictrack.study import results_folder  # noqa: PLC0415 - loads pydantic
 
-    known = _outputs.get(path)
-    try:
-        changed = path.stat().st_mtime_ns
-        if known is None or known[0] != changed:
-            known = _outputs[path] = changed, results_folder(path)
-    except (OSError, FrictrackError):
-        known = known or (0, path.parent / f"{path.stem}_results")
-    return known[1]
+    return results_folder(path)
 
 
 def to_json(value: Any) -> str:

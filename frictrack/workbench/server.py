@@ -21,7 +21,7 @@ from tornado.web import Application
 
 from frictrack.base.errors import FrictrackError
 from frictrack.workbench.actions import cancel, change, copy_sample, start_job, take_in
-from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, clean_names, protect
+from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, protect
 from frictrack.workbench.handlers import (
     STATIC,
     ActionHandler,
@@ -111,7 +111,7 @@ def serve(
     path = path / "study.toml" if path.is_dir() else path
     if not path.parent.is_dir():
         raise FrictrackError(f"expected the folder {path.parent} but it does not exist", usage=True)
-    guard = RequestGuard(token or secrets.token_urlsafe(24), host, clean_names(names))
+    guard = RequestGuard(token or secrets.token_urlsafe(24), host, tuple(name.strip().lower() for name in names))
     with suppress(KeyboardInterrupt):
         asyncio.run(_serve(path.resolve(), guard, port, show))
 

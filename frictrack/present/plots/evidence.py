@@ -95,6 +95,7 @@ def _candidates_title(rows: Sequence[CandidateRow]) -> str:
 
 
 RESULT_CURVES = ("limit", "rise")  # curves of a candidate; the other curves are its settings
+MIN_SETTINGS = 5  # over fewer values of a setting nothing is drawn
 
 
 def has_scan(curves: Mapping[str, Array]) -> str | None:
@@ -111,10 +112,14 @@ def has_scan(curves: Mapping[str, Array]) -> str | None:
         Name of the scanned setting with the most values; None if there is nothing to draw.
 
     """
-    if "rise" not in curves:
-        return None
-    settings = [name for name in curves if name not in RESULT_CURVES and len(np.unique(curves[name])) > 4]
-    return max(settings, key=lambda name: len(np.unique(curves[name])), default=None)
+    name = _widest_setting(curves) if "rise" in curves else ""
+    return name if name and len(np.unique(curves[name])) >= MIN_SETTINGS else None
+
+
+def _widest_setting(curves: Mapping[str, Array]) -> str:
+    """The setting with the most values; "" if there is none."""
+    settings = [name for name in curves if name not in RESULT_CURVES]
+    return max(settings, key=lambda name: len(np.unique(curves[name])), default="")
 
 
 @styled
@@ -141,7 +146,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     name = has_scan(curves)
     if name is None:
         raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
-    at, rise = envelope(curves[name], curves["rise"], np.maximum)
+    at, rise = _largest(curves[name], curves["rise"])
     best = float(at[np.argmax(rise)])
     written = _unit(effect, name)
     factor, shown = style.axis_scale(at, written)
@@ -157,29 +162,11 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     return figure
 
 
-def envelope(at: Array, values: Array, best: Any) -> tuple[Array, Array]:
-    """Select the best value at each setting.
-
-    Parameters
-    ----------
-    at : Array
-        (n,) setting.
-    values : Array
-        (n,) values, at all combinations with other settings.
-    best : ufunc
-        `np.maximum` or `np.minimum`.
-
-    Returns
-    -------
-    places : Array
-        (k,) distinct settings, sorted.
-    out : Array
-        (k,) best value at each of them.
-
-    """
+def _largest(at: Array, values: Array) -> tuple[Array, Array]:
+    """Distinct settings (k,), sorted, and the largest of the values (n,) at each of them."""
     places, which = np.unique(at, return_inverse=True)
-    out = np.full(len(places), -np.inf if best is np.maximum else np.inf)
-    best.at(out, which, values)
+    out = np.full(len(places), -np.inf)
+    np.maximum.at(out, which, values)
     return places, out
 
 
@@ -218,7 +205,7 @@ def has_limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, 
         Names of the effects.
 
     """
-    return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) > 4]
+    return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) >= MIN_SETTINGS]
 
 
 def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
@@ -226,11 +213,8 @@ def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
 
     Values at which no size is detectable are left out.
     """
-    settings = [name for name in curves if name not in RESULT_CURVES]
-    if not settings:
-        return "", np.empty(0), np.empty(0)
-    name = max(settings, key=lambda n: len(np.unique(curves[n])))
-    at, limit = envelope(curves[name], curves["limit"], np.maximum)
+    name = _widest_setting(curves)
+    at, limit = _largest(curves[name], curves["limit"]) if name else np.empty((2, 0))
     good = np.isfinite(limit) & (limit > 0)
     return name, at[good], limit[good]
 
@@ -257,14 +241,10 @@ def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | N
     shown = has_limits(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")
-    columns = style.panel_columns(len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(1.9 * rows + 0.6, "Detection limits: 95 of 100 repeats detect an amplitude above the line")
-    panels = figure.subplots(rows, columns, squeeze=False)
-    for ax, effect in zip(np.ravel(panels), shown, strict=False):
+    title = "Detection limits: 95 of 100 repeats detect an amplitude above the line"
+    figure, cells = style.panel_grid(len(shown), (1.9, 0.6), title, ("", ""))
+    for (ax,), effect in zip(cells, shown, strict=True):
         _draw_limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])
-    for ax in np.ravel(panels)[len(shown) :]:
-        ax.set_axis_off()
     return figure
 
 

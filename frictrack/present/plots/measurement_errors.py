@@ -54,7 +54,9 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
         for k, one in enumerate(found.values()):
-            _marks(ax, one["rows"], key, sources, k)
+            known = _marks(ax, one["rows"], key, sources, k)
+            for value, place in known if len(found) == 1 else ():
+                ax.annotate(format_number(value, 2), (value, place), (7, 3), textcoords="offset points", fontsize=8.5)
         style.log_axis(ax, "x")
         _say_what_is_absent(ax, found, key, sources)
         ax.grid(axis="y", color="#E4E7EA", lw=0.8)
@@ -89,12 +91,15 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
             )  # fmt: skip
 
 
-def _marks(ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], k: int) -> None:
-    """Draw one run; a source that is not known or negligible has no mark."""
+def _marks(
+    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], k: int
+) -> list[tuple[float, int]]:
+    """Draw one run and return its marks; a source that is not known or negligible has none."""
     least = NEGLIGIBLE_SHARE * max((row[key] or 0.0 for row in rows), default=0.0)
     known = [(row[key], sources.index(row["source"])) for row in rows if row[key] and row[key] >= least]
     if known:
         ax.plot(*zip(*known, strict=True), **_mark(k))
+    return known
 
 
 def _mark(k: int) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_interval, format_number, format_unit
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model
-from frictrack.present.plots.style import axis_scale, new_figure, styled
+from frictrack.present.plots.style import axis_scale, new_figure, panel_grid, styled
 from frictrack.records import Array
 from frictrack.search import Convergence
 
@@ -99,7 +99,6 @@ def _draw_search(column: Sequence[Axes], one: Convergence) -> None:
 
 MAX_SHOWN_RISE = 1.7  # top of a panel over the limit
 N_CURVE_POINTS = 200
-MAX_COLUMNS = 4
 LOG_AXIS_RATIO = 30.0  # upper over lower end of an interval, from which the axis is logarithmic
 
 
@@ -118,16 +117,10 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
 
     """
     found = summary["profiles"]
-    columns = min(MAX_COLUMNS, max(len(found), 1))
-    rows = -(-len(found) // columns)
-    figure = new_figure(2.3 * rows + 0.8, _profiles_title(found))
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for ax, (name, profile) in zip(panels.flat, found.items(), strict=False):
+    labels = ("", "rise of chi²")
+    figure, cells = panel_grid(len(found), (2.3, 0.8), _profiles_title(found), labels, sharey=True)
+    for (ax,), (name, profile) in zip(cells, found.items(), strict=True):
         _panel(ax, name, profile, summary["parameters"].get(name, {}))
-    for ax in panels.flat[len(found) :]:
-        ax.set_axis_off()
-    for ax in panels[:, 0]:
-        ax.set_ylabel("rise of chi²")
     level = next(iter(found.values()))["level"]
     handles: list[Any] = [
         Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),

@@ -48,18 +48,10 @@ def write_campaign(
         If the folder cannot be written.
 
     """
-    return replace_text(path, _render_campaign(result, trends, links))
-
-
-def _render_campaign(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> str:
-    """The page as HTML."""
-    page = page_template("campaign.html.j2")
     clearest = sorted(trends, key=lambda one: one["p"])[:MAX_PANELS]
-    return page.render(
+    html = page_template("campaign.html.j2").render(
         result=result,
-        headline=campaign_headline(result),
-        kind=_kind(result),
-        summary=_campaign_summary(result),
+        finished=sum(not one["reason"] for one in result["studies"]),
         trends=_trends(trends),
         n_significant=sum(bool(one["holds"]) for one in trends),
         series=SvgEmbedder()(plots.trends(clearest)) if clearest else Markup(""),
@@ -71,43 +63,7 @@ def _render_campaign(result: Mapping[str, Any], trends: Sequence[Mapping[str, An
         more=max(0, len(result["studies"]) - MAX_STUDIES_SHOWN),
         written=now(),
     )
-
-
-def campaign_headline(result: Mapping[str, Any]) -> str:
-    """Describe the batch in one sentence."""
-    studies = result["studies"]
-    finished = [one for one in studies if not one["reason"]]
-    complete = _count(result["verdicts"].get("complete", 0), "is", "are")
-    text = f"{_count(len(finished), 'study', 'studies')} done; {complete} complete"
-    failed = len(studies) - len(finished)
-    runs = sum(bool(one["run"]) for one in result["failed"])
-    text += f"; {_count(failed, 'study', 'studies')} failed" if failed else ""
-    return f"{text}; {_count(runs, 'run', 'runs')} failed" if runs else text
-
-
-def _count(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"
-
-
-def _kind(result: Mapping[str, Any]) -> str:
-    """CSS class of the headline."""
-    return "complete" if set(result["verdicts"]) <= {"complete"} and not result["failed"] else "missing"
-
-
-def _campaign_summary(result: Mapping[str, Any]) -> str:
-    runs = sum(one["runs"] for one in result["studies"])
-    text = f"{_count(runs, 'run', 'runs')} in {_count(len(result['studies']), 'study', 'studies')}"
-    processed = len(result["studies"]) - result["kept"]
-    if result["kept"]:
-        text += f"; {result['kept']} unchanged since the last batch"
-    if processed and result["seconds"] > 1.0:
-        pace = format_number(result["runs_per_minute"])
-        text += f"; {processed} processed in {_time(result['seconds'])}, {pace} runs a minute"
-    return f"{text}."
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    return replace_text(path, html)
 
 
 def _trends(trends: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -189,16 +145,9 @@ def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
         If the folder cannot be written.
 
     """
-    return replace_text(path, _render_plan(plan))
-
-
-def _render_plan(plan: Mapping[str, Any]) -> str:
-    """The page as HTML."""
-    page = page_template("plan.html.j2")
     draw = SvgEmbedder()
-    return page.render(
+    html = page_template("plan.html.j2").render(
         plan=plan,
-        headline=plan_headline(plan),
         written=now(),
         remaining=draw(plots.remaining_pairs(plan)),
         separation=draw(plots.pair_separation(plan)),
@@ -208,21 +157,7 @@ def _render_plan(plan: Mapping[str, Any]) -> str:
         limits=_limits(plan["detection_limits"]),
         mark_code=mark_code,
     )
-
-
-def plan_headline(plan: Mapping[str, Any]) -> str:
-    """Describe the plan in one sentence."""
-    runs = plan["runs"]
-    if not runs:
-        return (
-            "No further run distinguishes more effects" if plan["done"] else "No run of the menu distinguishes effects"
-        )
-    after = runs[-1]["pairs_left"]
-    more = " more" if plan["done"] else ""
-    count = sum(run["speed"] is not None for run in runs)
-    return (
-        f"{count}{more} run{'s' if count > 1 else ''}: {plan['pairs'] - after} of {plan['pairs']} pairs distinguished"
-    )
+    return replace_text(path, html)
 
 
 def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:

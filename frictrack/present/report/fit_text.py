@@ -137,9 +137,11 @@ def next_steps(results: Results) -> list[Markup]:
         return [Markup("Fit a model: <code>frictrack fit {}</code>.").format(study)]
     if diagnosis is None:
         return [Markup("Find what the model lacks: <code>frictrack diagnose {}</code>.").format(study)]
-    rivals = indistinguishable_effects(diagnosis) if diagnosis["verdict"] == "ambiguous" else []
+    certain, rivals = [], []
+    if diagnosis["verdict"] == "ambiguous":
+        certain, rivals = certain_effects(diagnosis), indistinguishable_effects(diagnosis)
     confirm = {row.effect: row.source["words"].get("confirm") for row in candidate_rows(diagnosis)}
-    steps = sentences("next_steps", study, diagnosis, certain_effects(diagnosis), rivals, confirm)
+    steps = sentences("next_steps", study, diagnosis, certain, rivals, confirm)
     if not diagnosis.get("complete", True):
         steps.append(mark_code(VERDICT_ONLY))
     filmed = any(run.film is not None for run in results.runs)

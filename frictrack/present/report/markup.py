@@ -20,6 +20,7 @@ from frictrack.base.number_format import (
     format_number,
     format_quantity,
     format_range,
+    format_share,
     join_words,
     lower_first,
     upper_first,
@@ -70,8 +71,8 @@ def mark_code(text: str) -> Markup:
     return Markup(TICKS.sub(r"<code>\1</code>", str(escape(text))))
 
 
-UNEXPLAINED = re.compile(  # parts of a page in which no word is explained: figures, scripts, heads, links and tags
-    r"(<(head|svg|script|h1|nav|a|code|button)\b.*?</\2>|<[^>]*>)", re.DOTALL
+UNEXPLAINED = (  # parts of a page in which no word is explained: figures, scripts, heads, links and tags
+    r"(?P<unexplained><(?P<tag>head|svg|script|h1|nav|a|code|button)\b.*?</(?P=tag)>|<[^>]*>)"
 )
 
 
@@ -87,20 +88,17 @@ def explain_words(html: str) -> str:
     seen: set[str] = set()
 
     def mark(found: re.Match[str]) -> str:
+        if found["unexplained"]:
+            if found[0].startswith(("<details", "<section")):
+                seen.clear()
+            return found[0]
         meaning = meaning_of(found[0])
         if meaning in seen:
             return found[0]
         seen.add(meaning)
         return f'<abbr tabindex="0" title="{escape(meaning)}">{found[0]}</abbr>'
 
-    parts: list[str] = []
-    at = 0
-    for skipped in UNEXPLAINED.finditer(html):
-        parts += (hover_pattern().sub(mark, html[at : skipped.start()]), skipped[0])
-        at = skipped.end()
-        if skipped[0].startswith(("<details", "<section")):
-            seen.clear()
-    return "".join((*parts, hover_pattern().sub(mark, html[at:])))
+    return re.sub(f"{UNEXPLAINED}|{hover_pattern().pattern}", mark, html, flags=re.DOTALL | re.IGNORECASE)
 
 
 ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')
@@ -112,7 +110,12 @@ def _templates(*packages: str) -> Environment:
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     pages.filters |= {"number": format_number, "quantity": format_quantity, "range": format_range}
     pages.filters |= {"join_words": join_words, "upper_first": upper_first, "lower_first": lower_first}
-    pages.filters |= {"change_to": describe_change, "code": mark_code, "evidence": describe_evidence}
+    pages.filters |= {
+        "change_to": describe_change,
+        "code": mark_code,
+        "share": format_share,
+        "evidence": describe_evidence,
+    }
     return pages
 
 

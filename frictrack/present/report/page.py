@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from frictrack.base.errors import FrictrackError
@@ -20,6 +21,8 @@ from frictrack.present.report import fit_text, measurement_quality, tables, verd
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
+from frictrack.results.error_rows import held_out_error
+from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import CHECK_FIRST, describe_formula, describe_unnamed, force_without_effect
 
 MAX_FILMS = 4  # films of which the first frame is shown
@@ -74,7 +77,12 @@ def render(results: Results, key: str = "") -> str:
         return embed(figures[name](**options)) if name in figures else Markup("")
 
     judged, earlier = _judged_models(results)
+    filmed = [run for run in results.runs if run.film is not None and run.track is not None]
     html = page_template("page.html.j2").render(
+        plots=plots,
+        tables=tables,
+        fit_text=fit_text,
+        measurement_quality=measurement_quality,
         results=results,
         model=results.current,
         key=key,
@@ -82,24 +90,24 @@ def render(results: Results, key: str = "") -> str:
         written=now(),
         figure=figure,
         figures=figures,
-        lines=verdict_text.section_lines(results),
-        tables=tables,
-        fit_text=fit_text,
-        measurement_quality=measurement_quality,
-        law_title=plots.law_title,
         mark_equation=mark_equation,
         symbols_in=symbols_in,
         verdict=verdict_text.study_verdict(results),
         judged=judged,
         earlier=earlier,
+        failed=plots.failed_model(results),
         headline=_headline,
-        is_rejected=plots.is_rejected,
         main_kinds=MAIN_KINDS,
+        axes=AXES,
         candidate_rows=candidate_rows,
+        held_out_error=held_out_error,
         force_without_effect=force_without_effect,
         describe_formula=describe_formula,
         describe_unnamed=describe_unnamed,
-        films=_first_frames(results),
+        filmed=filmed,
+        films=[_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]],
+        budgets={run.name: run.budget for run in results.runs if run.budget},
+        with_force=[run for run in results.runs if run.friction is not None and np.any(run.friction.free)],
         of_points=any(run.is_of_points for run in results.runs),
     )
     return explain_words(html)
@@ -116,12 +124,6 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
 
 def _headline(model: ModelResults) -> str:
     return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
-
-
-def _first_frames(results: Results) -> list[Markup]:
-    """Draw the first frames of the first films; a single one takes the whole width."""
-    filmed = [run for run in results.runs if run.film is not None and run.track is not None]
-    return [_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]]
 
 
 def _first_frame(run: RunResults, *, wide: bool) -> Markup:

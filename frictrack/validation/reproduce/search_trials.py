@@ -47,15 +47,16 @@ def mean_interval(x: Array, rng: np.random.Generator) -> tuple[float, float]:
     Efron 1979, Ann. Statist. 7: percentiles of the bootstrap.
 
     """
-    means = x[rng.integers(len(x), size=(N_BOOTSTRAP, len(x)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
+    return _interval_of(_bootstrap_means(x, len(x), rng))
 
 
 def change_interval(x: Array, base: Array, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of a relative change of means, from bootstrap percentiles."""
-    ratio = _bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1
-    low, high = np.percentile(ratio, [2.5, 97.5])
+    return _interval_of(_bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1)
+
+
+def _interval_of(drawn: Array) -> tuple[float, float]:
+    low, high = np.percentile(drawn, [2.5, 97.5])
     return float(low), float(high)
 
 
