@@ -31,34 +31,7 @@ Content = IO[bytes]
 
 
 def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | None = None) -> Content:
-    """Make a file for download.
-
-    Parameters
-    ----------
-    what : str
-        Name of the file; one of `DOWNLOADS`.
-    snapshot : Snapshot
-        The study and its results as they were read last.
-    form : str
-        Format of figures; one of `FIGURE_FORMATS`.
-    outdated : str, optional
-        Why the report is outdated, if it is to be refused then.
-
-    Returns
-    -------
-    file
-        Open file at its beginning; the caller closes it.
-
-    Raises
-    ------
-    FrictrackError
-        If there is no such file.
-    OutdatedError
-        If the report is outdated.
-    MissingError
-        If there are no results yet.
-
-    """
+    """Make a file for download."""
     if what not in DOWNLOADS or form not in FIGURE_FORMATS:
         known = f"{', '.join(DOWNLOADS)} (figures as {', '.join(FIGURE_FORMATS)})"
         raise FrictrackError(f"expected one of the files {known} but got {what!r} as {form!r}", usage=True)
@@ -100,19 +73,7 @@ def figure_bytes(made: Figure, form: str) -> bytes:
 
 
 def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
-    """Pack files into one ZIP archive.
-
-    Parameters
-    ----------
-    files : iterator of tuple
-        Name of each file, and its content or its path.
-
-    Returns
-    -------
-    file
-        The archive, in memory or on the disk, at its beginning.
-
-    """
+    """Pack files into one ZIP archive."""
     sheet: Any = SpooledTemporaryFile(MEMORY_BYTES)  # noqa: SIM115 - the caller closes it
     with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files:
@@ -125,26 +86,7 @@ def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
 
 
 def page_figure(name: str, snapshot: Any) -> bytes:
-    """Draw a figure that the page shows.
-
-    Parameters
-    ----------
-    name : str
-        "law:MODEL", "search:MODEL", "cutoff:RUN", "filters:RUN", or "scan:EFFECT".
-    snapshot : Snapshot
-        The study and its results as they were read last.
-
-    Returns
-    -------
-    bytes
-        The figure as SVG.
-
-    Raises
-    ------
-    MissingError
-        If there is no such figure.
-
-    """
+    """Draw a figure that the page shows."""
     results = snapshot.results if snapshot else None
     made = _draw(name, results) if results is not None else None
     if made is None:

@@ -29,6 +29,7 @@ from frictrack.present.export.tables import (
     Column,
     all_columns,
     budget_table,
+    column_groups,
     model_attributes,
     motion_columns,
     own_motion,
@@ -144,23 +145,17 @@ def _groups(results: Results) -> dict[str, xr.Dataset]:
     """Return the datasets by the names of their groups."""
     import xarray as xr  # noqa: PLC0415
 
-    own = own_motion(results)
     groups = {"/": _described(xr.Dataset(), {"Conventions": CONVENTIONS, **study_attributes(results)})}
+    for kind, names, columns in column_groups(results):
+        groups["/".join([kind, *names.values()])] = _dataset(columns)
     for run in results.runs:
-        columns = all_columns(run, own.get(run.name))
-        groups[f"runs/{run.name}"] = _dataset(columns, run_attributes(run))
+        groups[f"runs/{run.name}"] = _described(groups[f"runs/{run.name}"], run_attributes(run))
         if run.budget.get("rows"):
             groups[f"budgets/{run.name}"] = _table_dataset(budget_table([run]).drop(columns="run"), "source")
-        groups |= {
-            f"tracks/{run.name}/{name}": _dataset(track_columns(track), {}) for name, track in tracks_of(run).items()
-        }
-    for model in results.models:
-        groups[f"models/{model.name}"] = _model_dataset(model)
-        groups |= {f"models/{model.name}/{one.run}": _dataset(motion_columns(one), {}) for one in model.motion}
-    return groups
+    return groups | {f"models/{model.name}": _model_dataset(model) for model in results.models}
 
 
-def _dataset(columns: Iterable[Column], attributes: dict[str, Any]) -> xr.Dataset:
+def _dataset(columns: Iterable[Column]) -> xr.Dataset:
     """Return columns over the time, each with its unit, its meaning, and the name of its standard deviation."""
     import xarray as xr  # noqa: PLC0415
 
@@ -172,7 +167,7 @@ def _dataset(columns: Iterable[Column], attributes: dict[str, Any]) -> xr.Datase
         if SIGMA + column.name in names:
             about["ancillary_variables"] = SIGMA + column.name
         variables[column.name] = ("t", column.values, about)
-    return _described(xr.Dataset(variables).set_coords("t"), attributes)
+    return xr.Dataset(variables).set_coords("t")
 
 
 def _model_dataset(model: ModelResults) -> xr.Dataset:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, make_subfolder
 from frictrack.base.lazy import imported
-from frictrack.results import Results
 
 if TYPE_CHECKING:
     from frictrack.results import Results

@@ -17,6 +17,7 @@ from typing import Any
 
 from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
+from frictrack.flow import Progress, no_progress
 from frictrack.validation.reproduce.first_paper import equation_4, orders, time_units, tustin_groups, two_models
 from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
 from frictrack.validation.reproduce.second_paper import sine_filter
@@ -25,13 +26,11 @@ from frictrack.validation.reproduce.sections import (
     QUICK,
     Claim,
     Effort,
-    Progress,
     Reproduction,
     ResultTable,
     Section,
     SectionStore,
     cannot_write,
-    silent,
     tables_html,
     write_reproduction,
 )
@@ -48,7 +47,7 @@ SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
 }  # function, its arguments, and processor time in full (s, on a machine of 2024)
 
 
-def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
     """Reproduce both papers and write page, figures, tables and JSON.
 
     Sections that are in the folder already are kept, so that a call that was interrupted goes on.
@@ -78,7 +77,7 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
     return write_reproduction(run_sections(folder, quick=quick, seed=seed, progress=progress), folder)
 
 
-def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
+def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> Reproduction:
     """Run all sections that are not done, and keep each in the folder as soon as it is; see `reproduce`."""
     known = {"effort": QUICK if quick else FULL, "seed": seed}
     store = SectionStore(folder, f"{__version__} {known}")

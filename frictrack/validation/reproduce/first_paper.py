@@ -17,13 +17,11 @@ from frictrack.validation.reproduce.sections import (
     OPEN,
     Claim,
     Effort,
-    Progress,
     ResultTable,
     Section,
     claim,
     figure,
     section,
-    silent,
     table,
     verdict,
 )
@@ -64,7 +62,7 @@ def time_units() -> Section:
     return section("time_units", [table("time_units", rows, **limits)], [], *claims)
 
 
-def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def tustin_groups(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Figs. 4-8: identify the Tustin model on the low-speed and on the high-speed group.
 
     Parameters
@@ -73,8 +71,6 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = sil
         Seeds and evaluations.
     seed
         Seed of the recordings.
-    progress
-        Called with steps done, all steps and a text.
 
     Returns
     -------
@@ -85,12 +81,10 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0, progress: Progress = sil
     rng, law = np.random.default_rng([seed, 31]), laws.tustin()
     synthetic: dict[str, list[method.SyntheticRecording]] = {}
     results: dict[str, method.Identification] = {}
-    for i, (group, speeds) in enumerate(SPEEDS.items()):
-        progress(i, 3, f"Tustin model, {group} speed")
+    for group, speeds in SPEEDS.items():
         laid = laws.TM[group], laws.ATM1[group]
         synthetic[group] = [method.record_with_dither(*laid, DITHER_SHARE, v, rng) for v in speeds]
         results[group] = method.identify(law, method.measure_series([r.run for r in synthetic[group]]), effort, rng)
-    progress(2, 3, "Tustin model, ours")
     runs = [run for group, made in synthetic.items() for run in method.group_runs(made, group)]
     try:
         ours, reason = dict(fit("tustin", runs, per="group").fits), ""
@@ -166,7 +160,7 @@ SOURCE_TITLES = {
 ORDERS = ("atm1:2", "atm1:3", "atm1:4", "atm2:2", "atm2:3")
 
 
-def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Tables 1-4 and Figs. 9-12: both models with n = 2 on recordings of either model, and of neither.
 
     Parameters
@@ -175,8 +169,6 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
         Seeds and evaluations.
     seed
         Seed of the recordings.
-    progress
-        Called with recordings done, all recordings and a text.
 
     Returns
     -------
@@ -186,7 +178,7 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
     """
     rng = np.random.default_rng([seed, 32])
     synthetic = {(g, w): r for g in method.GROUPS for w, r in method.simulate_sources(g, rng).items()}
-    results = _identify_all(synthetic, ("atm1:2", "atm2:2"), effort, rng, progress)
+    results = _identify_all(synthetic, ("atm1:2", "atm2:2"), effort, rng)
     bars = {
         f"{name.upper()}, {what}": [
             float(r.errors.min()) if what == "MGA" else r.lowest
@@ -214,12 +206,12 @@ def two_models(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
     )
 
 
-def orders(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def orders(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Figs. 13-16: two and three sines at low speed, and ATM1 with four, as many as ATM2 with n = 2.
 
     Parameters
     ----------
-    effort, seed, progress
+    effort, seed
         As in `two_models`.
 
     Returns
@@ -230,7 +222,7 @@ def orders(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) ->
     """
     rng = np.random.default_rng([seed, 33])
     synthetic = {("low", w): r for w, r in method.simulate_sources("low", rng).items()}
-    results = _identify_all(synthetic, ORDERS, effort, rng, progress)
+    results = _identify_all(synthetic, ORDERS, effort, rng)
     return section(
         "orders",
         [_table_orders(results)],
@@ -247,12 +239,12 @@ def orders(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) ->
     )
 
 
-def equation_4(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
     """Compare Eq. 4 as printed with Eq. 4 with t in every sum, on recordings of either.
 
     Parameters
     ----------
-    effort, seed, progress
+    effort, seed
         As in `two_models`.
 
     Returns
@@ -268,7 +260,7 @@ def equation_4(effort: Effort = FULL, seed: int = 0, progress: Progress = silent
         speed = method.start_speed(source, method.BEAM)
         synthetic[group, "as printed"] = method.record_law(model, values, method.BEAM, speed, rng)
         synthetic[group, "with t"] = method.record_printed(source, method.TIME_UNITS["ATM2"], method.BEAM, rng)
-    results = _identify_all(synthetic, ("atm2_printed:2", "atm2:2"), effort, rng, progress)
+    results = _identify_all(synthetic, ("atm2_printed:2", "atm2:2"), effort, rng)
     kept = {key: float(1 - r.truth.v[-1] / r.truth.v[0]) for key, r in synthetic.items()}
     rows, told = list[list[Any]](), []
     for group, source in laws.ATM2.items():
@@ -297,12 +289,10 @@ def _identify_all(
     names: tuple[str, ...],
     effort: Effort,
     rng: np.random.Generator,
-    progress: Progress,
 ) -> dict[Key, method.Identification]:
     """Identify laws on recordings, each by the papers' method."""
     results = {}
-    for i, ((group, source), recording) in enumerate(synthetic.items()):
-        progress(i, len(synthetic), f"{', '.join(names)}: {group} speed, {SOURCE_TITLES.get(source, source)}")
+    for (group, source), recording in synthetic.items():
         data = method.measure_series([recording.run])
         for name in names:
             results[group, source, name] = method.identify(laws.law_by_name(name), data, effort, rng)

@@ -24,14 +24,12 @@ from frictrack.validation.reproduce.sections import (
     QUICK,
     Claim,
     Effort,
-    Progress,
     ResultTable,
     Section,
     claim,
     decided,
     figure,
     section,
-    silent,
     table,
     verdict,
 )
@@ -155,15 +153,9 @@ def _counts(found: SearchResult, reach: float) -> tuple[float, float, float, flo
     return float(found.generation_of_last_improvement), first, found.cost, converged
 
 
-def _run_settings(
-    settings: Mapping[str, SearchMethod], what: str, progress: Progress, trials: Problem
-) -> dict[str, SearchTrials]:
+def _run_settings(settings: Mapping[str, SearchMethod], trials: Problem) -> dict[str, SearchTrials]:
     """Run all settings; `trials` are the other arguments of `run_trials`."""
-    results = {}
-    for i, (name, method) in enumerate(settings.items()):
-        progress(i, len(settings), f"{what}: {name}")
-        results[name] = run_trials(*trials, method)
-    return results
+    return {name: run_trials(*trials, method) for name, method in settings.items()}
 
 
 # ---- Eq. 8
@@ -196,15 +188,13 @@ def maximum() -> tuple[float, float]:
     return x, x * float(np.sin(w * x)) + 2
 
 
-def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
+def eq8_trials(effort: Effort = FULL) -> Section:
     """Reproduce Figs. 17-19 and Tables 5 and 6.
 
     Parameters
     ----------
     effort
         Number of seeds.
-    progress
-        Called with settings done, all settings and a text.
 
     Returns
     -------
@@ -213,7 +203,7 @@ def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
 
     """
     trials = eq8, SEARCH_INTERVAL, effort.seeds, -FOUND_VALUE, EQ8_BUDGET
-    results = _run_settings(EQ8_SETTINGS, "Tables 5, 6", progress, trials)
+    results = _run_settings(EQ8_SETTINGS, trials)
     bits = {
         name: np.array([length(g, 200, 10, 0.2, 50) for g in range(200)])
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
@@ -310,7 +300,7 @@ def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple
 # ---- Table 7
 
 
-def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def genetic_searches(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Table 7: searches of ATM1 with n = 2 in the force domain, ten parameters, 1000 generations.
 
     The same with the effort of a quick run stands next to it.
@@ -321,8 +311,6 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
         Seeds and evaluations.
     seed
         Seed of the recording.
-    progress
-        Called with settings done, all settings and a text.
 
     Returns
     -------
@@ -341,7 +329,7 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
 
     def trials(of: Effort) -> dict[str, SearchTrials]:
         limit = LOCAL_OPTIMUM_RATIO * floor
-        return _run_settings(FRICTION_SETTINGS, "Table 7", progress, (*problem, of.seeds, limit, of.budget))
+        return _run_settings(FRICTION_SETTINGS, (*problem, of.seeds, limit, of.budget))
 
     results = trials(effort)
     tables = [_table_7("table7", results, floor, effort)]

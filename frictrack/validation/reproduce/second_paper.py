@@ -15,13 +15,11 @@ from frictrack.validation.reproduce.sections import (
     OPEN,
     Claim,
     Effort,
-    Progress,
     ResultTable,
     Section,
     claim,
     figure,
     section,
-    silent,
     table,
     verdict,
 )
@@ -29,7 +27,7 @@ from frictrack.validation.reproduce.sections import (
 TIME_UNIT = "millisecond"  # per sample, 2.86 of Table 2 would be 1.8 kHz; per second, no sine completes a cycle
 
 
-def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def sine_filter(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Figs. 4-7 and Tables 1 and 2 of the second paper.
 
     Parameters
@@ -38,8 +36,6 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
         Seeds and evaluations.
     seed
         Seed of the recording.
-    progress
-        Called with steps done, all steps and a text.
 
     Returns
     -------
@@ -51,11 +47,7 @@ def sine_filter(effort: Effort = FULL, seed: int = 0, progress: Progress = silen
     truth = laws.read_printed(laws.WITH_FILTER, TIME_UNIT)
     recording = method.record_printed(laws.WITH_FILTER, TIME_UNIT, method.STRUCK, rng)
     data = _sensor_series(recording, rng)
-    results: dict[str, method.Identification] = {}
-    for i, name in enumerate(("tustin", "atm1:2")):
-        progress(i, 3, "second paper, " + ("with" if i else "without") + " the sine filter")
-        results[name] = method.identify(laws.law_by_name(name), data, effort, rng, method="sga")
-    progress(2, 3, "second paper, the round numbers")
+    results = {name: method.identify(laws.law_by_name(name), data, effort, rng, "sga") for name in ("tustin", "atm1:2")}
     rounded = _search_rounded_bounds(data, effort)
     own = {name: method.fit_with_frictrack(name, recording.run) for name in results}
     traces = {

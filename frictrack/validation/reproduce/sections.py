@@ -24,7 +24,6 @@ from frictrack.present import plots
 from frictrack.present.report import SvgEmbedder, page_template
 from frictrack.validation.reproduce.laws import RUNS
 
-Progress = Callable[[int, int, str], None]
 Cell = str | float | None
 HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot be decided"
 
@@ -181,10 +180,6 @@ def decided(verdict: str, seeds: int) -> str:
 def verdict(holds: bool, fails: bool = True) -> str:
     """The verdict on a claim: `OPEN` where it neither holds nor fails."""
     return HOLDS if holds else FAILS if fails else OPEN
-
-
-def silent(done: int, total: int, what: str) -> None:
-    """Report no progress."""
 
 
 VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}

@@ -42,6 +42,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
 REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
+REPAIRED_STYLE: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
@@ -157,6 +158,7 @@ def numbered_name(group: str) -> str:
     return f"{group.split('_', 1)[0]}. {plain_name(group)}"
 
 
+Y_MARGIN = 0.08  # of the range of values, above and below
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
@@ -277,7 +279,7 @@ def axis_scale(values: Array, unit: str) -> tuple[float, str]:
     return (1e3, f"m{unit}") if largest >= 5e-4 else (1e6, f"µ{unit}")
 
 
-def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> None:
+def set_y_limits(ax: Axes, values: Iterable[Array]) -> None:
     """Limit the y axis to the given values and a margin, so that smeared ends do not set the scale.
 
     Parameters
@@ -286,15 +288,13 @@ def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> Non
         The panel.
     values : iterable of Array
         Arrays of any shape; NaN is ignored.
-    margin : float
-        Margin over the range of the values.
 
     """
     together = np.concatenate([np.ravel(v) for v in values])
     together = together[np.isfinite(together)]
     if len(together):
         low, high = float(together.min()), float(together.max())
-        room = margin * ((high - low) or abs(high) or 1.0)
+        room = Y_MARGIN * ((high - low) or abs(high) or 1.0)
         ax.set_ylim(low - room, high + room)
 
 
@@ -314,16 +314,14 @@ def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> Non
     if codes is None or not np.any(codes):
         return
     at = x[codes > 0]
-    marks: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "zorder": 4}
-    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, **marks)
+    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, zorder=4, **REPAIRED_STYLE)
 
 
 def repaired_handles(codes: np.ndarray[Any, Any] | None) -> list[Line2D]:
     """Return the entry of a legend for the ticks of `mark_repaired`; empty if no frame was repaired."""
     if codes is None or not np.any(codes):
         return []
-    look: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
-    return [Line2D([], [], label="repaired by the user", **look)]
+    return [Line2D([], [], label="repaired by the user", **REPAIRED_STYLE)]
 
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
