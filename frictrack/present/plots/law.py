@@ -66,6 +66,7 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
             ax.set_title(DIRECTIONS[direction], fontweight="normal")
     panels[0].set_ylabel(axis_label("friction force F", "N"))
     _limit_force(panels[0], branches)
+    _name_wide_band(panels[0], branches)
     load = branches[0]["load_N"]
     if load:
         right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
@@ -126,6 +127,17 @@ def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     bulk = np.percentile(points, [1, 99]) if len(points) else points
     values = np.concatenate([np.ravel([branch["F"] for branch in branches]), bulk, [0.0]])
     style.set_y_limits(ax, [values])
+
+
+def _name_wide_band(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
+    """Say in the legend where the band fills the panel from edge to edge: these runs do not determine the law."""
+    low, high = ax.get_ylim()
+    ends = [
+        np.array(b["F"]) + k * np.array(b["sigma_F"]) for b in branches for k in (-style.BAND_SIGMAS, style.BAND_SIGMAS)
+    ]
+    if np.median(np.concatenate(ends[::2])) < low and np.median(np.concatenate(ends[1::2])) > high:
+        for band in ax.collections:
+            band.set_label(f"{band.get_label()}, beyond this panel")
 
 
 MAX_PANELS = 4  # runs drawn; of more runs, those that fit worst
