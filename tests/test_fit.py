@@ -424,12 +424,12 @@ def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
 
 def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     """A strong swing that the law lacks, down to a slow end: the best static law of it runs away at first."""
-    from frictrack.validation.reproduce import laws, printed, recordings  # noqa: PLC0415
+    from frictrack.validation.reproduce import laws, papers_method  # noqa: PLC0415
 
-    known = laws.to_effects(laws.atm1(2), laws.read_printed(printed.ATM1["low"], "sample"))
+    known = laws.to_effects(laws.atm1(2), laws.read_printed(laws.ATM1["low"], "sample"))
     t = np.arange(468) / FPS
     slide = simulate(*known, Conditions(2.0), t, (0.0, 3.0))
-    run = measured(t, slide.x, sigma=recordings.TRACKING_NOISE, mass=2.0)
+    run = measured(t, slide.x, sigma=papers_method.TRACKING_NOISE, mass=2.0)
     plain_law, one_line, whole = (fit(law, [run]).solution for law in ("tustin", "atm1:1", "atm1:2"))
     assert whole.chi2 < 1.15 * whole.problem.n_frames
     assert one_line.chi2 < plain_law.chi2

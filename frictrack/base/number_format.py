@@ -166,16 +166,21 @@ def format_length(metres: float) -> str:
     return f"{format_number(1e3 * metres)} mm" if size >= 1e-4 else f"{format_number(1e6 * metres)} µm"
 
 
-def format_interval(ends: Sequence[float] | None, factor: float = 1.0) -> str:
-    """Format both ends of an interval, multiplied by `factor`; a dash for no interval.
+def format_interval(ends: Sequence[float | None] | None, factor: float = 1.0, digits: int = 3) -> str:
+    """Format both ends of an interval, multiplied by `factor`; a dash for no interval; None for an open end.
 
     Examples
     --------
-    >>> format_interval((0.031, 0.0382), 1e3)
-    '31.0 to 38.2'
+    >>> format_interval((0.031, 0.0382), 1e3), format_interval((None, 2.0)), format_interval((None, None))
+    ('31.0 to 38.2', 'below 2.00', 'any')
 
     """
-    return " to ".join(format_number(factor * end) for end in ends) if ends else DASH
+    if not ends:
+        return DASH
+    low, high = (None if end is None else format_number(factor * end, digits) for end in ends)
+    if low is None or high is None:
+        return f"above {low}" if low else f"below {high}" if high else "any"
+    return f"{low} to {high}"
 
 
 def format_range(values: Sequence[float]) -> str:
@@ -270,6 +275,11 @@ def lower_first(sentence: str) -> str:
 
     """
     return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def upper_first(sentence: str) -> str:
+    """Write the first letter of a sentence in upper case."""
+    return sentence[:1].upper() + sentence[1:]
 
 
 def describe_change(before: float | None, after: float | None, unit: str = "") -> str:

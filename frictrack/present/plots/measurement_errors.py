@@ -1,4 +1,4 @@
-"""Draw the choice of the cut-off frequency: noise that passes against signal that is lost."""
+"""Draw errors of the measurement: error budget of the friction force, noise and lost signal over the cut-off."""
 
 from __future__ import annotations
 
@@ -8,15 +8,105 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from frictrack.base.number_format import format_number, format_unit
+from frictrack.base.number_format import format_number, format_range, format_unit
 from frictrack.measure.motion import FilteredMotion, compare_filters
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run
 from frictrack.present.plots.measured import SHORT_LABELS
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
+from frictrack.present.plots.style import RUN_STYLES, axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff
 from frictrack.results import RunResults
+
+MARKERS = ("o", "s", "^")  # of the first six runs, the next six, and so on
+NEGLIGIBLE_SHARE = 2e-3  # of the largest source
+
+
+def budget(name: str, found: Mapping[str, Any]) -> Figure:
+    """Draw the error budget of one run: one row per source, and one for the total.
+
+    Parameters
+    ----------
+    name : str
+        Name of the run.
+    found : mapping
+        Error budget of the run. Its `rows`, the total last, have `source` and the standard deviations `mean_N` of the
+        mean force (left) and `frame_N` of one frame (right), N; None where a source is not known.
+
+    """
+    return budgets({name: found})
+
+
+@styled
+def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Draw the error budgets of several runs: one row per source, one mark per run.
+
+    Parameters
+    ----------
+    found : mapping
+        Error budget by run; see `budget`.
+
+    """
+    sources = list(dict.fromkeys(row["source"] for one in found.values() for row in one["rows"]))
+    sources.sort(key=lambda source: source == "total")
+    figure = new_figure(0.25 * len(sources) + 1.45, budgets_title(found))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
+        for k, one in enumerate(found.values()):
+            known = _marks(ax, one["rows"], key, sources, k)
+            for value, place in known if len(found) == 1 else ():
+                ax.annotate(format_number(value, 2), (value, place), (7, 3), textcoords="offset points", fontsize=8.5)
+        style.log_axis(ax, "x")
+        _say_what_is_absent(ax, found, key, sources)
+        ax.grid(axis="y", color="#E4E7EA", lw=0.8)
+        ax.set_xlabel(axis_label(label, "N"))
+    left.set_yticks(range(len(sources)), sources)
+    left.set_ylim(len(sources) - 0.5, -0.5)
+    left.tick_params(axis="y", length=0)
+    if len(found) <= len(RUN_STYLES):
+        handles = [Line2D([], [], label=name, **_mark(k)) for k, name in enumerate(found)]
+        style.legend_below(figure, handles)
+    return figure
+
+
+def budgets_title(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Title of `budgets`: the total over the runs, and the source that is the largest in most of them."""
+    totals = [one["rows"][-1]["mean_N"] for one in found.values()]
+    largest = [max(one["rows"][:-1], key=lambda row: row["mean_N"] or 0.0)["source"] for one in found.values()]
+    error = format_range([total for total in totals if total is not None])
+    return f"Standard deviation of the mean force {error} N; largest source: {max(set(largest), key=largest.count)}"
+
+
+def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: str, sources: Sequence[str]) -> None:
+    """Write at the left of a row without marks whether its source is not known or negligible."""
+    for place, source in enumerate(sources):
+        rows = [row for one in found.values() for row in one["rows"] if row["source"] == source]
+        if not any(row[key] for row in rows):
+            words = "not known" if any(row[key] is None for row in rows) else "none"
+            ax.annotate(
+                words, (0.0, place), xycoords=("axes fraction", "data"), xytext=(6, 0),
+                textcoords="offset points", va="center", fontsize=8.5, style="italic", color="#666666",
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
+            )  # fmt: skip
+
+
+def _marks(
+    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], k: int
+) -> list[tuple[float, int]]:
+    """Draw one run and return its marks; a source that is not known or negligible has none."""
+    least = NEGLIGIBLE_SHARE * max((row[key] or 0.0 for row in rows), default=0.0)
+    known = [(row[key], sources.index(row["source"])) for row in rows if row[key] and row[key] >= least]
+    if known:
+        ax.plot(*zip(*known, strict=True), **_mark(k))
+    return known
+
+
+def _mark(k: int) -> dict[str, Any]:
+    """Look of the k-th run: colour and marker."""
+    look = RUN_STYLES[k % len(RUN_STYLES)]
+    return {"color": look["color"], "marker": MARKERS[k // 6 % len(MARKERS)], "ls": "none", "ms": 6, "alpha": 0.85}
+
 
 MAX_PANELS = 8  # runs drawn as small multiples
 FILTER_LOOKS: tuple[dict[str, Any], ...] = (
@@ -45,7 +135,7 @@ def cutoff(name: str, found: CutoffTradeOff, mass: float | None = None) -> Figur
 
     """
     factor, unit = (1.0, "m/s^2") if mass is None else (mass, "N")
-    figure = new_figure(5.4, _title(name, found, factor, unit), width=style.PAGE_WIDTH_IN / 2)
+    figure = new_figure(5.4, _cutoff_title(name, found, factor, unit), width=style.PAGE_WIDTH_IN / 2)
     above, below = figure.subplots(2, 1, sharex=True)
     f = found.frequency
     above.loglog(f, 1e6 * found.residual, color=style.MEASURED_COLOUR, lw=1.6, label="removed by the filter")
@@ -107,7 +197,7 @@ def _draw_errors(ax: Axes, found: CutoffTradeOff, factor: float) -> None:
     ax.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
 
 
-def _title(name: str, found: CutoffTradeOff, factor: float, unit: str) -> str:
+def _cutoff_title(name: str, found: CutoffTradeOff, factor: float, unit: str) -> str:
     noise, lost = found.at(found.chosen)
     plain, apart = factor * float(np.hypot(noise, lost)), factor * found.structural
     written = format_unit(unit)

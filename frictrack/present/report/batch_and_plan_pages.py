@@ -1,4 +1,4 @@
-"""Write the page of a batch: verdicts of the studies, trends over the series, failed runs."""
+"""Write the pages of a batch of studies and of a plan of runs."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.base.files import replace_text
-from frictrack.base.number_format import format_number, format_quantity
+from frictrack.base.number_format import format_number, format_quantity, format_size
 from frictrack.present import plots
-from frictrack.present.report.markup import SvgEmbedder, now, page_template
+from frictrack.present.report.markup import SvgEmbedder, mark_code, now, page_template
 from frictrack.present.report.tables import Cell, TextTable, code_cell, make_table
 
 MAX_STUDIES_SHOWN = 1000  # in the table of the page; the files hold all
@@ -48,18 +48,10 @@ def write_campaign(
         If the folder cannot be written.
 
     """
-    return replace_text(path, _render(result, trends, links))
-
-
-def _render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str]) -> str:
-    """The page as HTML."""
-    page = page_template("campaign.html.j2")
     clearest = sorted(trends, key=lambda one: one["p"])[:MAX_PANELS]
-    return page.render(
+    html = page_template("campaign.html.j2").render(
         result=result,
-        headline=headline(result),
-        kind=_kind(result),
-        summary=_summary(result),
+        finished=sum(not one["reason"] for one in result["studies"]),
         trends=_trends(trends),
         n_significant=sum(bool(one["holds"]) for one in trends),
         series=SvgEmbedder()(plots.trends(clearest)) if clearest else Markup(""),
@@ -71,43 +63,7 @@ def _render(result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], link
         more=max(0, len(result["studies"]) - MAX_STUDIES_SHOWN),
         written=now(),
     )
-
-
-def headline(result: Mapping[str, Any]) -> str:
-    """Describe the batch in one sentence."""
-    studies = result["studies"]
-    finished = [one for one in studies if not one["reason"]]
-    complete = _count(result["verdicts"].get("complete", 0), "is", "are")
-    text = f"{_count(len(finished), 'study', 'studies')} done; {complete} complete"
-    failed = len(studies) - len(finished)
-    runs = sum(bool(one["run"]) for one in result["failed"])
-    text += f"; {_count(failed, 'study', 'studies')} failed" if failed else ""
-    return f"{text}; {_count(runs, 'run', 'runs')} failed" if runs else text
-
-
-def _count(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"
-
-
-def _kind(result: Mapping[str, Any]) -> str:
-    """CSS class of the headline."""
-    return "complete" if set(result["verdicts"]) <= {"complete"} and not result["failed"] else "missing"
-
-
-def _summary(result: Mapping[str, Any]) -> str:
-    runs = sum(one["runs"] for one in result["studies"])
-    text = f"{_count(runs, 'run', 'runs')} in {_count(len(result['studies']), 'study', 'studies')}"
-    processed = len(result["studies"]) - result["kept"]
-    if result["kept"]:
-        text += f"; {result['kept']} unchanged since the last batch"
-    if processed and result["seconds"] > 1.0:
-        pace = format_number(result["runs_per_minute"])
-        text += f"; {processed} processed in {_time(result['seconds'])}, {pace} runs a minute"
-    return f"{text}."
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    return replace_text(path, html)
 
 
 def _trends(trends: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -166,3 +122,82 @@ def _linked(study: str, links: Mapping[str, str]) -> Cell:
     if study not in links:
         return study
     return Markup('<a href="{}">{}</a>').format(links[study], study)
+
+
+def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
+    """Write the page of a plan as HTML, completely or not at all.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of `frictrack plan`.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
+    """
+    draw = SvgEmbedder()
+    html = page_template("plan.html.j2").render(
+        plan=plan,
+        written=now(),
+        remaining=draw(plots.remaining_pairs(plan)),
+        separation=draw(plots.pair_separation(plan)),
+        runs=_runs(plan["runs"]),
+        left=_left(plan["left"]),
+        unseen=_unseen(plan["unseen"]),
+        limits=_limits(plan["detection_limits"]),
+        mark_code=mark_code,
+    )
+    return replace_text(path, html)
+
+
+def _runs(runs: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [
+        (
+            str(k),
+            mark_code(run["what"]),
+            str(run["adds"]),
+            str(run["pairs_left"]),
+            _examples(run["separates"]),
+            ", ".join(run["shows"]),
+        )
+        for k, run in enumerate(runs, 1)
+    ]
+    return make_table(("", "run", "pairs separated", "pairs left", "for example", "now detectable"), rows, (2, 3))
+
+
+def _examples(pairs: Sequence[Sequence[str]], count: int = 3) -> str:
+    """Some pairs, spread over the list."""
+    step = max(1, len(pairs) // count)
+    return "; ".join(" from ".join(pair) for pair in pairs[::step][:count])
+
+
+def _left(left: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [(" and ".join(one["effects"]), one["why"], mark_code(one["settle"])) for one in left]
+    return make_table(("pair", "why", "what settles it"), rows)
+
+
+def _unseen(unseen: Sequence[Mapping[str, Any]]) -> TextTable:
+    rows = [(code_cell(one["effect"]), one["why"], mark_code(one["settle"])) for one in unseen]
+    return make_table(("effect", "why", "what makes it detectable"), rows)
+
+
+def _limits(limits: Mapping[str, Mapping[str, Any]]) -> TextTable:
+    rows = [
+        (
+            code_cell(name),
+            format_size(limit["value"], limit["unit"]) if limit["value"] is not None else limit["reason"],
+            limit["at_words"],
+        )
+        for name, limit in limits.items()
+    ]
+    return make_table(("effect", "smallest detectable size", "at"), rows, (1,))
