@@ -18,9 +18,9 @@ from frictrack.measure.motion import (
     low_pass,
     noise_level,
 )
-from frictrack.measure.motion.posterior_deviations import deviations
+from frictrack.measure.motion.banded_equations import LineParameters, SmootherData, cutoff_of, penalty
+from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.smoother_data import LineParameters, SmootherData, cutoff_of, penalty
 from frictrack.measure.motion.structure_search import ScoredStructure, StructureSearch
 from frictrack.records import Displacement
 

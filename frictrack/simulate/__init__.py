@@ -6,7 +6,7 @@
 - `frictrack.simulate.scene` reads a scene file and writes a whole study of known truth.
 """
 
-from frictrack.simulate.conditions import Conditions, push_force
+from frictrack.simulate.state import Conditions, push_force
 from frictrack.simulate.trajectory import (
     Start,
     Trajectory,

@@ -18,7 +18,6 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
 from frictrack.effects.models import Model, Values
 from frictrack.records import Array
-from frictrack.simulate.conditions import Conditions
 from frictrack.simulate.dynamics import (
     NODES,
     CollocationSolution,
@@ -27,7 +26,7 @@ from frictrack.simulate.dynamics import (
     solve_motion,
     solve_simplified_newton,
 )
-from frictrack.simulate.state import SimulationState, interleave, nodes_and_edges
+from frictrack.simulate.state import Conditions, SimulationState, interleave, nodes_and_edges
 
 WINDOW_PANELS = 64  # panels solved at once after a stop, and under a law with memory
 MAX_WINDOW_PANELS = 512  # the same while the mass slides on: every window doubles, because each costs about the same

@@ -24,8 +24,14 @@ import yaml
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration.board import Board, BoardView
-from frictrack.measure.calibration.homography import MAX_RADIAL_COEFFICIENT, Homography, Normalisation, fit_view
-from frictrack.measure.calibration.scale import PlaneMap, project
+from frictrack.measure.calibration.scale import (
+    MAX_RADIAL_COEFFICIENT,
+    Homography,
+    Normalisation,
+    PlaneMap,
+    fit_view,
+    project,
+)
 from frictrack.records import Array
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "camera_Matrix", "intrinsic_matrix", "mtx", "K", "M1")

@@ -7,6 +7,7 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 
 # ruff: noqa: F401 - the imports are the interface
 
+from frictrack.measure.motion.banded_equations import SmootherData
 from frictrack.measure.motion.derivative import (
     Derivatives,
     best_smoothing,
@@ -39,5 +40,4 @@ from frictrack.measure.motion.noise import (
     slow_spectrum,
 )
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.smoother_data import SmootherData
 from frictrack.settings.filters import METHOD_NAMES

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.measure.motion.banded_equations import TREND_ORDER, NoiseColour, SmootherData, cutoff_of, weighted_cubic
 from frictrack.measure.motion.filter_methods import (
     METHODS,
     Smoother,
@@ -18,9 +19,7 @@ from frictrack.measure.motion.filter_methods import (
 from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivatives
 from frictrack.measure.motion.noise import CorrelatedNoise, suspected_noise
 from frictrack.measure.motion.place_forces import Course, PlaceForce, find_place_forces
-from frictrack.measure.motion.posterior_deviations import weighted_cubic
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
 from frictrack.measure.motion.structure_average import alternatives, mean_shift
 from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
 from frictrack.records import Array, Displacement, Filtered, Mask

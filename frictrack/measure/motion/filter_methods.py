@@ -17,10 +17,10 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion.banded_equations import TREND_ORDER, NoiseColour, cutoff_of
 from frictrack.measure.motion.grid import stencil_derivative
 from frictrack.measure.motion.place_forces import PlaceForce
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, NoiseColour, cutoff_of
 from frictrack.measure.motion.structure_average import ChangeGroup
 from frictrack.records import Array, Mask
 from frictrack.settings.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, STRUCTURAL, FilterChoice

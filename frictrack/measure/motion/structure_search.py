@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from frictrack.measure.motion.posterior_deviations import weighted_cubic
+from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData, penalty, weighted_cubic
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData, penalty
 from frictrack.records import Array
 
 MIN_PERIODS = 0.3  # of the cut-off within the record; a stiffer trend is a cubic

@@ -16,8 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from frictrack.measure.friction import is_moving
-from frictrack.measure.plausibility.findings import ERROR, WARNING, Finding
-from frictrack.measure.plausibility.slide import CORRELATION_FACTOR, estimate_slide, fit_columns
+from frictrack.measure.plausibility.slide import (
+    CORRELATION_FACTOR,
+    ERROR,
+    WARNING,
+    Finding,
+    estimate_slide,
+    fit_columns,
+)
 from frictrack.records import Array, Run
 
 MAX_RELATIVE_DIFFERENCE = 0.01  # of frame rates; forces are then wrong by twice as much

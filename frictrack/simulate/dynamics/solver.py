@@ -16,8 +16,7 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
 from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.linear_response import LinearResponse
-from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
+from frictrack.simulate.dynamics.response import KrylovResponse, LinearResponse, MotionResponse
 
 MAX_NEWTON_STEPS = 30
 MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged

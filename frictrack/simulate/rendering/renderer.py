@@ -18,10 +18,8 @@ from scipy.interpolate import make_interp_spline
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.rendering.camera import Camera, Oscillation
-from frictrack.simulate.rendering.foreground import Highlight, Rod
-from frictrack.simulate.rendering.rotated_block import BlockPose, render_rotated_block
-from frictrack.simulate.rendering.surface import MovingCells, Surface
+from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod
+from frictrack.simulate.rendering.surface import BlockPose, MovingCells, Surface, render_rotated_block
 
 PositionFunction = Callable[[Array], tuple[Array, ...]]  # times (n,), s -> x, y, px and, if it rotates, angle, rad
 
