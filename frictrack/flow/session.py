@@ -221,7 +221,6 @@ class Session:
 
         """
         from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
-        from frictrack.measure.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
@@ -246,8 +245,7 @@ class Session:
             "warnings": self.findings.summary,
             "findings": self._measured.notes(),
         }
-        uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
-        return {**result, "remarks": [*result["remarks"], *twice, *uneven], **more}
+        return {**result, "remarks": [*result["remarks"], *twice], **more}
 
     def _search_settings(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of a global search: those asked for, and the study file's for the same search."""

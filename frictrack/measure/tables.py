@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,6 @@ from frictrack.sampling import (
     EvenClock,
     SampledPath,
     Slip,
-    common_unevenness,
     correct_ticks,
     count_intervals,
     describe_frames,
@@ -145,19 +144,6 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
     return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
 
 
-def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
-    """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
-    even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
-    jitter = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
-    if not jitter:
-        return ()
-    share = 100 * jitter / float(np.median([np.median(np.diff(d.t)) for d in even]))
-    return (
-        f"the noise of the runs grows with their speed, as if samples jittered by {share:.2g} % of the interval (rms) "
-        "although their time stamps are even, or the picture were blurred",
-    )
-
-
 def _max_resolved_speed(displacement: Displacement) -> float:
     """Return the speed of half a pixel or half a step per sample, m/s; rounding errors grow with the speed below it."""
     step = max(displacement.pixel_pitch or 0.0, displacement.resolution)
@@ -169,7 +155,7 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, displacement.valid, t=displacement.t)[0]), rounding_noise(displacement.resolution))
+    sigma = max(noise_level(x, displacement.valid, t=displacement.t)[0], rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 

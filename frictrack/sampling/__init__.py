@@ -5,7 +5,6 @@
 from frictrack.sampling.clock import (
     EvenClock,
     base_interval,
-    common_unevenness,
     count_intervals,
     frame_numbers,
     is_even,
