@@ -5,29 +5,10 @@ methods to compare them with. Each is a record of its settings, such as ``MGA(ge
 share one loop, `evolve.GeneticMethod`, and differ in their operators only.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.driver import METHODS, minimise, search_method
 from frictrack.search.evaluator import COST_OF_MEMORY, Convergence, EvaluationBudget, SearchResult
 from frictrack.search.genetic import GA, MGA, SA, SGA, code_length, code_length_as_printed
 from frictrack.search.method import SearchMethod, read_settings
-
-__all__ = [
-    "CMAES",
-    "COST_OF_MEMORY",
-    "DA",
-    "DE",
-    "GA",
-    "METHODS",
-    "MGA",
-    "SA",
-    "SGA",
-    "Convergence",
-    "EvaluationBudget",
-    "SearchMethod",
-    "SearchResult",
-    "code_length",
-    "code_length_as_printed",
-    "minimise",
-    "read_settings",
-    "search_method",
-]

@@ -6,6 +6,8 @@
 - `frictrack.simulate.scene` reads a scene file and writes a whole study of known truth.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.simulate.state import Conditions, push_force
 from frictrack.simulate.trajectory import (
     Start,
@@ -15,14 +17,3 @@ from frictrack.simulate.trajectory import (
     simulate,
     simulate_displacement,
 )
-
-__all__ = [
-    "Conditions",
-    "Start",
-    "Trajectory",
-    "image_shift",
-    "is_smooth_at_rest",
-    "push_force",
-    "simulate",
-    "simulate_displacement",
-]

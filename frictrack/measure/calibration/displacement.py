@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -27,7 +26,6 @@ from frictrack.measure.calibration.scale import (
     Straight,
     as_seen,
     from_points,
-    uniform,
 )
 from frictrack.measure.calibration.shake import subtract_shake
 from frictrack.records import Array, Displacement, Mask, Track
@@ -478,15 +476,9 @@ def _map_by_target(
         raise FrictrackError("expected a track for a scale by the target's size but got none")
     width = target_width(track, direction, film)
 
-    pitch = partial(_pitch_of_target, straight, direction, width.ends.mean(axis=0))
-    plane = uniform([size, width.px], np.diag([std**2, width.std**2]), pitch, straight)
+    # the deviation of the width comes from both ends
+    plane = scale_input.map_from_length((size, std), width.ends, width.std / np.sqrt(2.0), straight)
     return replace(plane, used=f"scale by the target's size of {1e3 * size:g} mm, {width.used}")
-
-
-def _pitch_of_target(straight: Straight, direction: Array, middle: Array, values: Array) -> float:
-    reach = direction * values[1] / 2
-    ends = straight(np.stack([middle - reach, middle + reach]))
-    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
 
 
 def _compare_maps(maps: list[PlaneMap], track: Track | None) -> PlaneMap:

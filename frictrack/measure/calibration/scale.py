@@ -12,14 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from frictrack.base.distributions import chi2_sf
 from frictrack.base.errors import FrictrackError
@@ -133,71 +130,22 @@ class PlaneMap:
                 slope[k] = (far - near) / (2 * DIFFERENCE_STEP * std)
         return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
 
-    def scaled(self, factor: float, relative: float) -> PlaneMap:
-        """Multiply the map by an uncertain factor.
-
-        Parameters
-        ----------
-        factor : float
-            Factor.
-        relative : float
-            Its relative standard deviation.
-
-        Returns
-        -------
-        PlaneMap
-            With the factor as one more value.
-
-        """
+    def with_relative_error(self, relative: float) -> PlaneMap:
+        """The map times a factor of 1 whose standard deviation is `relative`; the factor is one more value."""
         k = len(self.values)
         covariance = np.zeros((k + 1, k + 1))
-        covariance[:k, :k], covariance[k, k] = self.covariance, (relative * factor) ** 2
-        zero = None if self.zero is None else (self.zero[0] * factor, self.zero[1] * factor)
-        return replace(
-            self,
-            values=np.append(self.values, factor),
-            covariance=covariance,
-            place=partial(_times_last_value, self.place),
-            zero=zero,
-        )
+        covariance[:k, :k], covariance[k, k] = self.covariance, relative**2
 
+        def place(values: Array, points: Array) -> Array:
+            return np.asarray(values[-1] * self.place(values[:-1], points))
 
-def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
-    return np.asarray(values[-1] * place(values[:-1], points))
+        return replace(self, values=np.append(self.values, 1.0), covariance=covariance, place=place)
 
-
-def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
-    """Create a map with the same pitch everywhere on the undistorted picture.
-
-    Parameters
-    ----------
-    values, covariance : array-like
-        Parameters of the pitch and their covariance.
-    pitch : callable
-        ``pitch(values)`` in m/px.
-    straight : callable
-        Removes lens distortion from points (n, 2) px.
-
-    Returns
-    -------
-    PlaneMap
-        Linear map.
-
-    Examples
-    --------
-    >>> uniform([5e-4], [[1e-12]], lambda values: float(values[0]), as_seen)(np.array([[100.0, 20.0]])).tolist()
-    [[0.05, 0.01]]
-
-    """
-    return PlaneMap(
-        np.asarray(values, dtype=np.float64),
-        np.asarray(covariance, dtype=np.float64),
-        partial(_uniform, pitch, straight),
-    )
-
-
-def _uniform(pitch: Callable[[Array], float], straight: Straight, values: Array, points: Array) -> Array:
-    return pitch(values) * straight(points)
+    def read_at(self, points: Array, zero: tuple[float, float] | None = None) -> PlaneMap:
+        """The map with the picture points (n, 2) px at which it was read, and the origin in the plane."""
+        centre = points.mean(axis=0)
+        reach = float(np.hypot(*np.ptp(points, axis=0)))
+        return replace(self, centre=(float(centre[0]), float(centre[1])), reach=reach, zero=zero)
 
 
 Straight = Callable[[Array], Array]  # picture points (n, 2) px -> where a lens without distortion shows them
@@ -354,7 +302,11 @@ def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
 
     """
     value, std = _parse_number(scale)
-    return uniform([value], [[std**2]], itemgetter(0), straight)
+
+    def place(values: Array, points: Array) -> Array:
+        return np.asarray(values[0] * straight(points))
+
+    return PlaneMap(np.array([value]), np.array([[std**2]]), place)
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
@@ -380,16 +332,18 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
     if not distance > 0:
         raise FrictrackError(f"expected two different points for the scale but got {scale['points']!r}")
 
-    pitch = partial(_pitch_of_ruler, straight)
-    made = uniform([length, *points.ravel()], np.diag([std**2] + 4 * [click**2]), pitch, straight)
     used = f"scale by a ruler of {1e3 * length:g} mm over {distance:.0f} px, clicked to {click:g} px"
-    middle = points.mean(axis=0)
-    return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
+    return replace(map_from_length((length, std), points, click, straight), used=used).read_at(points)
 
 
-def _pitch_of_ruler(straight: Straight, values: Array) -> float:
-    ends = straight(values[1:].reshape(2, 2))
-    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+def map_from_length(length: tuple[float, float], ends: Array, click: float, straight: Straight) -> PlaneMap:
+    """Create the map of a length (m, and its deviation) between two picture points (2, 2) px known to `click` px."""
+
+    def place(values: Array, points: Array) -> Array:
+        return np.asarray(values[0] / _distance(straight(values[1:].reshape(2, 2))) * straight(points))
+
+    covariance = np.diag([length[1] ** 2] + 4 * [click**2])
+    return PlaneMap(np.array([length[0], *ends.ravel()]), covariance, place)
 
 
 def _picture_points(raw: Any, min_count: int) -> Array:
@@ -595,56 +549,38 @@ def fit_view(
     """
     _check_spread(points, "points")
     _check_spread(places, "places on the plane")
-    plane_norm = _norm(places)
     straightened = straight(points)
     if not np.all(np.isfinite(straightened)):
         raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
-    picture = _norm(straightened)
-    start = _linear(plane_norm(places), picture(straightened))
-    distortion = None if lens is None else partial(_distort, lens=lens)
-    values, covariance, misfit = _fit(
-        start, (plane_norm, picture, distortion), (points if distortion else straightened, places), sigma
-    )
-    place = partial(_place, (plane_norm, picture), straight if lens is None else lens)
-    middle = points.mean(axis=0)
-    centre, reach = (float(middle[0]), float(middle[1])), float(np.hypot(*np.ptp(points, axis=0)))
-    plane = PlaneMap(values, covariance, place, centre=centre, zero=(0.0, 0.0), reach=reach)
-    rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
-    return Homography(plane, rms, float(np.sum(misfit**2)), 2 * len(points) - len(values))
-
-
-def _place(
-    frames: tuple[Normalisation, Normalisation], lens: Straight | Normalisation, values: Array, at: Array
-) -> Array:
-    """Points of the plane, m, of picture points whose distortion a known lens or a fitted coefficient removes."""
-    flat = _undistort(float(values[N_PARAMETERS]), at, lens) if isinstance(lens, Normalisation) else lens(at)
-    return frames[0].restore(project(_inverse(values), frames[1](flat)))
-
-
-def _fit(
-    start: Array,
-    transforms: tuple[Normalisation, Normalisation, Callable[..., Array] | None],
-    data: tuple[Array, Array],
-    sigma: Array,
-) -> tuple[Array, Array, Array]:
-    """Fit by least squares: values, covariance, and residuals (2, n) in standard deviations."""
-    (plane_norm, picture, distortion), (points, places) = transforms, data
-    flat = plane_norm(places)
+    plane, picture, seen = _norm(places), _norm(straightened), straightened if lens is None else points
+    flat = plane(places)
 
     def residual(values: Array) -> Array:
         at = picture.restore(project(_matrix(values), flat))
-        at = at if distortion is None else distortion(float(values[N_PARAMETERS]), at)
-        return np.nan_to_num(((at - points) / sigma[:, None]).T.ravel(), nan=1e6)
+        at = at if lens is None else _distort(float(values[N_PARAMETERS]), at, lens)
+        return np.nan_to_num(((at - seen) / sigma[:, None]).T.ravel(), nan=1e6)
 
-    free = np.concatenate([start, [0.0] * (distortion is not None)])
-    found = scipy.optimize.least_squares(residual, free, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
-    slopes = np.asarray(found.jac, dtype=np.float64)
+    def place(values: Array, at: Array) -> Array:
+        straightened = straight(at) if lens is None else _undistort(float(values[N_PARAMETERS]), at, lens)
+        return plane.restore(project(_inverse(values), picture(straightened)))
+
+    start = np.append(_linear(flat, picture(straightened)), [0.0] * (lens is not None))
+    found = scipy.optimize.least_squares(residual, start, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
+    fitted = PlaneMap(found.x, _covariance(np.asarray(found.jac, dtype=np.float64)), place).read_at(
+        points, zero=(0.0, 0.0)
+    )
+    misfit = found.fun.reshape(2, -1)
+    rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
+    return Homography(fitted, rms, float(np.sum(misfit**2)), misfit.size - len(found.x))
+
+
+def _covariance(slopes: Array) -> Array:
+    """Covariance of parameters by the derivatives (n, k) of the residuals."""
     normal = slopes.T @ slopes
     size = np.sqrt(np.diag(normal))
     if not np.all(size > 0) or np.linalg.cond(normal / np.outer(size, size)) > 1e13:
         raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
-    covariance = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
-    return found.x, covariance, found.fun.reshape(2, -1)
+    return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
 
 
 def _distort(k: float, points: Array, lens: Normalisation) -> Array:

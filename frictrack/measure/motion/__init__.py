@@ -10,7 +10,6 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 from frictrack.measure.motion.banded_equations import SmootherData
 from frictrack.measure.motion.derivative import (
     Derivatives,
-    best_smoothing,
     covariance,
     derivatives,
     differentiate,
@@ -18,10 +17,9 @@ from frictrack.measure.motion.derivative import (
 )
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
 from frictrack.measure.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
-from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, interpolate_missing, unit_responses
+from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
 from frictrack.measure.motion.grid import (
     STENCIL_FRAMES,
-    FrameGrid,
     frame_grid,
     stencil_start,
     stencil_weights,
