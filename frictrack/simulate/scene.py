@@ -53,6 +53,7 @@ SCENE_KEYS = {
     *("clamp_x", "beam_length", "lift"),
 }
 RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline", "pause"}
+CAMERA_KEYS = {f.name for f in fields(Camera)}
 TARGET_KEYS = {"width", "height", "speckle", "rotation"}
 OSCILLATION_KEYS = ("flicker", "shake_x", "shake_y")
 MAX_NUMBER, MAX_SIDE_PX, MAX_FRAMES = 1e12, 16_384, 1_000_000  # any number; side of a picture; frames of a run
@@ -75,13 +76,11 @@ class Scene:
     law
         Parameter values by effect, as the scene file gives them (F_s is the total static friction).
     camera, target
-        Keyword arguments of `Camera`, and keys of the [target] table with the rotation in rad.
+        The camera, and the block with what stands in front of it.
     runs
         The [[run]] tables.
     format
         Suffix of the films.
-    front
-        Rod and highlight, where the scene has them.
     beam
         clamp_x and beam_length, m, where the scene has them.
     lift
@@ -93,11 +92,10 @@ class Scene:
     mass: float
     scatter: float
     law: dict[str, dict[str, float]]
-    camera: dict[str, Any]
-    target: dict[str, Any]
+    camera: Camera
+    target: Target
     runs: tuple[dict[str, Any], ...]
     format: str = "avi"
-    front: dict[str, Any] = field(default_factory=dict)
     beam: dict[str, float] = field(default_factory=dict)
     lift: Oscillation | None = None
 
@@ -169,7 +167,7 @@ def _key_faults(raw: dict[str, Any]) -> list[str]:
     """Name unknown keys and pictures that are too large."""
     faults = [f'unknown key "{k}"' for k in raw if k not in SCENE_KEYS]
     faults += [f'unknown key "{k}" in a run' for run in raw["run"] for k in run if k not in RUN_KEYS]
-    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in _camera_keys()]
+    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in CAMERA_KEYS]
     faults += [f'unknown key "{k}" in [target]' for k in raw.get("target", {}) if k not in TARGET_KEYS]
     for key in ("width", "height"):
         value = raw.get("camera", {}).get(key, 8)
@@ -196,40 +194,35 @@ def _run_faults(run: dict[str, Any]) -> list[str]:
 
 def _scene(raw: dict[str, Any]) -> Scene:
     """Scene from a checked table."""
+    camera = {
+        k: _read_element(Oscillation, k, v) if k in OSCILLATION_KEYS else v for k, v in raw.get("camera", {}).items()
+    }
     return Scene(
         name=str(raw.get("name", "scene")),
         mass=float(raw.get("mass", 0.35)),
         scatter=float(raw.get("scatter", 0.0)),
         law={k: dict(v) for k, v in raw["law"].items()},
-        camera={
-            k: _read_element(Oscillation, k, v) if k in OSCILLATION_KEYS else v
-            for k, v in raw.get("camera", {}).items()
-        },
-        target=_target_keys(raw.get("target", {})),
+        camera=Camera(**camera),
+        target=_read_target(raw),
         runs=tuple(raw["run"]),
         format=str(raw.get("format", "avi")),
-        front=_read_foreground(raw),
         beam={key: float(raw[key]) for key in ("clamp_x", "beam_length") if key in raw},
         lift=_read_element(Oscillation, "lift", raw["lift"]) if "lift" in raw else None,
     )
 
 
-def _camera_keys() -> set[str]:
-    return {f.name for f in fields(Camera)}
-
-
-def _target_keys(given: dict[str, Any]) -> dict[str, Any]:
-    """The [target] table with its rotation converted from degrees to radians."""
-    if "rotation" not in given:
-        return given
-    rotation = _read_element(Oscillation, "rotation", given["rotation"])
-    return given | {"rotation": replace(rotation, amplitude=float(np.deg2rad(rotation.amplitude)))}
-
-
-def _read_foreground(raw: dict[str, Any]) -> dict[str, Any]:
-    """Rod and highlight, where the scene has them."""
-    rod = {"rod": _read_element(Rod, "rod", raw["rod"])} if "rod" in raw else {}
-    return rod | ({"highlight": _read_element(Highlight, "highlight", raw["highlight"])} if "highlight" in raw else {})
+def _read_target(raw: dict[str, Any]) -> Target:
+    """Block, which may rock by an angle given in degrees, and what stands in front of it."""
+    given = raw.get("target", {})
+    turn = _read_element(Oscillation, "rotation", given["rotation"]) if "rotation" in given else None
+    return Target(
+        width=float(given.get("width", 90)),
+        height=float(given.get("height", 56)),
+        surface=Surface(size=float(given.get("speckle", 4.0)), seed=11),
+        rotation=turn and replace(turn, amplitude=float(np.deg2rad(turn.amplitude))),
+        rod=_read_element(Rod, "rod", raw["rod"]) if "rod" in raw else None,
+        highlight=_read_element(Highlight, "highlight", raw["highlight"]) if "highlight" in raw else None,
+    )
 
 
 def _read_element(kind: type[SceneElement], name: str, given: Any) -> SceneElement:
@@ -308,7 +301,7 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
         "seed": as_seed(rng),
         "runs": [],
     }
-    truth["target"] = asdict(_target(scene))
+    truth["target"] = asdict(scene.target)
     earlier: EarlierRuns = ()
     motion: Trajectory | None = None
     for i, run in enumerate(scene.runs):
@@ -342,7 +335,7 @@ def _is_driven(scene: Scene, run: dict[str, Any]) -> bool:
 
 def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
     """Camera of one run; a `camera_shake` of the law moves the whole picture."""
-    camera = Camera(**(scene.camera | ({"width": run["width"]} if "width" in run else {})))
+    camera = replace(scene.camera, width=run.get("width", scene.camera.width))
     shake = scene.law.get("camera_shake")
     if shake is None:
         return camera
@@ -384,7 +377,7 @@ def true_trajectory(
         incline=float(run.get("incline", 0.0)),
         drive=push_force(mass, v, push) if push else None,
         lift=None if scene.lift is None else scene.lift.second_derivative(),
-        angle=_counterclockwise(scene.target.get("rotation")),
+        angle=_counterclockwise(scene.target.rotation),
         clamp_x=scene.beam.get("clamp_x"),
         beam_length=scene.beam.get("beam_length"),
         earlier=earlier,
@@ -401,7 +394,7 @@ def _counterclockwise(rotation: Oscillation | None) -> Oscillation | None:
 
 def _start_x(scene: Scene, run: dict[str, Any], camera: Camera) -> float:
     """Start of the block's centre, m; x is counted from the left edge of the picture in all runs."""
-    edge = MARGIN_PX + scene.target.get("width", 90.0) / 2
+    edge = MARGIN_PX + scene.target.width / 2
     return camera.scale * (edge if run["v"] > 0 else camera.width - 1 - edge)
 
 
@@ -433,23 +426,12 @@ def _render_frames(
     def position(t: Array) -> tuple[Array, Array]:
         return spline_x(t), spline_y(t)
 
-    return render(position, camera, _target(scene), rng, n_frames=len(x))
-
-
-def _target(scene: Scene) -> Target:
-    """Block, and what stands in front of it."""
-    return Target(
-        width=float(scene.target.get("width", 90)),
-        height=float(scene.target.get("height", 56)),
-        surface=Surface(size=float(scene.target.get("speckle", 4.0)), seed=11),
-        rotation=scene.target.get("rotation"),
-        **scene.front,
-    )
+    return render(position, camera, scene.target, rng, n_frames=len(x))
 
 
 def _study_text(scene: Scene) -> str:
     """Text of the study file, which does not contain the truth."""
-    camera = Camera(**scene.camera)
+    camera = scene.camera
     lines = [
         "[study]",
         f'name = "{scene.name}"',
