@@ -250,12 +250,7 @@ IMPROVEMENTS: dict[str, Callable[[Contribution, float], str]] = {
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
 
 
-@dataclass(frozen=True)
-class AccelerationError:
-    """Standard deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum of the frames."""
-
-    rows: Array
-    total: float
+AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum
 
 
 class FilterResponse:
@@ -280,13 +275,12 @@ class FilterResponse:
         variance = float(np.sum(self.derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
         if self.derived.sensor_weights is not None:
             variance += float(np.sum(self.derived.sensor_weights * np.diff(smoothed, 2) ** 2))
-        return AccelerationError(self.noise * rows, self.noise * float(np.sqrt(variance)))
+        return self.noise * rows, self.noise * float(np.sqrt(variance))
 
-    def lost_signal(self, weights: Array, transmitted_noise: AccelerationError) -> AccelerationError:
+    def lost_signal(self, weights: Array, transmitted: AccelerationError) -> AccelerationError:
         """Signal that the low-pass removes, the error of line frequencies included; see `transmitted_noise`."""
-        total = float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted_noise.total**2, 0.0)))
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted_noise.rows**2 - self.motion.shake_a**2, 0.0))
-        return AccelerationError(rows, total)
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted[0] ** 2 - self.motion.shake_a**2, 0.0))
+        return rows, float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted[1] ** 2, 0.0)))
 
     def total_error(self, weights: Array) -> float:
         """Noise and lost signal together, in the weighted sum, m/s^2; see `Derivatives.best`."""
@@ -357,7 +351,7 @@ class FilterResponse:
             second = response[self._grid.frames] * sigma_a
             rows += np.sum(second**2, axis=1)
             total += float(np.sum((weights @ second) ** 2))
-        return AccelerationError(np.sqrt(rows), float(np.sqrt(total)))
+        return np.sqrt(rows), float(np.sqrt(total))
 
 
 def _with_less_noise(s: Structure, by: float) -> Structure:
@@ -466,12 +460,12 @@ class _RunErrors:
         known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
         if response.derived.sensor_weights is not None:
             known_from += "; the effect includes accelerometer noise"
-        rms_noise, rms_lost = (float(np.sqrt(np.mean(error.rows[self.free] ** 2))) for error in (noise, lost))
+        rms_noise, rms_lost = (float(np.sqrt(np.mean(rows[self.free] ** 2))) for rows, _ in (noise, lost))
         cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
         how = f"removed by the smoother ({cutoff}), estimated from the record"
         return [
-            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise.total),
-            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost.total),
+            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise[1]),
+            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost[1]),
         ]
 
     def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:

@@ -142,10 +142,13 @@ def low_pass(
     coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
     coordinate.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
     x = coordinate.low_passed(choice, acceleration, find_forces=True)
-    y = _LowPassed.unmeasured(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
         y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(choice, None)
+    else:
+        unmeasured = np.full(len(known), np.nan)
+        unmeasured.setflags(write=False)  # so that the record need not copy it
+        y = _LowPassed(unmeasured, unmeasured, float("nan"))
     return Filtered(
         t=displacement.t,
         x=x.x,
@@ -201,13 +204,6 @@ class _LowPassed:
     events: tuple[Event, ...] = ()
     lines: tuple[float, ...] = ()
     measured: Array | None = None
-
-    @classmethod
-    def unmeasured(cls, n: int) -> _LowPassed:
-        """Result for a coordinate that was not measured."""
-        nan = np.full(n, np.nan)
-        nan.setflags(write=False)  # so that the record need not copy it
-        return cls(nan, nan, float("nan"))
 
 
 class _Coordinate:

@@ -107,16 +107,13 @@ class Butterworth:
 
 
 @dataclass(frozen=True)
-class Papers:
+class Papers(Butterworth):
     """The chain of the two papers: a low-pass of the displacement as it is, then central differences, once and twice.
 
     They name neither cut-off nor order nor direction: by default 100 Hz, a Butterworth filter of order 4, forward and
     backward. The first and the last period are distorted, because no trend is removed before.
     """
 
-    cutoff: float
-    order: int = DEFAULT_ORDER
-    causal: bool = False
     name: ClassVar[str] = PAPERS
 
     def derived(self, y: Array, order: int) -> Array:
