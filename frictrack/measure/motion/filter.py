@@ -22,7 +22,7 @@ from frictrack.measure.motion.place_forces import Course, PlaceForce, find_place
 from frictrack.measure.motion.smoother import Event, Structure
 from frictrack.measure.motion.structure_average import alternatives, mean_shift
 from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
-from frictrack.records import Array, Displacement, Filtered, Mask
+from frictrack.records import Array, Displacement, Filtered, Mask, stretches
 from frictrack.settings.filters import KALMAN, STRUCTURAL, FilterChoice
 
 
@@ -179,10 +179,7 @@ def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
     if not is_violent.any():
         return slice(0, len(v))
     reach = int(np.ceil(0.5 / cutoff)) + 1
-    edges = np.flatnonzero(scipy.ndimage.maximum_filter1d(is_violent, 2 * reach + 1, mode="constant"))
-    bounds = np.concatenate([[-1], edges, [len(v)]])
-    k = int(np.argmax(np.diff(bounds)))
-    return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
+    return _longest(scipy.ndimage.maximum_filter1d(is_violent, 2 * reach + 1, mode="constant") == 0)
 
 
 def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
@@ -291,33 +288,27 @@ class _Coordinate:
         """Coloured noise that the spectrum of the longest span without a missing frame suggests."""
         if data.colour or data.second_difference_weights is not None or self.rounded:
             return None
-        span = _longest_measured_span(self.w)
+        span = _longest(self.w > 0)
         first = max(span.start, (span.start + span.stop - MAX_SPECTRUM_FRAMES) // 2)
         return _noise_colour(suspected_noise(self.y[first : min(first + MAX_SPECTRUM_FRAMES, span.stop)]))
 
     def _longest_window(self, data: SmootherData) -> SmootherData:
         """The data, or of a long record a window in the longest span without a missing frame."""
-        span = _longest_measured_span(self.w)
+        span = _longest(self.w > 0)
         first = max(min((span.start + span.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
-        return (
-            window_data(data, first, min(first + MAX_WHOLE_FRAMES, len(self.w))) or data
-            if len(self.w) > MAX_WHOLE_FRAMES
-            else data
-        )
+        is_long = len(self.w) > MAX_WHOLE_FRAMES
+        return (is_long and window_data(data, first, first + MAX_WHOLE_FRAMES)) or data
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off (Hz) of a plain low-pass of the slide alone; a push would raise that of the whole record."""
-        span = _longest_quiet_span(
-            stencil_derivatives(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval
-        )
+        motion = stencil_derivatives(signal + self.trend, self.grid.interval)
+        span = _longest_quiet_span(motion, self.w > 0, best * self.grid.interval)
         if np.sum(self.w[span] > 0) < max(MIN_FRAMES_FOR_CUTOFF, 0.1 * len(self.w)) or span == slice(0, len(self.w)):
             return best
         w = self.w[span]
         y, _ = _without_cubic((self.y + self.trend)[span], w)
-        return cutoff_of(
-            float(np.exp(StructureSearch(SmootherData(y, w, colour=self.colour)).stiff.stiffness[0])),
-            self.grid.interval,
-        )
+        stiff = StructureSearch(SmootherData(y, w, colour=self.colour)).stiff
+        return cutoff_of(float(np.exp(stiff.stiffness[0])), self.grid.interval)
 
     def _apply_method(self, choice: FilterChoice, level: float) -> _LowPassed:
         y = interpolate_missing(self.y + self.trend, self.w > 0)
@@ -373,18 +364,15 @@ def _smoothed(structure: Structure, data: SmootherData) -> tuple[float, Array]:
     return variance, factor.signal(unknowns)
 
 
-def _longest_measured_span(w: Array) -> slice:
-    """Longest span of measured frames."""
-    gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
-    k = int(np.argmax(np.diff(gaps)))
-    return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
+def _longest(mask: Mask) -> slice:
+    """Longest stretch of a mask; an empty one if there is none."""
+    return max(stretches(mask), key=lambda s: s.stop - s.start, default=slice(0, 0))
 
 
 def _select_by_likelihood(data: SmootherData, method: str) -> Structure:
     """Structure of the highest likelihood; a trend of one stiffness for "kalman" and short records."""
-    return (
-        StructureSearch(data).stiff if method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF else find_structure(data)
-    )
+    is_plain = method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF
+    return StructureSearch(data).stiff if is_plain else find_structure(data)
 
 
 def _noise_colour(noise: CorrelatedNoise | None) -> NoiseColour | None:

@@ -331,16 +331,6 @@ def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
     return losses[:, :1] - losses[:, 1:]
 
 
-def _slepian_tapers(n: int) -> Array:
-    """Slepian tapers (TAPERS, n), eigenvectors of a tridiagonal matrix (Slepian 1978, Bell Syst. Tech. J. 57)."""
-    i = np.arange(n, dtype=np.float64)
-    diagonal = ((n - 1 - 2 * i) / 2) ** 2 * np.cos(2 * np.pi * BANDWIDTH / n)
-    _, tapers = scipy.linalg.eigh_tridiagonal(
-        diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1)
-    )
-    return np.asarray(tapers.T[::-1])
-
-
 @dataclass(frozen=True)
 class _Spectrum:
     """Spectral density (F,), m^2 per (cycle per frame), of one stretch at frequencies (F,), cycles per frame."""
@@ -355,7 +345,8 @@ class _Spectrum:
         n = len(differences)
         t = np.linspace(-1.0, 1.0, n)
         differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
-        power = np.mean(np.abs(np.fft.rfft(_slepian_tapers(n) * differences, axis=1)) ** 2, axis=0)
+        tapers = scipy.signal.windows.dpss(n, BANDWIDTH, TAPERS)  # Slepian 1978, Bell Syst. Tech. J. 57
+        power = np.mean(np.abs(np.fft.rfft(tapers * differences, axis=1)) ** 2, axis=0)
         bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
         frequency = bins / n
         return cls(frequency, power[bins] / (2 * np.sin(np.pi * frequency)) ** (2 * DIFFERENCES))
