@@ -23,7 +23,6 @@ from frictrack.search import (
     minimise,
     search_method,
 )
-from frictrack.search.evaluator import distinct_optima
 from frictrack.search.genetic import (
     crossover_probability,
     decode,
@@ -40,6 +39,7 @@ from frictrack.search.genetic import (
     tournament,
     universal_sampling,
 )
+from frictrack.search.method import distinct_optima
 
 Array = np.ndarray
 

@@ -9,6 +9,12 @@ share one loop, `evolve.GeneticMethod`, and differ in their operators only.
 
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.driver import METHODS, minimise, search_method
-from frictrack.search.evaluator import COST_OF_MEMORY, Convergence, EvaluationBudget, SearchResult
 from frictrack.search.genetic import GA, MGA, SA, SGA, code_length, code_length_as_printed
-from frictrack.search.method import SearchMethod, read_settings
+from frictrack.search.method import (
+    COST_OF_MEMORY,
+    Convergence,
+    EvaluationBudget,
+    SearchMethod,
+    SearchResult,
+    read_settings,
+)

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
-from frictrack.search.evaluator import Callback, Cost, CostEvaluator, SearchResult, StopSearch
 from frictrack.search.genetic import GA, MGA, SA, SGA
-from frictrack.search.method import SearchMethod, read_settings
+from frictrack.search.method import Callback, Cost, CostEvaluator, SearchMethod, SearchResult, StopSearch, read_settings
 
 METHODS: dict[str, type[SearchMethod]] = {kind.name: kind for kind in (GA, MGA, SA, SGA, DE, DA, CMAES)}
 

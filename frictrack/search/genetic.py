@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
-from frictrack.search.evaluator import CostEvaluator
-from frictrack.search.method import SearchMethod, refuse, setting
+from frictrack.search.method import CostEvaluator, SearchMethod, refuse, setting
 
 Genes = NDArray[np.uint8]
 MIN_TEMPERATURE = float(np.finfo(float).tiny)  # the coldest temperature that can be divided by

@@ -8,12 +8,13 @@
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.state import Conditions, push_force
 from frictrack.simulate.trajectory import (
+    Conditions,
     Start,
     Trajectory,
     image_shift,
     is_smooth_at_rest,
+    push_force,
     simulate,
     simulate_displacement,
 )

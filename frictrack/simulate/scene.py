@@ -44,8 +44,7 @@ from frictrack.effects.models import Model
 from frictrack.measure.friction import after_run
 from frictrack.records import Array, EarlierRuns
 from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod, Surface, Target, render, write_film
-from frictrack.simulate.state import Conditions, push_force
-from frictrack.simulate.trajectory import Trajectory, simulate
+from frictrack.simulate.trajectory import Conditions, Trajectory, push_force, simulate
 from frictrack.study import read_toml
 
 SCENE_KEYS = {
@@ -194,7 +193,7 @@ def _run_faults(run: dict[str, Any]) -> list[str]:
 
 def _scene(raw: dict[str, Any]) -> Scene:
     """Scene from a checked table."""
-    camera = {
+    camera: dict[str, Any] = {
         k: _read_element(Oscillation, k, v) if k in OSCILLATION_KEYS else v for k, v in raw.get("camera", {}).items()
     }
     return Scene(

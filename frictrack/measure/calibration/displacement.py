@@ -19,14 +19,7 @@ import numpy as np
 from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration import scale as scale_input
-from frictrack.measure.calibration.scale import (
-    MIN_RULER_SHARE,
-    PlaneMap,
-    Scale,
-    Straight,
-    as_seen,
-    from_points,
-)
+from frictrack.measure.calibration.scale import MIN_RULER_SHARE, PlaneMap, Scale, Straight, as_seen, from_points
 from frictrack.measure.calibration.shake import subtract_shake
 from frictrack.records import Array, Displacement, Mask, Track
 
@@ -154,39 +147,24 @@ def fit_path(at: Array, sigma: Array) -> PathLine | None:
     """
     if len(at) < MIN_FRAMES:
         return None
-    middle = np.median(at, axis=0)
-    offsets = at - middle
-    direction = np.linalg.svd(offsets, full_matrices=False)[2][0]
-    weight = np.ones(len(at))
+    noise, weight = float(np.median(sigma)), np.ones(len(at))
     for _ in range(MAX_ROUNDS):
-        middle = np.average(at, axis=0, weights=weight)
-        offsets = at - middle
+        offsets = at - np.average(at, axis=0, weights=weight)
         direction = np.linalg.svd(offsets * np.sqrt(weight)[:, None], full_matrices=False)[2][0]
         deviation = offsets @ [-direction[1], direction[0]]
-        scale = max(float(robust_std(deviation)), float(np.median(sigma)))
+        scale = max(float(robust_std(deviation)), noise)
         weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(deviation), 1e-30))
     s = offsets @ direction
-    if np.ptp(s) < MIN_TRAVEL_SIGMAS * float(np.median(sigma)):
-        return None
-    noise = float(np.median(sigma))
-    return _fit_bend(direction, np.stack([s, offsets @ [-direction[1], direction[0]]]), weight, noise)
-
-
-def _fit_bend(direction: Array, place: Array, weight: Array, noise: float) -> PathLine:
-    """Fit angle and bend by a parabola across the path; correlated residuals reduce the number of frames that count."""
-    s, deviation = place
     half = float(np.ptp(s)) / 2
+    if 2 * half < MIN_TRAVEL_SIGMAS * noise:
+        return None
     u = (s - (s.min() + s.max()) / 2) / half
-    root = np.sqrt(weight)
-    design = np.stack([np.ones_like(u), u, u**2], axis=1) * root[:, None]
+    powers, root = np.stack([np.ones_like(u), u, u**2], axis=1), np.sqrt(weight)
+    design = powers * root[:, None]
     shape = np.linalg.lstsq(design, deviation * root, rcond=None)[0]
-    residual = deviation - np.stack([np.ones_like(u), u, u**2], axis=1) @ shape
-    spread = float(robust_std(residual))
-    std = (
-        max(spread, noise)
-        * np.sqrt(frames_per_independent(residual))
-        * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    )
+    residual = deviation - powers @ shape
+    spread = max(float(robust_std(residual)), noise) * np.sqrt(frames_per_independent(residual))
+    std = spread * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     return PathLine(direction, float(std[1] / half), float(4 * shape[2] / half), float(4 * std[2] / half))
 
 

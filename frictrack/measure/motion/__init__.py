@@ -18,13 +18,7 @@ from frictrack.measure.motion.derivative import (
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
 from frictrack.measure.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
 from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
-from frictrack.measure.motion.grid import (
-    STENCIL_FRAMES,
-    frame_grid,
-    stencil_start,
-    stencil_weights,
-    stencils,
-)
+from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
 from frictrack.measure.motion.noise import (
     CORRELATION_COST,
     DIFFERENCE_ORDER,

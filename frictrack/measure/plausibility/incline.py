@@ -71,10 +71,9 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
 
 
 def wrong_incline(run: Run) -> Finding | None:
-    """Find a stated incline that contradicts the motion, because friction would have to push the mass.
+    """Find a stated incline of the wrong sign: friction would have to push the mass, or less than gravity slows it.
 
-    `run`: a run with an incline; driven runs give None. Returns an error if the opposite sign agrees with the motion; a
-    warning if the incline is too small or too large.
+    `run`: a run with an incline; driven runs give None. Returns an error.
     """
     if not run.has_incline or _is_driven(run) or run.incline == 0.0:
         return None
@@ -84,9 +83,19 @@ def wrong_incline(run: Run) -> Finding | None:
     if not (slows_down or _accelerates_by_itself(every)):
         return None
     pull, both = _gravity_pull(strokes)
-    if both:
-        return _check_both_directions(run, pull)
-    return _check_one_direction(run, pull, max(strokes, key=lambda stroke: stroke.distance), slows_down=slows_down)
+    stated, longest = run.pull, max(strokes, key=lambda stroke: stroke.distance)
+    way = longest.direction
+    # along its longest stroke friction must not push the mass
+    pushes = way * (stated - pull) < -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a)
+    if slows_down and not both:
+        slowing = f"toward {_toward_x(way)} the mass slows down by only {abs(pull):.3g} m/s^2"
+        what = f"{slowing}, where gravity alone would slow it by {abs(stated):.3g}"
+        return _sign_error(run.incline, what, run.name) if pushes else None
+    is_explained = abs(pull) > abs(stated) / MAX_PULL_RATIO if both else pushes and way * (-stated - pull) >= 0.0
+    if stated * pull >= 0.0 or not is_explained:
+        return None
+    what = f"the mass speeds up toward {_toward_x(pull)} with {abs(pull):.3g} m/s^2 and nothing drives it"
+    return _sign_error(run.incline, what, run.name)
 
 
 def path_angle(track: Track) -> float | None:
@@ -182,43 +191,6 @@ def _gravity_pull(strokes: tuple[Stroke, ...]) -> tuple[float, bool]:
         return (mean_acceleration(forth) + mean_acceleration(back)) / 2, True
     longest = max(strokes, key=lambda stroke: stroke.distance)
     return mean_acceleration(forth if longest.direction > 0 else back), False
-
-
-def _check_one_direction(run: Run, pull: float, longest: Stroke, *, slows_down: bool) -> Finding | None:
-    """Check a stated incline against a mass that moves one way: friction must not push it along its longest stroke."""
-    stated, way = run.pull, longest.direction
-    if way * (stated - pull) >= -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a):
-        return None
-    if slows_down:
-        slowing = f"toward {_toward_x(way)} the mass slows down by only {abs(pull):.3g} m/s^2"
-        what = f"{slowing}, where gravity alone would slow it by {abs(stated):.3g}"
-        return _sign_error(run.incline, what, run.name)
-    if way * (-stated - pull) >= 0.0 and stated * pull < 0.0:
-        return _sign_error(run.incline, _acceleration_text(pull), run.name)
-    words = (
-        f"the mass speeds up with {abs(pull):.3g} m/s^2, but incline = {degrees(run.incline):.3g} deg gives only "
-        f"{abs(stated):.3g} m/s^2; check the angle, the scale and fps"
-    )
-    return _finding(words, "", run.name)
-
-
-def _check_both_directions(run: Run, pull: float) -> Finding | None:
-    """Check a stated incline against motion in both directions."""
-    stated = run.pull
-    if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
-        return _sign_error(run.incline, _acceleration_text(pull), run.name)
-    if abs(pull) >= GRAVITY or 1 / MAX_PULL_RATIO < pull / stated < MAX_PULL_RATIO:
-        return None
-    line = _incline_line(pull)
-    words = (
-        f"incline = {degrees(run.incline):.3g} deg gives {abs(stated):.3g} m/s^2 along the course, but the motion in "
-        f"both directions shows {abs(pull):.3g} m/s^2; check the angle ({line}), the scale and fps"
-    )
-    return _finding(words, line, run.name)
-
-
-def _acceleration_text(pull: float) -> str:
-    return f"the mass speeds up toward {_toward_x(pull)} with {abs(pull):.3g} m/s^2 and nothing drives it"
 
 
 def _toward_x(direction: float) -> str:

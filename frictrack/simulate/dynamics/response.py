@@ -53,16 +53,6 @@ class LinearResponse:
         """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
         return LinearResponse(panels, self._a_x[nodes], self._a_v[nodes])
 
-    @property
-    def transition(self) -> Array:
-        """State (x, v) at the end of each panel per unit of the state at its beginning, shape (p, 2, 2)."""
-        return np.ascontiguousarray(self._transition.transpose(2, 0, 1))
-
-    @cached_property
-    def end_gain(self) -> Array:
-        """State (x, v) at the end of each panel per unit of acceleration at its nodes, shape (p, 2, 3)."""
-        return np.ascontiguousarray(self._end_gain.transpose(2, 0, 1))
-
     # arrays over the panels end with the panel axis, so that every operation runs over all panels at once
 
     @cached_property
@@ -79,15 +69,15 @@ class LinearResponse:
         return np.stack([ax, ax * self.panels.h * NODES[:, None] + av], axis=1)
 
     @cached_property
-    def _end_gain(self) -> Array:
+    def end_gain(self) -> Array:
         """State at the end of each panel per unit of acceleration at its nodes, (2, 3, p)."""
         h = self.panels.h
         return np.einsum("cip,ijp->cjp", np.stack([h**2 * _BA[:, None], h * _B[:, None]]), self._inverse)
 
     @cached_property
-    def _transition(self) -> Array:
+    def transition(self) -> Array:
         """State at the end of each panel per unit of the state at its beginning, (2, 2, p)."""
-        out: Array = np.einsum("cjp,jsp->csp", self._end_gain, self._by_start)
+        out: Array = np.einsum("cjp,jsp->csp", self.end_gain, self._by_start)
         out[0, 0] += 1
         out[0, 1] += self.panels.h
         out[1, 1] += 1
@@ -96,7 +86,7 @@ class LinearResponse:
     @cached_property
     def _band(self) -> Array:
         """The system that carries states from panel to panel, as LAPACK lower bands."""
-        return _bidiagonal_band(self._transition, self.panels)
+        return _bidiagonal_band(self.transition, self.panels)
 
     def newton_step(self, residual: Array) -> tuple[Array, Array]:
         """Newton correction (node accelerations (3 p,), edge positions (p + R,)) for a residual (3 p,)."""
@@ -120,7 +110,7 @@ class LinearResponse:
 
         """
         at_nodes = np.ascontiguousarray(g.reshape(-1, 3).T)
-        edges = self._carry(start[None], np.einsum("cjp,jp->cp", self._end_gain, at_nodes)[None])[0]
+        edges = self.carry(start[None], np.einsum("cjp,jp->cp", self.end_gain, at_nodes)[None])[0]
         at_nodes += np.einsum("jsp,sp->jp", self._by_start, edges[:, self.panels.begin])
         return np.einsum("ijp,jp->pi", self._inverse, at_nodes).ravel(), edges
 
@@ -148,34 +138,11 @@ class LinearResponse:
         """Change of the state at the edges, (p + R, 2, k), under inputs g (3 p, k) and starts (2, k), default zero."""
         k = g.shape[1]
         at_nodes = np.ascontiguousarray(g.T.reshape(k, -1, 3).transpose(2, 0, 1))
-        kicks = np.einsum("cjp,jkp->kcp", self._end_gain, at_nodes)
+        kicks = np.einsum("cjp,jkp->kcp", self.end_gain, at_nodes)
         first = np.zeros((k, 2, 1)) if start is None else start.T[:, :, None]
-        return self._carry(first, kicks).transpose(2, 1, 0)
+        return self.carry(first, kicks).transpose(2, 1, 0)
 
-    def chain_panels(self, start: Array, kicks: Array) -> Array:
-        """Carry states from panel to panel.
-
-        Parameters
-        ----------
-        start
-            State (x, v) at the first edge of every motion, (2, k).
-        kicks
-            What each panel adds to the state at its end, (p, 2, k).
-
-        Returns
-        -------
-        Array
-            State at the edges, (p + R, 2, k).
-
-        Raises
-        ------
-        FrictrackError
-            If the banded system is singular.
-
-        """
-        return self._carry(start.T[:, :, None], kicks.transpose(2, 1, 0)).transpose(2, 1, 0)
-
-    def _carry(self, start: Array, kicks: Array) -> Array:
+    def carry(self, start: Array, kicks: Array) -> Array:
         """States (k, 2, p + R) at the edges from starts (k, 2, R or 1) and kicks (k, 2, p)."""
         k, panels = len(kicks), self.panels
         chain = np.empty((k, len(panels.edges), 2))
@@ -253,8 +220,8 @@ class EdgeResponse:
         self._linear = linear
         first, weights = _stencils(linear.panels)
         self._first_edge = first
-        self._kick = linear.end_gain @ weights  # (p, 2, 4)
-        self.fundamental = _fundamental(linear.transition)  # (p + 1, 2, 2)
+        self._kick = linear.end_gain.transpose(2, 0, 1) @ weights  # (p, 2, 4)
+        self.fundamental = _fundamental(linear.transition.transpose(2, 0, 1))  # (p + 1, 2, 2)
         with np.errstate(all="ignore"):  # singular where a state that is forgotten falls below the smallest number
             condition = np.abs(self.fundamental).max(axis=(1, 2)) ** 2 / np.abs(np.linalg.det(self.fundamental))
         self.stiff = not float(condition.max()) < MAX_CONDITION
@@ -272,10 +239,10 @@ class EdgeResponse:
         return self._by_chaining(g) if self.stiff else self._by_running_sums(g)
 
     def _by_chaining(self, g: Array) -> Array:
-        """The same displacements by the banded system of `LinearResponse.chain_panels`."""
+        """The same displacements by the banded system of `LinearResponse.carry`."""
         nearest = g.T[self._first_edge[:, None] + np.arange(N_INTERPOLATION_EDGES)]  # (p, 4, k)
-        edges = self._linear.chain_panels(np.zeros((2, len(g))), self._kick @ nearest)
-        return np.ascontiguousarray(edges[:, 0].T)
+        kicks = (self._kick @ nearest).transpose(2, 1, 0)
+        return np.ascontiguousarray(self._linear.carry(np.zeros((len(g), 2, 1)), kicks)[:, 0])
 
     def _by_running_sums(self, g: Array) -> Array:
         out = g * self.weights[0]
