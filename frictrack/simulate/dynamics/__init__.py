@@ -10,6 +10,14 @@ The simulator and the fit share this integrator. Three steps use it:
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.response import EdgeResponse, KrylovResponse, LinearResponse, MotionResponse
+from frictrack.simulate.dynamics.collocation import (
+    NODES,
+    CollocationSolution,
+    EdgeResponse,
+    KrylovResponse,
+    LinearResponse,
+    MotionResponse,
+    Panels,
+    Start,
+)
 from frictrack.simulate.dynamics.solver import linearise_acceleration, solve_motion, solve_simplified_newton

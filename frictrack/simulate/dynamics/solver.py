@@ -15,8 +15,14 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.response import KrylovResponse, LinearResponse, MotionResponse
+from frictrack.simulate.dynamics.collocation import (
+    CollocationSolution,
+    KrylovResponse,
+    LinearResponse,
+    MotionResponse,
+    Panels,
+    Start,
+)
 
 MAX_NEWTON_STEPS = 30
 MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged
