@@ -51,11 +51,6 @@ class KnownAcceleration:
     a: Array
     sigma: float | Array
 
-    def rows(self, part: slice) -> KnownAcceleration:
-        """The same for a part of the frames."""
-        sigma = self.sigma if np.ndim(self.sigma) == 0 else np.asarray(self.sigma)[part]
-        return KnownAcceleration(self.a[part], sigma)
-
 
 MISSING_SIGMA = float("inf")  # m, of a frame that was not measured
 VIOLENT_RATIO = 10.0  # acceleration of a push or an impact over the median of the moving mass
@@ -132,7 +127,9 @@ def low_pass(
     _check_position(displacement.x[known], len(known))
     span = displacement.span
     displacement, known = displacement.rows(span), known[span]
-    acceleration = acceleration and acceleration.rows(span)
+    if acceleration is not None:
+        sigma = np.broadcast_to(acceleration.sigma, len(acceleration.a))
+        acceleration = KnownAcceleration(acceleration.a[span], sigma[span])
     grid = frame_grid(displacement.t)
     choice = method if isinstance(method, FilterChoice) else FilterChoice(method, cutoff)
     raise_faults(list(choice.faults()), "low_pass")
@@ -155,7 +152,7 @@ def low_pass(
         y=y.x,
         sigma_x=x.sigma,
         sigma_y=y.sigma,
-        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
+        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration),
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
         asked=not choice.is_default,
@@ -332,7 +329,7 @@ class _Coordinate:
         """Data with the sensor's acceleration as second differences, without those of the cubic."""
         square = self.grid.interval**2
         second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
-        sigma = self.grid.to_frames(_sensor_sigma(acceleration, len(self.known)), MISSING_SIGMA)[1:-1]
+        sigma = self.grid.to_frames(_sensor_sigma(acceleration), MISSING_SIGMA)[1:-1]
         return SmootherData(
             self.y, self.w, np.nan_to_num(second_differences), sensor_weights(sigma, square, level), self.colour
         )
@@ -391,9 +388,9 @@ def sensor_weights(sigma: Array, square: float, level: float) -> Array:
     return np.asarray((level / (sigma * square)) ** 2)
 
 
-def _sensor_sigma(acceleration: KnownAcceleration, n: int) -> Array:
+def _sensor_sigma(acceleration: KnownAcceleration) -> Array:
     """Standard deviations of the sensor (n,), inf where it has no value."""
-    return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING_SIGMA)
+    return np.where(np.isfinite(acceleration.a), acceleration.sigma, MISSING_SIGMA)
 
 
 def frame_weights(sigma: Array, known: Mask) -> Array:
