@@ -22,8 +22,8 @@ from frictrack.present import plots
 from frictrack.present.report import tables
 from frictrack.records import Displacement, Run
 from frictrack.results import RecordingInfo, RunResults
+from frictrack.simulate import scene
 from frictrack.simulate.scene import read_scene
-from frictrack.simulate.scene import study_writer as scene
 from frictrack.tracking import track
 
 FPS, MASS, PITCH, NOISE = 4000.0, 0.35, 5e-4, 10e-6

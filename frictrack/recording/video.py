@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.recording.base import Frame, Header, Recording
+from frictrack.recording.base import Frame, Header, Recording, truncation_notes
 
 # What FFmpeg and OpenCV would say on stderr about broken files, `Recording` says in words.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -50,11 +50,15 @@ class Video(Recording):
             )
         stamps = self._stamps()
         packets = len(stamps)
-        notes: tuple[str, ...] = ()
-        if packets < promised:
-            notes = (f"truncated film: {packets} of {promised} promised frames are in the file",)
         depth = 16 if first.dtype == np.uint16 else 8
-        return Header(packets, first.shape[:2], depth, fps if fps > 0 else None, notes=notes, stamps=stamps)
+        return Header(
+            packets,
+            first.shape[:2],
+            depth,
+            fps if fps > 0 else None,
+            notes=truncation_notes(self.path.name, packets, promised),
+            stamps=stamps,
+        )
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         capture, at = self._capture(), -1

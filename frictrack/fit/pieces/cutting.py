@@ -268,7 +268,7 @@ def _noise_of(run: Run) -> Array:
     disp = run.displacement
     use = free_section(run)[0] & disp.valid
     relative = _relative_noise(disp.sigma_x, use)
-    white = float(noise_level(disp.x, use, relative, disp.t)[0])
+    white = noise_level(disp.x, use, relative, disp.t)[0]
     return relative * (run.noise or max(white, _least_noise(run), disp.resolution / float(np.sqrt(12.0))))
 
 

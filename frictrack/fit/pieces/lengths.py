@@ -49,7 +49,7 @@ def piece_frames(model: Model, pieces: Sequence[Piece], run: Run) -> int:
     rows = [_linear_model(model, p) for p in pieces]
     keep = _distinguishable_directions(rows, pieces)
     rows = [np.column_stack([r[:, :-1] @ keep, r[:, -1]]) for r in rows]
-    relative_noise_error = float(noise_level(run.displacement.x, run.displacement.valid, t=run.displacement.t)[1])
+    relative_noise_error = noise_level(run.displacement.x, run.displacement.valid, t=run.displacement.t)[1]
     return min(lengths, key=lambda n: _log_covariance(rows, pieces, n, relative_noise_error))
 
 
