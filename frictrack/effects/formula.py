@@ -22,7 +22,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.units import is_coherent
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, frequencies
+from frictrack.effects.ranges import Span, frequencies
 from frictrack.records import GRAVITY, Array
 
 VARIABLES = ("t", "x", "v", "s", "L", "mass")  # of a `Path`; L is the load, s the direction of motion

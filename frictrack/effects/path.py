@@ -1,10 +1,11 @@
-"""The motion of one run, along which the columns of an effect are evaluated."""
+"""The motion of one run, along which the columns of an effect are evaluated, and sinusoids along it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -94,3 +95,50 @@ NEEDS = {
     "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
     "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
 }
+
+
+@dataclass(frozen=True)
+class ScanWave:
+    """That columns depend on one scanned parameter only as sin(2 pi q u + phase): a scan may interpolate in q.
+
+    Attributes
+    ----------
+    parameter : str
+        The frequency q, or the period 1/q.
+    coordinate : callable
+        Map a path and the other non-linear parameters to u (n,), whose unit is that of 1/q.
+    is_period : bool
+        Whether the parameter is a period.
+
+    """
+
+    parameter: str
+    coordinate: Callable[[Path, Any], Array]
+    is_period: bool = False
+
+    def frequency(self, values: Array) -> Array:
+        """Convert values of the parameter to q, or q to values of the parameter."""
+        return 1.0 / values if self.is_period else values
+
+
+def over_time(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in time, s."""
+    return path.t
+
+
+def over_position(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in space, m."""
+    return path.x
+
+
+def wave(cycles: Array, phase: float) -> Array:
+    """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
+    # sin z = 2 u/(1 + u^2) with u = tan(z/2): numpy's tangent takes many numbers at once, its sine one by one
+    u = np.pi * cycles
+    u += phase / 2
+    np.tan(u, out=u)
+    below = u * u
+    below += 1.0
+    u += u
+    u /= below
+    return u[:, None]

@@ -1,14 +1,11 @@
 """Direction-dependent friction: dry level and viscous coefficient differ between the two directions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
+from frictrack.effects.ranges import Span
 from frictrack.records import Array
 
 
@@ -28,22 +25,16 @@ def draw_viscous_part(span: Span, uniform: Array) -> dict[str, float]:
     return {"dF_v": (2.0 * float(uniform[1]) - 1.0) / span.v_max}
 
 
-asymmetry = Effect(
-    name="asymmetry",
-    acts_on="force",
-    equation="dF L + dF_v |v|",
-    parameters=(Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True)),
-    columns=columns,
-    varies_with="v",
-    scales_with="load",
-    what="The surfaces resist more one way than the other: wear, tilted asperities, a screw.",
-    looks_like="forward and reversed runs need different friction laws",
-    mistaken_for="slope (the level part), a drive offset",
-    confirm="Turn the mass round on the course: asymmetry of its own face turns with it.",
-    invariant="asymmetry depends on the direction of motion and grows with the load or the speed",
-    settled_by="turn the mass round on the course",
-    describe=describe,
-    in_base_law=True,
-    test_draw=TestDraw(coefficients=draw_viscous_part),
-    source="Janot, Gautier & Brunot 2019 (EMPS)",
-)
+equation = "dF L + dF_v |v|"
+parameters = (Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True))
+varies_with = "v"
+scales_with = "load"
+what = "The surfaces resist more one way than the other: wear, tilted asperities, a screw."
+looks_like = "forward and reversed runs need different friction laws"
+mistaken_for = "slope (the level part), a drive offset"
+confirm = "Turn the mass round on the course: asymmetry of its own face turns with it."
+invariant = "asymmetry depends on the direction of motion and grows with the load or the speed"
+settled_by = "turn the mass round on the course"
+in_base_law = True
+test_draw = TestDraw(coefficients=draw_viscous_part)
+source = "Janot, Gautier & Brunot 2019 (EMPS)"

@@ -1,19 +1,14 @@
 """Beam vibration: the beam under the course rings, and its frequency falls as the mass moves away from the clamp."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import Span
-from frictrack.effects.waves import ScanWave, wave
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Nonlinear, Path, ScanWave, wave
+from frictrack.effects.ranges import Span, oscillates
 from frictrack.records import Array
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
@@ -131,30 +126,24 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(effect.value('frequency'))} Hz near the clamp, lower with the mass farther out"
 
 
-beam_vibration = Effect(
-    name="beam_vibration",
-    acts_on="force",
-    equation=(
-        "amplitude sin(2 pi integral of frequency/sqrt(1 + r phi^2) dt + phase), "
-        "phi = (3 l x^2 - x^3)/(2 l^3) from the clamp, l = beam_length"
-    ),
-    parameters=(
-        Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("r", "1", scan=ratios),
-        Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", cycles_at_1_hz),
-    counts_from_release=True,
-    what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
-    looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
-    mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",
-    confirm="Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there.",
-    plausible=oscillates,
-    invariant="the frequency of the beam falls toward its free end, and with a heavier mass",
-    describe=describe,
-    source="Rayleigh's quotient with the static shape of an end-loaded cantilever",
-    needs=("clamp_x",),
+equation = (
+    "amplitude sin(2 pi integral of frequency/sqrt(1 + r phi^2) dt + phase), "
+    "phi = (3 l x^2 - x^3)/(2 l^3) from the clamp, l = beam_length"
 )
+parameters = (
+    Parameter("amplitude", "N", linear=True, role="amplitude"),
+    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("r", "1", scan=ratios),
+    Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
+    Parameter("phase", "rad", per_run=True, role="phase"),
+)
+scan_wave = ScanWave("frequency", cycles_at_1_hz)
+counts_from_release = True
+what = "The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone."
+looks_like = "a line whose frequency falls as the mass moves toward the free end, and rises on the way back"
+mistaken_for = "vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)"
+confirm = "Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there."
+plausible = oscillates
+invariant = "the frequency of the beam falls toward its free end, and with a heavier mass"
+source = "Rayleigh's quotient with the static shape of an end-loaded cantilever"
+needs = ("clamp_x",)

@@ -1,14 +1,11 @@
 """Drive error: the force that drives the mass is not the one that was measured."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy
+from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter
 from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
+from frictrack.effects.ranges import Span
 from frictrack.records import Array
 
 MAX_DELAY_S = 0.02  # s by which an amplifier, a valve or a wrong clock may be late
@@ -47,25 +44,18 @@ def known_weight_signal(effect: EffectInStudy) -> float:
     return (effect.rms("e") / WEIGHT_RELATIVE_STD) ** 2
 
 
-drive_error = Effect(
-    name="drive_error",
-    acts_on="force",
-    equation="-e D(t - tau)",
-    parameters=(
-        Parameter("e", "1", linear=True),
-        Parameter("tau", "s", scan=delays, signed=True),
-    ),
-    columns=columns,
-    scales_with="drive",
-    what="Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late.",
-    looks_like="a residual force of the shape of the drive, in every run, whatever the speed",
-    mistaken_for="a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)",
-    confirm="Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not.",
-    plausible=plausible,
-    invariant="an error of the drive follows the drive",
-    settled_by="hang a known weight on the drive",
-    direct_check=DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal),
-    describe=describe,
-    source="Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)",
-    needs=("drive",),
+equation = "-e D(t - tau)"
+parameters = (
+    Parameter("e", "1", linear=True),
+    Parameter("tau", "s", scan=delays, signed=True),
 )
+scales_with = "drive"
+what = "Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late."
+looks_like = "a residual force of the shape of the drive, in every run, whatever the speed"
+mistaken_for = "a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)"
+confirm = "Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not."
+invariant = "an error of the drive follows the drive"
+settled_by = "hang a known weight on the drive"
+direct_check = DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal)
+source = "Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)"
+needs = ("drive",)
