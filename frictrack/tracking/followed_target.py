@@ -18,10 +18,10 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, SEGMENT_FRAMES, Work
-from frictrack.tracking.checks import at_rest, interlacing_note, key_frame_notes
+from frictrack.tracking.checks import at_rest, interlacing_note
 from frictrack.tracking.correlation import Rectangle, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
-from frictrack.tracking.measure import measure_frames, refine_robust, unexplained_share
+from frictrack.tracking.measure import measure_frames, refine_predicted, unexplained_share
 from frictrack.tracking.subpixel_fit import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.template import TargetModel
 from frictrack.tracking.template_learning import peak_locking_correction
@@ -103,17 +103,9 @@ def _remeasure(
     film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], good: NDArray[np.int64], target_model: TargetModel
 ) -> Mask:
     """Measure frames (m,) from predictions by the good ones; return which of them succeeded."""
-    template = target_model.template
-    size = template.weight.shape
-    max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
     predicted, nearest = _predict_from_neighbours(raw_track.position, rows, good)
-    corner = np.rint(predicted).astype(np.int64).clip(0, max_corner)
-    guess = replace(raw_track.fit[nearest], position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
-    cuts, share = film.cut(rows, corner, size), None
-    if target_model.pattern is not None:
-        cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
-    typical = max(target_model.typical_misfit, template.min_misfit)
-    fit, _ = refine_robust(cuts, guess, template, share, typical)
+    typical = max(target_model.typical_misfit, target_model.template.min_misfit)
+    corner, fit = refine_predicted(film, rows, predicted, raw_track.fit[nearest], target_model, typical)
     fit = replace(fit, sigma=fit.sigma * target_model.sigma_inflation)
     accepted = (
         fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical) & np.all(np.abs(fit.position) < MAX_SHIFT_PX, axis=1)
@@ -253,7 +245,6 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
     )
     raw_track = followed.raw_track
     measured = raw_track if target_model.rotates else measure_all(film, raw_track, followed.rows, target_model, work)
-    change = _frame_changes(film) if recording.interframe else None
     result = _to_track(recording, measured, rectangle, name)
     result = _with_systematic_error(result, target_model)
     if not target_model.rotation_seen:
@@ -267,9 +258,8 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
     result = _with_reference_sigma(result, template)
-    codec_notes = () if change is None else key_frame_notes(change, result.x_px, result.y_px)
     line_notes = interlacing_note(film, result) if followed.rereadable else ()
-    notes = (*result.notes, *codec_notes, *line_notes, *at_rest(result))
+    notes = (*result.notes, *line_notes, *at_rest(result))
     return replace(
         result,
         template=template,
@@ -350,14 +340,3 @@ def _peak_locking_note(size: Array) -> tuple[str, ...]:
         f"peak locking of {np.max(size):.3f} px was corrected: the target is sharper "
         "than the sensor resolves; a slight defocus would avoid it",
     )
-
-
-def _frame_changes(film: Recording) -> Array:
-    """Rms change (n,) from each frame to the next beyond a uniform change of light, on every fourth pixel."""
-    change, before = np.full(film.n_frames, np.nan), None
-    for i, frame in enumerate(film.frames()):
-        sparse = frame[::4, ::4].astype(np.float32)
-        if before is not None:
-            change[i] = np.std(sparse - before)
-        before = sparse
-    return change

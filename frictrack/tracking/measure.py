@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.distributions import robust_std
+from frictrack.recording import Recording
 from frictrack.records import Array
-from frictrack.tracking.correlation import Patch
+from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import TargetModel, Template
@@ -142,6 +143,24 @@ def refine_robust(
         fit, share = _erode_outliers(cuts, fit, template, share, initial_share, typical_misfit)
         enough_pixels &= share.mean(axis=(1, 2)) > BORDERLESS_SHARE * MIN_REMAINING_SHARE * float(counts.mean())
     return replace(fit, converged=fit.converged & enough_pixels), share
+
+
+def refine_predicted(
+    film: Recording,
+    frames: NDArray[np.int64],
+    predicted: Array,
+    guess: SubpixelFit,
+    target_model: TargetModel,
+    typical_misfit: float,
+) -> tuple[NDArray[np.int64], SubpixelFit]:
+    """Fit frames robustly from predicted positions (n, 2) px, with the light of a guess; return corners and fit."""
+    size = target_model.template.weight.shape
+    corner = nearest_corner(predicted, film.shape, size)
+    guess = replace(guess, position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
+    cuts, share = film.cut(frames, corner, size), None
+    if target_model.pattern is not None:
+        cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
+    return corner, refine_robust(cuts, guess, target_model.template, share, typical_misfit)[0]
 
 
 def _erode_outliers(
