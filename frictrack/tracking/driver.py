@@ -24,7 +24,6 @@ from frictrack.tracking.pose_tracker import (
     min_frames_if_rotating,
     outline_template,
     track_disc,
-    track_known_rotating,
     track_rotating,
 )
 from frictrack.tracking.shared_target import adapt_known_target, match_near, place_known_target
@@ -319,7 +318,10 @@ def follow_known(
         rotatable = RotatableTemplate(known.template, blocked)
         return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
     if known.rotates:
-        return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, work.progress)
+        rotatable = RotatableTemplate(known.template, blocked)
+        found = track_rotating(film, rotatable, start, template, progress=work.progress)
+        assert found is not None
+        return found.to_raw_track()
     return follow_film(BatchTracker(film, known.template, with_obstacles(None, blocked)), start, template, work)
 
 
