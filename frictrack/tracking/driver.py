@@ -13,7 +13,7 @@ from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
 from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
-from frictrack.tracking.correlation import Patch, Rectangle
+from frictrack.tracking.correlation import Patch
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
@@ -87,15 +87,11 @@ def track(
     (150, 59.0)
 
     """
-    drawn = target if isinstance(target, Areas) else Areas(target)
+    drawn, work = _areas(target), Work(progress)
     once = _single_pass(recording, drawn.target, template, known)
     with random_access(recording, once=once) as film:
-        if known is None:
-            followed = _learn_and_track(film, drawn, template, Work(progress))
-        else:
-            followed = _follow_known_target(film, drawn, template, known, Work(progress))
-        followed = replace(followed, rereadable=not once)
-        track = measure_track(recording, film, followed, name, Work(progress))
+        followed = replace(_follow(film, drawn, template, known, work), rereadable=not once)
+        track = measure_track(recording, film, followed, name, work)
         if drawn.target is None and (fault := rests_while_others_move(film, track)):
             raise FrictrackError(f"{recording.path.name}: {fault}")
         return track
@@ -140,14 +136,13 @@ def track_in_parallel(
     ...     track = track_in_parallel(open_recording("long.mraw"), pool=pool)
 
     """
-    drawn = target if isinstance(target, Areas) else Areas(target)
     work = Work(progress, pool if recording.direct else None)
     with random_access(recording) as film:
-        if known is None:
-            followed = _learn_and_track(film, drawn, template, work)
-        else:
-            followed = _follow_known_target(film, drawn, template, known, work)
-        return measure_track(recording, film, followed, "target", work)
+        return measure_track(recording, film, _follow(film, _areas(target), template, known, work), "target", work)
+
+
+def _areas(target: Target | Areas) -> Areas:
+    return target if isinstance(target, Areas) else Areas(target)
 
 
 def track_same_target(
@@ -190,20 +185,24 @@ def track_same_target(
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
             return None
-        followed = Followed(Areas(), placed, template, raw_track, adapted, np.arange(0))
+        followed = Followed(Areas(), placed, template, raw_track, adapted, remeasure=False)
         return measure_track(recording, film, followed, "target", work), adapted
 
 
-def _follow_known_target(film: Recording, drawn: Areas, template: int, known: TargetModel, work: Work) -> Followed:
-    """Follow a target with a known model."""
-    rectangle, template = _locate_known(film, drawn.target, template, known)
+def _follow(film: Recording, drawn: Areas, template: int, known: TargetModel | None, work: Work) -> Followed:
+    """Follow a target with a known model, or learn its model first."""
+    if known is None:
+        return _learn_and_track(film, drawn, template, work)
+    h, w = known.template.weight.shape
+    target = known.template.image if drawn.target is None else drawn.target
+    rectangle, template = resolve_target(film, target, template)
+    if rectangle[2:] != (w, h):
+        raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
     drawn.check(film.shape)
     blocked = drawn.obstacle_mask(film.shape)
     target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
-    raw_track = follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
-    can_follow = target_model.pattern is not None and not target_model.rotates
-    rows = np.flatnonzero(raw_track.found & can_follow)
-    return Followed(drawn, rectangle, template, raw_track, target_model, rows)
+    raw_track = _follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
+    return Followed(drawn, rectangle, template, raw_track, target_model, target_model.pattern is not None)
 
 
 def learn_target(
@@ -244,8 +243,7 @@ def learn_target(
 
     """
     with random_access(recording) as film:
-        drawn = target if isinstance(target, Areas) else Areas(target)
-        return _learn_and_track(film, drawn, template, Work(progress, pool)).target_model
+        return _learn_and_track(film, _areas(target), template, Work(progress, pool)).target_model
 
 
 def relearn_target(recording: Recording, track: Track) -> TargetModel:
@@ -286,39 +284,34 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
     first_template = template_from_frame(cut, mask)
     rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
     is_round = mask is not None and is_disc(mask)
-    turns = is_round and has_marks(cut)
-    if turns and mask is not None:
-        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
-    else:
-        raw_track = follow_film(
-            BatchTracker(film, first_template, with_obstacles(None, blocked)), start, template, work
-        )
     pose_track = None
-    if turns:
+    if is_round and has_marks(cut):
+        assert mask is not None
+        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
         pose_track = track_disc(film, rotatable, raw_track, template)
-    elif may_rotate and not is_round:
-        min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
-        if min_frames is not None:
-            pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
+    else:
+        obstacles = with_obstacles(None, blocked)
+        raw_track = follow_film(BatchTracker(film, first_template, obstacles), start, template, work)
+        if may_rotate and not is_round:
+            min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
+            if min_frames is not None:
+                pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
     if pose_track is not None and (not is_round or pose_track.explains_more(raw_track)):
         model = TargetModel(pose_track.template, rotates=True)
-        return Followed(drawn, rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
-    model = learn_target_model(film, raw_track, first_template, blocked)
-    model = replace(model, rotation_seen=not is_round)
-    return Followed(drawn, rectangle, template, raw_track, model, np.flatnonzero(raw_track.found))
+        return Followed(drawn, rectangle, template, pose_track.to_raw_track(), model)
+    model = replace(learn_target_model(film, raw_track, first_template, blocked), rotation_seen=not is_round)
+    return Followed(drawn, rectangle, template, raw_track, model)
 
 
-def follow_known(
+def _follow_known(
     film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, work: Work
 ) -> RawTrack:
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
-    mask = known.template.mask
+    mask, rotatable = known.template.mask, RotatableTemplate(known.template, blocked)
     if known.rotates and mask is not None and is_disc(mask):
         upright = _follow_outline(film, (known.template.image, mask), blocked, (start, template), work)
-        rotatable = RotatableTemplate(known.template, blocked)
         return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
     if known.rotates:
-        rotatable = RotatableTemplate(known.template, blocked)
         found = track_rotating(film, rotatable, start, template, progress=work.progress)
         assert found is not None
         return found.to_raw_track()
@@ -333,15 +326,6 @@ def _follow_outline(
     shown = outline.weight > 0
     score = float(np.corrcoef(outline.image[shown], disc[0][shown])[0, 1])
     return follow_film(BatchTracker(film, outline, with_obstacles(None, blocked), score), *where, work)
-
-
-def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
-    """Locate a target of known size in the film: its rectangle and the frame of that."""
-    h, w = known.template.weight.shape
-    rectangle, template = resolve_target(film, known.template.image if target is None else target, template)
-    if rectangle[2:] != (w, h):
-        raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
-    return rectangle, template
 
 
 def _single_pass(film: Recording, target: Target, template: int, known: TargetModel | None) -> bool:
@@ -387,20 +371,18 @@ def track_frames(
         Where the target is not recognised near `box`, or found in fewer than two frames.
 
     """
-    part = FrameRange(film, frames.start, frames.stop)
+    part, at = FrameRange(film, frames.start, frames.stop), frame - frames.start
     drawn = obstacles or Areas()
     if known.rotates:  # its angle in this frame is unknown: the tracker searches it
         start, score = np.array(box[:2]) + (np.array(box[2:]) + 1 - known.template.weight.shape[::-1]) / 2, 1.0
     else:
-        start, score = match_near(part, box, frame - frames.start, known.template)
+        start, score = match_near(part, box, at, known.template)
     if score < MIN_SCORE:
         raise FrictrackError(
             f"expected the target near its drawn place in frame {frame} but it is not recognised "
             "there; draw it in a frame that shows it well"
         )
-    at = frame - frames.start
-    raw_track = follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
-    rows = np.flatnonzero(raw_track.found & (not known.rotates))
+    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
     h, w = known.template.weight.shape
     rectangle = (round(float(start[0])), round(float(start[1])), w, h)
-    return measure_track(part, part, Followed(Areas(), rectangle, at, raw_track, known, rows), "target", Work())
+    return measure_track(part, part, Followed(Areas(), rectangle, at, raw_track, known), "target", Work())

@@ -221,9 +221,9 @@ MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 @dataclass(frozen=True)
 class Followed:
-    """A target that was followed: its areas and rectangle in frame `template`, track, model, frames to measure again.
+    """A target that was followed: its areas and rectangle in frame `template`, track and model.
 
-    `rereadable` tells whether any frame can still be read.
+    `remeasure` tells whether frames are measured again with the model, `rereadable` whether any can still be read.
     """
 
     drawn: Areas
@@ -231,22 +231,17 @@ class Followed:
     template: int
     raw_track: RawTrack
     target_model: TargetModel
-    rows: NDArray[np.int64]
+    remeasure: bool = True
     rereadable: bool = True
 
 
 def measure_track(recording: Recording, film: Recording, followed: Followed, name: str, work: Work) -> Track:
     """Measure the frames of a target that was followed, and state the errors of its positions."""
-    drawn, target_model, template, rectangle = (
-        followed.drawn,
-        followed.target_model,
-        followed.template,
-        followed.rectangle,
-    )
-    raw_track = followed.raw_track
-    measured = raw_track if target_model.rotates else measure_all(film, raw_track, followed.rows, target_model, work)
-    result = _to_track(recording, measured, rectangle, name)
-    result = _with_systematic_error(result, target_model)
+    target_model, measured = followed.target_model, followed.raw_track
+    if not target_model.rotates:
+        rows = np.flatnonzero(measured.found & followed.remeasure)
+        measured = measure_all(film, measured, rows, target_model, work)
+    result = _with_systematic_error(_to_track(recording, measured, followed.rectangle, name), target_model)
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(
@@ -254,20 +249,19 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
         )
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
-            f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
+            f"{recording.path.name}: the target {list(followed.rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
-    result = _with_reference_sigma(result, template)
+    result = _with_reference_sigma(result, followed.template)
     line_notes = interlacing_note(film, result) if followed.rereadable else ()
-    notes = (*result.notes, *line_notes, *at_rest(result))
     return replace(
         result,
-        template=template,
+        template=followed.template,
         picture=target_model.template.image,
-        notes=notes,
-        outline=drawn.outline,
-        exclude=tuple(drawn.exclude),
-        obstacles=tuple(drawn.obstacles),
+        notes=(*result.notes, *line_notes, *at_rest(result)),
+        outline=followed.drawn.outline,
+        exclude=tuple(followed.drawn.exclude),
+        obstacles=tuple(followed.drawn.obstacles),
     )
 
 
