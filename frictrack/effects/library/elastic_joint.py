@@ -4,7 +4,7 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.memory import Complexes, follow_target, state_at_beginning
+from frictrack.effects.memory import Complexes, follow_target, state_at_beginning, time_steps
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, Span, frequency_range, oscillates
 from frictrack.records import Array
@@ -34,15 +34,11 @@ def swing(path: Path, frequency: float | Array, damping: float | Array) -> Array
     omega = 2 * np.pi * omega
     rate = ratio * omega - 1j * np.sqrt(1 - ratio**2) * omega  # -l
     starts = list(path.starts)
-    steps = rate * np.diff(path.t, prepend=path.t[:1])
-    steps[starts] = 0.0
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[starts] = True
     # where nothing is known before, the part was at rest at release, and the mass has kept its first velocity since
     unknown = -path.v[starts] * np.expm1(-rate[starts] * np.maximum(path.t[starts], 0.0))
     z, u = state_at_beginning(path, _stretch_and_velocity(unknown, rate[starts]), swing, frequency, damping).T
     begin = u + rate[starts].conj() * z
-    q = follow_target(path.v[:, None], (np.zeros_like(steps), steps), fresh, begin[:, None], starts)[:, 0]
+    q = follow_target(path, path.v[:, None], begin[:, None], rate * time_steps(path))[:, 0]
     return _stretch_and_velocity(q, rate)
 
 

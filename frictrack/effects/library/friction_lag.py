@@ -4,7 +4,7 @@ import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
-from frictrack.effects.memory import follow_target
+from frictrack.effects.memory import follow_target, time_steps
 from frictrack.effects.path import Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid, shorter_than_record
 from frictrack.records import Array
@@ -24,12 +24,8 @@ def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     starts = list(path.starts)
     rested = [i for i in starts if path.s[i] == 0]
     size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
-    late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
-    late[starts] = 0.0
-    fresh = np.zeros(len(late), dtype=bool)
-    fresh[starts] = True
     begin = size[starts] if path.begin is None else path.begin
-    return follow_target(size, (np.zeros_like(late), late), fresh, begin, starts)
+    return follow_target(path, size, begin, time_steps(path) / nonlinear["tau"])
 
 
 def lags(span: Span) -> Array:

@@ -48,7 +48,7 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     between = mean_per_step(1 / gamma, np.where(broken, 0.0, after), broken) / length
     target = (path.s * gamma)[:, None]
     begin = state_at_beginning(path, target[starts], _bending, length, *curve)
-    w = follow_target(target, (before * between, after * between), broken, begin, starts)
+    w = follow_target(path, target, begin, after * between, before * between)
     return w[:, 0], gamma
 
 

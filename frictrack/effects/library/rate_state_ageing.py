@@ -44,7 +44,7 @@ def contact_age(path: Path, length: float | Array, v_0: float | Array) -> Array:
     starts = list(path.starts)
     steady = v_0s[starts] / np.maximum(speed[starts], v_0s[starts])
     begin = state_at_beginning(path, steady[:, None], contact_age, length, v_0)[:, 0]
-    return follow_linear(np.exp(-step), gained, begin, starts)
+    return follow_linear(path, np.exp(-step), gained, begin)
 
 
 def describe(effect: EffectInStudy) -> str:

@@ -25,11 +25,8 @@ def state(path: Path, nonlinear: Nonlinear) -> Array:
 def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
     """State (n,). A path begins as the motion before it has left it, steady where nothing is known of it."""
     target = -np.log1p(path.speed / v_0)[:, None]
-    starts, slid = list(path.starts), np.sum(slid_per_step(path), axis=0) / length
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[starts] = True
-    begin = state_at_beginning(path, target[starts], _logarithm, length, v_0)
-    return follow_target(target, (np.zeros_like(slid), slid), fresh, begin, starts)[:, 0]
+    begin = state_at_beginning(path, target[list(path.starts)], _logarithm, length, v_0)
+    return follow_target(path, target, begin, np.sum(slid_per_step(path), axis=0) / length)[:, 0]
 
 
 equation = "L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))"
