@@ -13,7 +13,7 @@ from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
 from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
-from frictrack.tracking.correlation import Patch
+from frictrack.tracking.correlation import Patch, Rectangle
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
@@ -26,7 +26,7 @@ from frictrack.tracking.pose_tracker import (
     track_disc,
     track_rotating,
 )
-from frictrack.tracking.shared_target import adapt_known_target, match_near, place_known_target
+from frictrack.tracking.shared_target import MIN_SHARED_SCORE, adapt_known_target, match_near
 from frictrack.tracking.subpixel_fit import RawTrack
 from frictrack.tracking.template import TargetModel
 from frictrack.tracking.template_learning import template_from_frame
@@ -141,6 +141,12 @@ def track_in_parallel(
         return measure_track(recording, film, _follow(film, _areas(target), template, known, work), "target", work)
 
 
+def _rectangle_at(corner: Array, known: TargetModel) -> Rectangle:
+    """Rectangle of a known target whose upper left corner is at (2,) px."""
+    h, w = known.template.weight.shape
+    return round(float(corner[0])), round(float(corner[1])), w, h
+
+
 def _areas(target: Target | Areas) -> Areas:
     return target if isinstance(target, Areas) else Areas(target)
 
@@ -177,10 +183,10 @@ def track_same_target(
         return None  # a fixed pattern is that of one film
     with random_access(recording) as film:
         rectangle, template = resolve_target(film, target.target, template)
-        placed = place_known_target(film, rectangle, template, known)
-        if placed is None:
+        corner, score = match_near(film, rectangle, template, known.template)
+        if score < MIN_SHARED_SCORE:
             return None
-        work = Work(progress, pool)
+        placed, work = _rectangle_at(corner, known), Work(progress, pool)
         raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, work)
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
@@ -383,6 +389,5 @@ def track_frames(
             "there; draw it in a frame that shows it well"
         )
     raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
-    h, w = known.template.weight.shape
-    rectangle = (round(float(start[0])), round(float(start[1])), w, h)
-    return measure_track(part, part, Followed(Areas(), rectangle, at, raw_track, known), "target", Work())
+    followed = Followed(Areas(), _rectangle_at(start, known), at, raw_track, known)
+    return measure_track(part, part, followed, "target", Work())

@@ -14,7 +14,7 @@ from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.measure import measure_frames, model_images, sigma_inflation, systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
-from frictrack.tracking.template import FixedPattern, PatternSums, TargetModel, Template, fit_fixed_pattern
+from frictrack.tracking.template import FixedPattern, TargetModel, Template, fit_fixed_pattern, pattern_sums
 from frictrack.tracking.template_learning import (
     WIDE_RIM_PX,
     SmoothPath,
@@ -78,7 +78,8 @@ class _Round:
     @property
     def usable(self) -> Mask:
         """Frames (n,) from which the template can be learnt."""
-        return _usable_frames(self.fit, self.template)
+        typical_misfit = max(float(np.median(self.fit.misfit)), self.template.min_misfit)
+        return self.fit.converged & (self.fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
 
 
 def learn_target_model(
@@ -112,7 +113,8 @@ def learn_target_model(
     found = _Round(
         template, *measure_frames(cut_outs.cuts, cut_outs.corner, fit, TargetModel(without_border(template), pattern))
     )
-    path = _first_smooth_path(raw_track, rows)
+    frames = np.flatnonzero(raw_track.found)
+    path = smooth_path(frames, raw_track.position[frames], rows)
     for k in range(MAX_ROUNDS):
         if np.count_nonzero(found.usable) < MIN_USABLE_FRAMES:
             break
@@ -227,17 +229,13 @@ def _final_model(cut_outs: _CutOuts, found: _Round, pattern: FixedPattern | None
     fit, template, share = found.fit, found.template, found.share
     if not _border_slopes_known(cut_outs, found):
         template = without_border(template, WIDE_RIM_PX)
-    target_model = TargetModel(template, pattern, float(np.median(fit.misfit)))
     usable = np.flatnonzero(found.usable)
     cleaned = _remove_pattern(cut_outs.cuts[usable], cut_outs.corner[usable], fit[usable], pattern)
     keep = None if share is None else share[usable]
     subset = slice(None, None, max(1, len(usable) // RESIDUAL_FRAMES))
     factor = sigma_inflation(cleaned[subset], fit[usable[subset]], template, None if keep is None else keep[subset])
-    return replace(
-        target_model,
-        sigma_inflation=factor,
-        systematic_covariance=systematic_covariance(cleaned, fit[usable], template, keep),
-    )
+    systematic = systematic_covariance(cleaned, fit[usable], template, keep)
+    return TargetModel(template, pattern, float(np.median(fit.misfit)), factor, systematic)
 
 
 def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
@@ -253,18 +251,6 @@ def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
     noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
     slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]
     return bool(np.any(moved * slopes * MAX_BORDER_SLOPE_ERROR**2 > noise))
-
-
-def _first_smooth_path(raw_track: RawTrack, rows: NDArray[np.int64]) -> SmoothPath:
-    """Smooth path of the first track in these frames."""
-    frames = np.flatnonzero(raw_track.found)
-    return smooth_path(frames, raw_track.position[frames], rows)
-
-
-def _usable_frames(fit: SubpixelFit, template: Template) -> Mask:
-    """Frames that show the target and nothing else."""
-    typical_misfit = max(float(np.median(fit.misfit)), template.min_misfit)
-    return fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
 
 
 def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
@@ -289,7 +275,7 @@ def _remove_pattern(cuts: Patch, corner: NDArray[np.int64], fit: SubpixelFit, pa
 
 def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> FixedPattern | None:
     """Estimate the fixed pattern of the picture from the residuals of the frames."""
-    sums, usable, template = PatternSums(film.shape), found.usable, found.template
+    usable, template = found.usable, found.template
     cuts, corner, fit = cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable]
     gain = fit.gain.astype(np.float32)[:, None]
     offset = (fit.offset - template.level).astype(np.float32)[:, None]
@@ -299,7 +285,7 @@ def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> Fix
     typical_misfit = float(np.median(template.weight[template.weight > 0]))
     # Differences at the target's edge come from the scene behind it and not from an obstacle.
     inside = np.asarray(template.weight > 0.5 * typical_misfit, dtype=np.float64)
-    sums.add(corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
+    sums = pattern_sums(film.shape, corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
     return fit_fixed_pattern(sums, 1 / typical_misfit)
 
 

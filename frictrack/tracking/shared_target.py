@@ -17,13 +17,13 @@ import numpy as np
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Track
-from frictrack.tracking.correlation import Rectangle, best_match, nearest_corner
+from frictrack.tracking.correlation import best_match, nearest_corner
 from frictrack.tracking.measure import residual_images, sigma_inflation, systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, refine_positions, template_products
 from frictrack.tracking.template import TargetModel, Template
 from frictrack.tracking.template_learning import template_from_frame, without_border
 
-MIN_SCORE = 0.9  # of the known target's picture in the other film
+MIN_SHARED_SCORE = 0.9  # of the known target's picture in the other film
 SEARCH_SHARE = 0.5  # of the target's sides, around the place where a moving body was found
 MIN_FRAMES = 24  # whose mean residual is compared
 MAX_FRAMES = 96  # more show no smaller difference
@@ -31,33 +31,6 @@ MAX_FRAMES = 96  # more show no smaller difference
 # to the slopes, moves them by the root of it: 0.14 standard deviations of a frame, about as much as the systematic
 # error that every position is given. The noise of a template learnt from n frames alone makes 1/n of it.
 MAX_DIFFERENCE = 0.02
-
-
-def place_known_target(film: Recording, rectangle: Rectangle, frame: int, known: TargetModel) -> Rectangle | None:
-    """Place the rectangle of a known target on the body that was found in another film.
-
-    Parameters
-    ----------
-    film : Recording
-        The other film.
-    rectangle : tuple of int
-        x, y, w, h of the body that was found, px.
-    frame : int
-        Number of the frame to which the rectangle refers.
-    known : TargetModel
-        Model learnt from the first film.
-
-    Returns
-    -------
-    tuple of int or None
-        x, y, w, h of the known target, px; None where its picture does not match.
-
-    """
-    corner, score = match_near(film, rectangle, frame, known.template)
-    if score < MIN_SCORE:
-        return None
-    h, w = known.template.weight.shape
-    return round(float(corner[0])), round(float(corner[1])), w, h
 
 
 def match_near(

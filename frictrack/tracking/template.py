@@ -101,48 +101,42 @@ def _cut(picture: Patch, corner: NDArray[np.int64], size: tuple[int, ...]) -> Pa
     return np.stack([picture[y : y + h, x : x + w] for x, y in corner])
 
 
-class PatternSums:
-    """Sums over frames for every pixel of the picture: n, M, d, M^2, d M, d^2."""
+def pattern_sums(
+    shape: tuple[int, int], corner: NDArray[np.int64], model: Patch, difference: Patch, inside: Array
+) -> Array:
+    """Sum over frames for every pixel of the picture: n, M, d, M^2, d M, d^2.
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._total = np.zeros((6, *shape), np.float32)
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width of the picture, px.
+    corner : array of int (n, 2)
+        Corners of the cut-outs, px.
+    model, difference : array (n, h, w)
+        What the frames should show and how they differ from it, at the same light, DN.
+    inside : array (h, w)
+        1 for pixels that show the target, 0 for others.
 
-    def add(self, corner: NDArray[np.int64], model: Patch, difference: Patch, inside: Array) -> None:
-        """Add frames.
+    Returns
+    -------
+    array (6, H, W)
+        The sums.
 
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        model, difference : array (n, h, w)
-            What the frames should show and how they differ from it, at the same light, DN.
-        inside : array (h, w)
-            1 for pixels that show the target, 0 for others.
-
-        """
-        h, w = model.shape[1:]
-        parts = np.empty((6, h, w), np.float32)
-        parts[0] = inside
-        for (x, y), m, d in zip(corner.tolist(), model * parts[0], difference * parts[0], strict=True):
-            parts[1], parts[2] = m, d
-            np.multiply(m, m, out=parts[3])
-            np.multiply(d, m, out=parts[4])
-            np.multiply(d, d, out=parts[5])
-            self._total[:, y : y + h, x : x + w] += parts
-
-    @property
-    def totals(self) -> Array:
-        """The six sums (6, H, W)."""
-        return self._total.astype(np.float64)
+    """
+    h, w = model.shape[1:]
+    total, shown = np.zeros((6, *shape), np.float32), inside.astype(np.float32)
+    for (x, y), m, d in zip(corner.tolist(), model * shown, difference * shown, strict=True):
+        total[:, y : y + h, x : x + w] += (shown, m, d, m * m, d * m, d * d)
+    return total.astype(np.float64)
 
 
-def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
+def fit_fixed_pattern(sums: Array, noise: float) -> FixedPattern | None:
     """Fit the fixed pattern to sums over frames.
 
     Parameters
     ----------
-    sums : PatternSums
-        Sums over all frames.
+    sums : array (6, H, W)
+        Sums over all frames (`pattern_sums`).
     noise : float
         Variance of a pixel, DN^2.
 
@@ -152,7 +146,7 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
         None where nothing significant stands still.
 
     """
-    n, m, d, mm, dm, dd = sums.totals
+    n, m, d, mm, dm, dd = sums
     covered, n = n >= MIN_FRAMES, np.maximum(n, 1)
     if not covered.any():
         return None
@@ -165,9 +159,8 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
     residual = np.maximum(dd / n - level**2 - slope**2 * scatter, 0.0)
     # A moving object, such as a hand, scatters more about the line than noise and is no fixed pattern.
     covered &= residual * n < MAX_RESIDUAL_RATIO * noise * np.maximum(n - 2, 1)  # the line has taken two of the n terms
-    if not covered.any() or not _is_significant(
-        level[covered], (slope**2 * scatter)[covered], noise / n[covered], n[covered]
-    ):
+    seen = (q[covered] for q in (level, slope**2 * scatter, noise / n, n))
+    if not covered.any() or not _is_significant(*seen):
         return None
     level = _shrink(level, noise / n, covered)
     slope = 1 + _shrink(slope, noise / (n * scatter), covered)

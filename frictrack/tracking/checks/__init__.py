@@ -102,8 +102,6 @@ class PeakLocking:
         Frequency at the typical speed, as sampled by the camera, Hz.
     acceleration : float
         Apparent acceleration A (2 pi f)^2, px/s^2.
-    curve : tuple of float
-        Coefficients of cosine and sine of one and two cycles per pixel, px.
 
     """
 
@@ -112,23 +110,6 @@ class PeakLocking:
     p: float
     frequency: float
     acceleration: float
-    curve: tuple[float, ...]
-
-    def at(self, x: Array) -> Array:
-        """Evaluate the error at positions.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Positions, px.
-
-        Returns
-        -------
-        array (n,)
-            Error, px.
-
-        """
-        return np.asarray(_pixel_harmonics(x) @ np.array(self.curve))
 
 
 def peak_locking(track: Track) -> PeakLocking | None:
@@ -167,19 +148,14 @@ def peak_locking(track: Track) -> PeakLocking | None:
     noise = float(np.sum((value - design @ curve) ** 2)) / dof
     covariance = inverse * noise
     strength = float(curve @ np.linalg.solve(covariance, curve))
-    phase = np.linspace(0, 1, 200)
-    shape = _pixel_harmonics(phase) @ curve
-    error = float(
-        np.sqrt(np.mean(np.einsum("ij,jk,ik->i", _pixel_harmonics(phase), covariance, _pixel_harmonics(phase))))
-    )
+    pixel = _pixel_harmonics(np.linspace(0, 1, 200))
+    error = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", pixel, covariance, pixel))))
     speed = float(np.median(np.abs(np.concatenate([np.gradient(x[part], t[part]) for part in parts]))))
     rate = 1 / float(np.median(np.diff(t)))
     frequency = abs(speed - rate * round(speed / rate))
-    amplitude = float(np.ptp(shape)) / 2
+    amplitude = float(np.ptp(pixel @ curve)) / 2
     acceleration = amplitude * (2 * np.pi * frequency) ** 2
-    return PeakLocking(
-        amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration, tuple(curve.tolist())
-    )
+    return PeakLocking(amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration)
 
 
 def _pixel_harmonics(x: Array) -> Array:
