@@ -18,13 +18,12 @@ from frictrack.effects.definition import (
     carries_over,
     scales_with_load,
 )
-from frictrack.effects.formula import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, formula
 from frictrack.effects.memory import direction_of_motion
 from frictrack.effects.path import Nonlinear, Path, joined_earlier
 from frictrack.effects.ranges import Span, Within, frequencies, spatial_periods
 from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, laws_in_place_of, order
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
-from frictrack.effects.user import effect
+from frictrack.effects.user import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, effect, formula
 
 __all__ = [
     "ACCELEROMETER_CHECK",

@@ -16,8 +16,8 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.formula import formula
 from frictrack.effects.registry import get, is_library
+from frictrack.effects.user import formula
 
 TIE = re.compile(
     r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
