@@ -479,19 +479,23 @@ def smooth_path(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64])
         Path in the wanted frames.
 
     """
-    rows = np.searchsorted(frames, wanted)
-    each = [_smooth_axis(frames, at[:, axis], rows) for axis in range(2)]
-    return SmoothPath(wanted, np.stack(each, axis=1))
+    rows, path = np.searchsorted(frames, wanted), np.full((len(wanted), 2), np.nan)
+    for axis in range(2):
+        series, smooth, deviations = _deviations(frames, at[:, axis], rows)
+        if len(deviations) <= deviations.shape[1] or _is_noise_only(deviations, series[:, 0]):
+            path[:, axis] = smooth
+    return SmoothPath(wanted, path)
 
 
-def _smooth_axis(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> Array:
-    """Smooth positions (n,) in some rows (m,); NaN where more than noise and pixel harmonics remains."""
+def _deviations(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Positions (n,) with their pixel harmonics (n, 5), their smooth path in some rows (m,), and what differs from it.
+
+    The deviations of positions and harmonics (k, 5) are those of the rows in which there is a path.
+    """
     series = np.column_stack([at, _pixel_harmonics(at)])
     path = _parabolas(frames, at, series, rows)
-    deviations = series[rows] - path
-    deviations = deviations[np.isfinite(deviations[:, 0])]
-    is_shaken = len(deviations) > deviations.shape[1] and not _is_noise_only(_without_harmonics(deviations), at)
-    return np.full(len(rows), np.nan) if is_shaken else path[:, 0]
+    known = np.isfinite(path[:, 0])
+    return series, path[:, 0], (series[rows] - path)[known]
 
 
 def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
@@ -519,43 +523,35 @@ def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array
     rows = np.arange(0, len(frames), -(-len(frames) // MAX_SAMPLED_FRAMES))
     locking_error, amplitude = np.zeros_like(at), np.zeros(2)
     for axis in range(2):
-        series = np.column_stack([at[:, axis], _pixel_harmonics(at[:, axis])])
-        deviations = series[rows] - _parabolas(frames, at[:, axis], series, rows)
-        deviations = deviations[np.isfinite(deviations[:, 0])]
+        series, _, deviations = _deviations(frames, at[:, axis], rows)
         is_determined = (
             len(deviations) >= max(MIN_FRAMES, MIN_SMOOTH_SHARE * len(rows))
             and np.linalg.cond(deviations[:, 1:]) < MAX_CONDITION
         )
-        if is_determined and _is_noise_only(_without_harmonics(deviations), at[:, axis]):
+        if is_determined and _is_noise_only(deviations, at[:, axis]):
             coefficients = _shrunk_fit(deviations[:, 1:], deviations[:, 0])
             locking_error[:, axis], amplitude[axis] = series[:, 1:] @ coefficients, np.hypot(*coefficients[:2])
     return locking_error, amplitude
 
 
-def _without_harmonics(deviations: Array) -> Array:
-    """Deviations (n,) without the part that the harmonics, in the further columns, explain."""
-    return np.asarray(
-        deviations[:, 0] - deviations[:, 1:] @ np.linalg.lstsq(deviations[:, 1:], deviations[:, 0], rcond=None)[0]
-    )
+def _is_noise_only(deviations: Array, at: Array) -> bool:
+    """Whether hardly more than the noise of the positions (n,) remains about a path: no shake of target or camera.
 
-
-def _is_noise_only(residuals: Array, at: Array) -> bool:
-    """Whether hardly more than the noise of the positions (n,) remains about a path: no shake of target or camera."""
-    noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (
-        0.6745 * np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
-    )
+    The part of the deviations that the harmonics, in the further columns, explain does not count.
+    """
+    harmonics = deviations[:, 1:]
+    residuals = deviations[:, 0] - harmonics @ np.linalg.lstsq(harmonics, deviations[:, 0], rcond=None)[0]
+    binomial = np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
+    noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (0.6745 * binomial)
     return bool(np.std(residuals) < MAX_ROUGHNESS_RATIO * max(noise, MIN_NOISE_PX))
 
 
 def _shrunk_fit(harmonics: Array, deviations: Array) -> Array:
     """Coefficients (k,) of deviations (n,) on harmonics (n, k), shrunk by the probability that all is noise."""
     coefficients = np.linalg.lstsq(harmonics, deviations, rcond=None)[0]
-    is_determined = harmonics @ coefficients
-    strength = (
-        float(is_determined @ is_determined)
-        * (len(deviations) - len(coefficients))
-        / max(float(np.sum((deviations - is_determined) ** 2)), 1e-300)
-    )
+    explained = harmonics @ coefficients
+    left = max(float(np.sum((deviations - explained) ** 2)), 1e-300)
+    strength = float(explained @ explained) * (len(deviations) - len(coefficients)) / left
     return np.asarray(coefficients * max(1 - len(coefficients) / max(strength, 1e-300), 0.0))
 
 

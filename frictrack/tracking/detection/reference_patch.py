@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from frictrack.base.distributions import MEDIAN_TO_SIGMA
 from frictrack.recording import Recording
@@ -52,17 +51,16 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
     margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
     excluded[:margin], excluded[-margin:], excluded[:, :margin], excluded[:, -margin:] = True, True, True, True
     foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])
-    return _choose_patch(_patch_sigmas(still, noise, excluded), foot)
+    return _choose_patch(_patch_sigmas(still, noise, excluded), max(int(np.ceil(foot)), 0))
 
 
 def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
     """Static picture at full size, noise of a frame (h, w), and where anything ever moved."""
     rows = np.unique(np.linspace(0, len(scene.frames) - 1, N_FRAMES).astype(int))
     shape = (scene.frames[0].shape[0], scene.frames[0].shape[1])
+    frames = [scene.frames[k].astype(np.float32) for k in rows]
     if scene.shake.any():
         frames = [read_subpixel(scene.frames[k], scene.shake[k] * scene.factor, shape) for k in rows]
-    else:
-        frames = [scene.frames[k].astype(np.float32) for k in rows]
     still = np.median(np.stack(frames), axis=0).astype(np.float32)
     away = np.abs(np.stack([frame - light_ratio(frame, still) * still for frame in frames]))
     # Bright parts are noisier than dark ones, and saturated pixels have no noise.
@@ -91,11 +89,11 @@ def _covered_by_target(track: Track, shape: tuple[int, int]) -> Mask:
     return np.asarray(np.cumsum(np.cumsum(corners, axis=0), axis=1)[:-1, :-1] > 0)
 
 
-def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[float, Rectangle, Array]]:
+def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> dict[tuple[int, int], Array]:
     """For each patch size the Cramer-Rao bound on the worse axis at every corner, px; inf where excluded."""
     smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
     gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(smooth))
-    found = []
+    found = {}
     for h, w in PATCH_SIZES_PX:
         if h + 4 > still.shape[0] or w + 4 > still.shape[1]:
             continue
@@ -103,8 +101,7 @@ def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> list[tuple[
         weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
         # The gradient of the noise that remains in the median is no texture.
         weakest -= 0.1 * h * w
-        sigma = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
-        found.append((float(sigma.min()), (0, 0, w, h), sigma))
+        found[h, w] = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
     return found
 
 
@@ -115,21 +112,21 @@ def _box_sums(values: Array, size: tuple[int, int]) -> Array:
     return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w])
 
 
-def _choose_patch(found: list[tuple[float, Rectangle, Array]], foot: float) -> Rectangle | None:
+def _choose_patch(found: dict[tuple[int, int], Array], foot: int) -> Rectangle | None:
     """Patch with the smallest standard deviation; one below row `foot` if it is nearly as good."""
-    best = min((sigma for sigma, _, _ in found), default=np.inf)
+    best, anywhere = _best_patch(found, 0)
     if best > MAX_SIGMA_PX:
         return None
-    row = max(int(np.ceil(foot)), 0)
-    below = [(float(s[row:].min()), _corner_of_minimum(s[row:], row), size) for _, size, s in found if s[row:].size]
-    anywhere = [(sigma, _corner_of_minimum(s, 0), size) for sigma, size, s in found]
-    sigma, corner, size = min(below, default=(np.inf, (0, 0), (0, 0, 0, 0)), key=lambda p: p[0])
-    if sigma > min(MAX_SIGMA_RATIO * best, MAX_SIGMA_PX):
-        _, corner, size = min(anywhere, key=lambda p: p[0])
-    return (*corner, *size[2:])
+    sigma, below = _best_patch(found, foot)
+    return below if sigma <= min(MAX_SIGMA_RATIO * best, MAX_SIGMA_PX) else anywhere
 
 
-def _corner_of_minimum(sigma: NDArray[np.float64], row: int) -> tuple[int, int]:
-    """Corner (x, y) of the smallest value."""
-    y, x = np.unravel_index(int(np.argmin(sigma)), sigma.shape)
-    return int(x), int(y) + row
+def _best_patch(found: dict[tuple[int, int], Array], first_row: int) -> tuple[float, Rectangle]:
+    """Smallest standard deviation of the patches from a row on, and that patch; infinite without any."""
+    best, patch = np.inf, (0, 0, 0, 0)
+    for (h, w), sigma in found.items():
+        part = sigma[first_row:]
+        if part.size and part.min() < best:
+            y, x = np.unravel_index(int(np.argmin(part)), part.shape)
+            best, patch = float(part.min()), (int(x), int(y) + first_row, w, h)
+    return best, patch
