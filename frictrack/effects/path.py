@@ -12,6 +12,15 @@ import numpy as np
 from frictrack.records import GRAVITY, Array, EarlierRuns
 
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
+# What an effect may need to know of a run, in words: what it is, and how it is given.
+NEEDS = {
+    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
+    "drive": ("a measured drive", 'give drive = "drive.csv"'),
+    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
+    "angle": ("the angle of the target", "give a film: a table has no angle"),
+    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
+}
 
 
 @dataclass(frozen=True)
@@ -84,17 +93,6 @@ def joined_earlier(paths: Sequence[Path]) -> tuple[EarlierRuns, ...] | None:
     """The runs before each stretch of paths that are laid end to end; None where those of one are not known."""
     each = [path.earlier for path in paths if path.earlier is not None]
     return tuple(own for earlier in each for own in earlier) if len(each) == len(paths) else None
-
-
-# What an effect may need to know of a run, in words: what it is, and how it is given.
-NEEDS = {
-    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
-    "drive": ("a measured drive", 'give drive = "drive.csv"'),
-    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
-    "angle": ("the angle of the target", "give a film: a table has no angle"),
-    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
-    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
-}
 
 
 @dataclass(frozen=True)

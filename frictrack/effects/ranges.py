@@ -17,6 +17,15 @@ import numpy as np
 from frictrack.records import Array, EarlierRuns
 
 USUAL_TOP_SPEED = 6.0  # m/s; where runs are faster, or a scale is wrong, the range of Stribeck velocities grows along
+MIN_SCAN_VALUES = 9  # of a scan between bounds
+MIN_PERIODS = 1.5  # of an oscillation in a record: fewer cannot be told from a trend (Bretthorst 1988, section 2)
+MIN_RINGING = 0.5  # periods within one decay time: a faster decay is a pulse
+MAX_DEPTH = 1.0  # of a modulation: beyond it a contact would pull
+MAX_PICTURE_SHARE = 0.03  # of the travelled span: lens, shake; barrel distortion of ordinary lenses is below 3 %
+MAX_LOCKING_PX = 0.25  # published peak-locking amplitudes are below 0.25 px (Raffel et al. 2018, section 6.1)
+MAX_CLOCK_DRIFT = 0.01  # of the time: crystal clocks are a hundred times better
+MAX_CLOCK_FACTOR = 2.0  # of one run's times: frame rates are set in such steps, other units in larger ones
+WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole number
 
 
 @dataclass(frozen=True)
@@ -43,9 +52,6 @@ class ScanValues:
     def __call__(self, span: Span) -> Array:
         """Values worth trying."""
         return np.array(self.values)
-
-
-MIN_SCAN_VALUES = 9  # of a scan between bounds
 
 
 @dataclass(frozen=True)
@@ -112,15 +118,6 @@ def breakaway_lengths(span: Span) -> Array:
 
 
 Check = Callable[[Mapping[str, float], Span], str]  # (values by parameter, Span) -> objection or ""
-
-MIN_PERIODS = 1.5  # of an oscillation in a record: fewer cannot be told from a trend (Bretthorst 1988, section 2)
-MIN_RINGING = 0.5  # periods within one decay time: a faster decay is a pulse
-MAX_DEPTH = 1.0  # of a modulation: beyond it a contact would pull
-MAX_PICTURE_SHARE = 0.03  # of the travelled span: lens, shake; barrel distortion of ordinary lenses is below 3 %
-MAX_LOCKING_PX = 0.25  # published peak-locking amplitudes are below 0.25 px (Raffel et al. 2018, section 6.1)
-MAX_CLOCK_DRIFT = 0.01  # of the time: crystal clocks are a hundred times better
-MAX_CLOCK_FACTOR = 2.0  # of one run's times: frame rates are set in such steps, other units in larger ones
-WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole number
 
 
 def all_of(*checks: Check) -> Check:

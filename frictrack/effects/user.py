@@ -61,6 +61,9 @@ NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 LONGEST, DEEPEST, MOST_PARAMETERS = 500, 60, 10
 FORMS = 3000  # tried in a scan over all non-linear parameters together
 WHERE = '[[effect]] "{}": '
+OPEN = (-np.inf, np.inf)
+ZERO = -1
+N_SCAN_VALUES = 41
 
 
 def formula(
@@ -102,9 +105,6 @@ def formula(
         source="the study file",
         formula=text,
     )
-
-
-OPEN = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,6 @@ def _check(
 
 
 Degree = int | None  # power in which some names multiply a term; ZERO where it vanishes with them, None where neither
-ZERO = -1
 
 
 def _linear(tree: ast.expr, parameters: Sequence[str]) -> list[str]:
@@ -336,7 +335,6 @@ class Places:
 
 
 Declared = str | tuple[str, float, float] | Parameter  # unit; unit and bounds; or everything
-N_SCAN_VALUES = 41
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,11 @@ MAX_LOST_FRAMES = 128  # after which the target may be anywhere
 MAX_OCCLUDED_FRAMES = 16  # after which the prediction is no longer used
 MAX_MISFIT_RATIO = 4.0  # misfit over the typical one, for the visible part of a partly hidden target
 PREDICTOR_FRAMES = 24  # last finds from which the next are predicted
+SEGMENT_FRAMES = 1000  # a search of one picture costs as much as following a few dozen frames
+OVERLAP_FRAMES = 8  # that two segments have in common
+# Of two segments about the same frame. A first template errs by a quarter of a pixel where edges are sharp; another
+# object, or the next period of a pattern, is farther away.
+MAX_DISAGREEMENT_PX = 1.0
 
 
 @dataclass
@@ -374,13 +379,6 @@ def _visible_share(share: Patch, template: Template) -> Array:
     """Share (n,) of the target's pixels that no obstacle covers."""
     counts = template.weight > 0
     return np.asarray(share[:, counts].mean(axis=1))
-
-
-SEGMENT_FRAMES = 1000  # a search of one picture costs as much as following a few dozen frames
-OVERLAP_FRAMES = 8  # that two segments have in common
-# Of two segments about the same frame. A first template errs by a quarter of a pixel where edges are sharp; another
-# object, or the next period of a pattern, is farther away.
-MAX_DISAGREEMENT_PX = 1.0
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,20 @@ MAX_ROUNDS = 64  # of predicting from the frames of the round before
 MAX_UNEXPLAINED_SHARE = 0.03  # of the picture's variance beyond the noise; more shows another object
 MAX_PREDICTION_SIGMAS = 4.0  # standard deviations between position and prediction
 OCCLUDED = "too much of the target is hidden"
+CHUNK_FRAMES = 256  # measured at once
+MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
+MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
+# Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
+# that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
+# of noise.
+SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
+MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
+UNKNOWN_ANGLE_SIGMA = np.pi / np.sqrt(3)  # rad, of any angle in a turn
+ROTATION_UNSEEN = (
+    "the target is round and shows no marks that can be followed: whether and how far it turns is not seen; "
+    "a rolling body needs a mark for that"
+)
+MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> None:
@@ -131,11 +145,6 @@ def _predict_from_neighbours(
     return places, nearest
 
 
-CHUNK_FRAMES = 256  # measured at once
-MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
-MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
-
-
 def measure_all(
     film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], target_model: TargetModel, work: Work
 ) -> RawTrack:
@@ -204,19 +213,6 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
     poor = [f"match score {score:.2f} below {min_score:.2f}" for score in fit.score]
     cases = [(out, LEAVES), (~(fit.score >= min_score), poor), (~fit.converged, NOT_CONVERGED)]
     return list(np.select([case for case, _ in cases], [np.asarray(words) for _, words in cases], ""))
-
-
-# Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
-# that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
-# of noise.
-SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
-MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
-UNKNOWN_ANGLE_SIGMA = np.pi / np.sqrt(3)  # rad, of any angle in a turn
-ROTATION_UNSEEN = (
-    "the target is round and shows no marks that can be followed: whether and how far it turns is not seen; "
-    "a rolling body needs a mark for that"
-)
-MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,13 @@ BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit, above which mor
 BORDERLESS_SHARE = 0.5  # of the remaining share, without borders
 MIN_OUTLIER_SHARE = 0.02  # of the pixels; fewer outliers are noise and have no border
 NEIGHBOUR_SHARES = 0.5, 0.8  # share of fitting neighbours below which a pixel has no weight, and below which less
+BLOCK_SIDES_PX = (4, 8, 16)  # px
+MIN_BLOCKS = 8  # whose scatter is an estimate
+N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
+PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
+MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
+MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
+MIN_SIGNIFICANCE = 4.0  # standard errors above one
 
 
 def measure_frames(
@@ -297,14 +304,6 @@ def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
 
 
 Rows = NDArray[np.intp]
-
-BLOCK_SIDES_PX = (4, 8, 16)  # px
-MIN_BLOCKS = 8  # whose scatter is an estimate
-N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
-PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
-MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
-MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
-MIN_SIGNIFICANCE = 4.0  # standard errors above one
 
 
 def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:

@@ -31,6 +31,28 @@ SEARCH_RADIUS_PX = 24  # round the prediction
 GOOD_SCORE_SHARE = 0.8  # of the typical score; such a match near the prediction ends the search
 # Pictures are reduced for searching to this shorter side of the target and this number of pixels in a frame, px.
 SEARCH_TARGET_PX, SEARCH_FRAME_PX = 20, 400_000
+SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
+MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
+MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
+N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
+CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
+CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
+MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
+# What changes when a disc is rotated is a mark: in a blurred picture, within this share of the radius, by this many
+# standard deviations of noise and this share of the contrast to the surroundings.
+N_ANGLES = 256  # of a disc that are compared
+MARK_BLUR, MARKED_RADIUS, MIN_MARK_SIGMAS, MIN_MARK_SHARE = 1.0, 0.7, 1.3, 0.04
+NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
+MAX_TRUSTED_GAP = 3  # frames from the last find, over which a prediction is trusted
+MIN_VISIBLE_SHARE = 0.8  # of the target's rectangle that must lie in the picture
+MAX_LOST_FRAMES = 8  # after which the whole picture is searched in every eighth frame only
+# smallest and largest number of frames from which the template is learnt
+MIN_LEARNING_FRAMES, MAX_LEARNING_FRAMES = 24, 60
+SINGLE_FRAME_BAND = 0.25  # cycles/px; a single frame does not determine shorter waves
+ROUNDS = 3  # of learning the template and measuring these frames again
+# The typical misfit is this quantile over so many frames: many of them may be partly hidden.
+N_MISFIT_FRAMES, MISFIT_QUANTILE = 24, 0.1
 
 
 def search_pose(
@@ -126,21 +148,6 @@ def _rotated_patch(rotatable: RotatableTemplate, angle: float, scale: float) -> 
         values = rotatable.read(at)[0]
     values = np.where(shown, values, 0.0).reshape(h, w)
     return values.astype(np.float32), shown.reshape(h, w).astype(np.float32)
-
-
-SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
-MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
-MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
-N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
-CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
-CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
-MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
-# What changes when a disc is rotated is a mark: in a blurred picture, within this share of the radius, by this many
-# standard deviations of noise and this share of the contrast to the surroundings.
-N_ANGLES = 256  # of a disc that are compared
-MARK_BLUR, MARKED_RADIUS, MIN_MARK_SIGMAS, MIN_MARK_SHARE = 1.0, 0.7, 1.3, 0.04
-NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
 
 
 def is_disc(mask: Mask) -> bool:
@@ -269,16 +276,6 @@ def _has_rotated(
 
 
 Progress = Callable[[int, int, str], None]
-
-MAX_TRUSTED_GAP = 3  # frames from the last find, over which a prediction is trusted
-MIN_VISIBLE_SHARE = 0.8  # of the target's rectangle that must lie in the picture
-MAX_LOST_FRAMES = 8  # after which the whole picture is searched in every eighth frame only
-# smallest and largest number of frames from which the template is learnt
-MIN_LEARNING_FRAMES, MAX_LEARNING_FRAMES = 24, 60
-SINGLE_FRAME_BAND = 0.25  # cycles/px; a single frame does not determine shorter waves
-ROUNDS = 3  # of learning the template and measuring these frames again
-# The typical misfit is this quantile over so many frames: many of them may be partly hidden.
-N_MISFIT_FRAMES, MISFIT_QUANTILE = 24, 0.1
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,21 @@ BLACK = "#000000"
 
 Rectangle = tuple[float, float, float, float]  # left, top, width, height
 Point = tuple[float, float]
+N_FRAMES = 5  # and one panel for the target itself
+WIDTH_PX, MIN_HEIGHT_PX, MAX_HEIGHT_PX = 1280, 400, 1280
+# Around the panels, px: headline above, tick labels at the left, the line for the study file below.
+TOP_PX, LEFT_PX, RIGHT_PX, BOTTOM_PX = 72, 45, 13, 80
+COLUMN_GAP_PX, ROW_GAP_PX = 58, 48
+TITLE_PX, LABEL_PX, LINE_PX, NAME_PX = 16, 13, 20, 12  # sizes of the texts
+CHARACTER_WIDTH = 0.602  # of the fixed-width font over its size
+TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
+OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
+MAX_FRAMES = 400  # written, so that the file stays small
+PLAYBACK_FPS = 30.0  # 1/s
+CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
+MIN_WIDTH_PX = 640  # smaller pictures are enlarged
+TEXT_BAR_PX = 22  # below the picture, for each track
+COLOURS = (TARGET_COLOUR, PATH_COLOUR, *OTHER_COLOURS[:2])  # of the tracks
 
 
 class Canvas:
@@ -191,17 +206,6 @@ def _font_folder() -> Path:
 
         folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     return folder
-
-
-N_FRAMES = 5  # and one panel for the target itself
-WIDTH_PX, MIN_HEIGHT_PX, MAX_HEIGHT_PX = 1280, 400, 1280
-# Around the panels, px: headline above, tick labels at the left, the line for the study file below.
-TOP_PX, LEFT_PX, RIGHT_PX, BOTTOM_PX = 72, 45, 13, 80
-COLUMN_GAP_PX, ROW_GAP_PX = 58, 48
-TITLE_PX, LABEL_PX, LINE_PX, NAME_PX = 16, 13, 20, 12  # sizes of the texts
-CHARACTER_WIDTH = 0.602  # of the fixed-width font over its size
-TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
-OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
 
 def target_line(track: Track) -> str:
@@ -381,14 +385,6 @@ def _grey(picture: Frame, limits: tuple[float, float]) -> NDArray[np.uint8]:
     """Grey values from 0 to 255."""
     low, high = limits
     return np.clip((picture.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-
-
-MAX_FRAMES = 400  # written, so that the file stays small
-PLAYBACK_FPS = 30.0  # 1/s
-CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
-MIN_WIDTH_PX = 640  # smaller pictures are enlarged
-TEXT_BAR_PX = 22  # below the picture, for each track
-COLOURS = (TARGET_COLOUR, PATH_COLOUR, *OTHER_COLOURS[:2])  # of the tracks
 
 
 def overlay_video(

@@ -29,6 +29,11 @@ STEP_TOLERANCE_PX = 2e-3  # the next step of Gauss-Newton would be a few percent
 N_UNKNOWNS = 5  # gain, offset, x, y, angle
 MIN_GAIN = 1e-3  # a target with less is not visible
 _RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, which its score shows
+# Reasons for which a frame has no position; the user reads them.
+UNREAD = "frame cannot be read"
+FLAT = "picture without contrast"
+LEAVES = "target leaves the frame"
+NOT_CONVERGED = "sub-pixel fit did not converge"
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,13 +303,6 @@ def _equations(data: TemplateProducts, at: Array, template: Template) -> NormalE
 def _rotation_offset(angle: Array, at: Array) -> Array:
     """How far the rotation about the centre of the cut-out moves the centre of a target at `at`, (n, 2) px."""
     return angle[:, None] * np.stack([-at[:, 1], at[:, 0]], axis=1)
-
-
-# Reasons for which a frame has no position; the user reads them.
-UNREAD = "frame cannot be read"
-FLAT = "picture without contrast"
-LEAVES = "target leaves the frame"
-NOT_CONVERGED = "sub-pixel fit did not converge"
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ MIN_SLOPE = 0.3  # below it a pixel does not show the target
 FULL_WEIGHT_SHARE = 0.7  # squared slope from which a pixel keeps its full weight
 MIN_SCATTER_EXCESS = 0.15  # over the expected scatter
 CHI2_1_MEDIAN, CHI2_2_MEDIAN = 0.455, 1.386  # median of chi^2 with one and two degrees of freedom
+MIN_MISFIT_SHARE = 5e-4  # of the picture's variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +186,6 @@ def _shrink(values: Array, error: Array, covered: Mask) -> Array:
     typical = max(float(np.median((values**2)[covered])) / CHI2_1_MEDIAN - float(np.median(error[covered])), 0.0)
     prior = np.maximum(typical, values**2 - 4 * error)
     return np.where(covered, values * prior / np.maximum(prior + error, 1e-300), 0.0)
-
-
-MIN_MISFIT_SHARE = 5e-4  # of the picture's variance
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,6 +44,19 @@ LEAK_PX = 2  # from the background, over which lens and sub-pixel shifts mix it 
 MIN_INSIDE_CONTRAST = 0.5  # share of the contrast inside; with less the outline is used as well
 MAX_NOISE_RATIO = 1.5  # variance of a pixel over the photon transfer line; above it the scene changes there
 ROUNDING_VARIANCE = 1 / 12  # of rounding to whole grey values, which a film without noise still has
+STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
+# frames to either side, and from first to last, of a stretch that a parabola follows
+MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
+PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
+MIN_FRAMES = 100  # from which short waves can be learnt
+MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
+# of the differences that show the noise of positions, and the least noise in px
+DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
+MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
+MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
+MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
+MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
+MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
 
 
 def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
@@ -342,21 +355,6 @@ def _photon_transfer_line(variance: Array, image: Array) -> Array:
         slope, level = np.polynomial.Polynomial.fit(image[good], variance[good], 1).convert().coef[::-1]
         line = np.maximum(level + max(slope, 0.0) * image, 0.5 * np.median(variance[good]))
     return line
-
-
-STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
-# frames to either side, and from first to last, of a stretch that a parabola follows
-MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
-PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
-MIN_FRAMES = 100  # from which short waves can be learnt
-MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
-# of the differences that show the noise of positions, and the least noise in px
-DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
-MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
-MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
-MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
-MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
-MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
 
 
 @dataclass(frozen=True, eq=False)
