@@ -4,8 +4,7 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -7,9 +7,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path, ScanWave, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, wave
 from frictrack.effects.ranges import Span, oscillates
-from frictrack.records import Array
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
 MAX_FORMS = 6000  # tried in one scan: frequencies times mass ratios times lengths, a bound on its time

@@ -14,9 +14,8 @@ import numpy as np
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths
-from frictrack.records import Array
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law
 MAX_BENDING_M = 1e3  # m, likewise

@@ -2,9 +2,8 @@
 
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter, oscillation, picture_shift_signal
-from frictrack.effects.path import Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
 from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, within_picture
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -4,9 +4,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Mask, Nonlinear, Path
 from frictrack.effects.ranges import Span
-from frictrack.records import Array, Mask
 
 MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most
 

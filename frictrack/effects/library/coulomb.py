@@ -3,8 +3,7 @@
 import numpy as np
 
 from frictrack.effects.definition import Parameter
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

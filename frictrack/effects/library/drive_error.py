@@ -4,9 +4,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
-from frictrack.records import Array
 
 MAX_DELAY_S = 0.02  # s by which an amplifier, a valve or a wrong clock may be late
 MAX_ERROR = 0.5  # of the drive: more is another drive

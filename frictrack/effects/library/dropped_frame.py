@@ -4,9 +4,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import WHOLE_FRAME, Span
-from frictrack.records import Array
 
 MAX_MOMENTS = 2000  # moments tried in one run
 

@@ -9,9 +9,8 @@ from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
-from frictrack.records import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

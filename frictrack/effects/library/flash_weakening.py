@@ -6,9 +6,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import bend_velocities
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

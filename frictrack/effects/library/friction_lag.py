@@ -5,9 +5,8 @@ import numpy as np
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
 from frictrack.effects.memory import follow_target, time_steps
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid, shorter_than_record
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

@@ -3,9 +3,8 @@
 import numpy as np
 
 from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, within_picture
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -4,9 +4,9 @@ import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import ACCELEROMETER_STD, DirectCheck, EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
 from frictrack.effects.ranges import all_of, frequencies, modulates, oscillates
-from frictrack.records import GRAVITY, Array
+from frictrack.records import GRAVITY
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

@@ -12,9 +12,8 @@ from frictrack.effects.memory import (
     slid_per_step,
     state_at_beginning,
 )
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths, stribeck_velocities
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -6,9 +6,8 @@ from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
-from frictrack.records import Array
 
 N_ELEMENTS = 8  # springs, each with the same share of the level
 SPREADS = (3.0, 30.0)

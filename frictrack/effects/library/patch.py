@@ -3,9 +3,8 @@
 import numpy as np
 
 from frictrack.effects.definition import N_STD_ACTIVE, EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Mask, Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid, within_course
-from frictrack.records import Array, Mask
 
 N_STD_CLEAR = 3.0  # standard deviations from its middle beyond which the course is as everywhere
 

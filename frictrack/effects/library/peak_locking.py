@@ -2,9 +2,8 @@
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path, wave
+from frictrack.effects.path import Array, Nonlinear, Path, wave
 from frictrack.effects.ranges import MAX_LOCKING_PX, Span
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -6,9 +6,8 @@ import numpy as np
 
 from frictrack.effects.definition import Parameter
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
-from frictrack.records import Array
 
 MAX_EXPONENT_DIFFERENCE_DAHL = (
     1e-9  # distance of the exponent from one within which the contact straightens exponentially

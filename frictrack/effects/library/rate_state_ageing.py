@@ -5,9 +5,8 @@ import numpy as np
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
-from frictrack.records import Array
 
 REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant
 MIN_AGE = 1e-300  # v_0 theta/D_c, whose logarithm is still finite

@@ -5,9 +5,8 @@ import numpy as np
 from frictrack.effects.definition import Parameter
 from frictrack.effects.library import rate_state_ageing
 from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

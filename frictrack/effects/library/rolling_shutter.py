@@ -4,9 +4,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
-from frictrack.records import Array
 
 MAX_FPS = 1000.0  # Hz: faster cameras expose all lines at once
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.library import thermal
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -3,9 +3,8 @@
 import numpy as np
 
 from frictrack.effects.definition import Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import stribeck_velocities
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -2,9 +2,8 @@
 
 from frictrack.base.number_format import format_length
 from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Nonlinear, Path, ScanWave, over_position, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_position, wave
 from frictrack.effects.ranges import is_periodic_in, spatial_periods
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -4,9 +4,8 @@ import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
 from frictrack.effects.ranges import frequencies, oscillates
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

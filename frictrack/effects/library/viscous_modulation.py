@@ -2,9 +2,8 @@
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
 from frictrack.effects.ranges import all_of, frequencies, modulates, oscillates
-from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
