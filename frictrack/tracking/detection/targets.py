@@ -6,7 +6,7 @@ pictures; only the outline of the chosen body is found on full ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,13 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
         scene = sample_scene(recording, steady=False)
         bodies = moving_bodies(scene)
     if not bodies:
-        return _small_motion_patch(recording, scene)
+        patch = most_moving_patch(scene)
+        if patch is None:
+            raise FrictrackError(
+                f"{recording.path.name}: expected a moving target but nothing in the film moves or has enough texture "
+                "to be tracked; check the film, or give target = [x, y, w, h]"
+            )
+        return patch, scene.index[0]
     rivals = [body for body in bodies[1:] if _is_rival(scene, bodies[0], body)]
     if rivals:
         raise FrictrackError(_ambiguity_message(recording, scene, (bodies[0], rivals[0])))
@@ -154,17 +160,6 @@ def rests_while_others_move(recording: Recording, track: Track) -> str:
 
 def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:
     return bool(a[0] < b[0] + b[2] and b[0] < a[0] + a[2] and a[1] < b[1] + b[3] and b[1] < a[1] + a[3])
-
-
-def _small_motion_patch(recording: Recording, scene: SampledScene) -> tuple[Rectangle, int]:
-    """The patch with the most significant small motion, in the first sampled frame."""
-    found = most_moving_patch(scene)
-    if found is None:
-        raise FrictrackError(
-            f"{recording.path.name}: expected a moving target but nothing in the film moves or has enough texture to "
-            "be tracked; check the film, or give target = [x, y, w, h]"
-        )
-    return found, scene.index[0]
 
 
 def moving_bodies(scene: SampledScene) -> list[Body]:
@@ -235,14 +230,12 @@ def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None 
     """
     x, y, w, h = box
     patch = scene.small[row][y : y + h, x : x + w]
-    n = len(scene.small)
-    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
-    for frames in (range(row, n), range(row - 1, -1, -1)):
-        last = np.array([x, y], dtype=np.float64)
-        for k in frames:
-            at, best, moves = _match(scene.small[k], scene.foreground[k], patch, last)
-            if best > MIN_SCORE and moves:
-                corner[k], score[k], last = at, best, at
+
+    def by_texture(k: int, last: Array) -> tuple[Array, float] | None:
+        at, best, moves = _match(scene.small[k], scene.foreground[k], patch, last)
+        return (at, best) if best > MIN_SCORE and moves else None
+
+    corner, score = _followed(scene, row, np.array([x, y], dtype=np.float64), by_texture)
     axes_known = _textured_axes(patch)
     # The position along a stripe is undetermined: a find far along it is another stripe.
     stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
@@ -253,19 +246,30 @@ def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None 
     return textured if region is None or merit >= MIN_TEXTURE_MERIT * region.merit else region
 
 
+def _followed(
+    scene: SampledScene, row: int, corner: Array, find: Callable[[int, Array], tuple[Array, float] | None]
+) -> tuple[Array, Array]:
+    """Corners (k, 2) and scores (k,) from sample `row` on to both sides; `find` takes a sample and the last corner."""
+    corners, score = np.full((len(scene.small), 2), np.nan), np.full(len(scene.small), np.nan)
+    for samples in (range(row, len(score)), range(row - 1, -1, -1)):
+        last = corner
+        for k in samples:
+            if found := find(k, last):
+                last, score[k] = found
+                corners[k] = last
+    return corners, score
+
+
 def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
     """Find a region of foreground in every sampled frame by its shape: a body that rotates changes its texture."""
-    n, size = len(scene.small), np.array(blob.box[2:])
-    corner, score = np.full((n, 2), np.nan), np.full(n, np.nan)
-    for frames in (range(row, n), range(row - 1, -1, -1)):
-        last = np.array(blob.box[:2]) + size / 2
-        for k in frames:
-            same = [(b, overlap) for b in scene.blobs[k] if (overlap := _overlap(blob, b)) > MIN_OVERLAP]
-            if same:
-                middles = [np.array(b.box[:2]) + np.array(b.box[2:]) / 2 for b, _ in same]
-                nearest = int(np.argmin([np.hypot(*(middle - last)) for middle in middles]))
-                last = middles[nearest]
-                corner[k], score[k] = last - size / 2, same[nearest][1]
+    size = np.array(blob.box[2:])
+
+    def by_shape(k: int, last: Array) -> tuple[Array, float] | None:
+        found = [(b.box[:2] + (np.array(b.box[2:]) - size) / 2, _overlap(blob, b)) for b in scene.blobs[k]]
+        same = [(corner, overlap) for corner, overlap in found if overlap > MIN_OVERLAP]
+        return min(same, key=lambda each: np.hypot(*(each[0] - last)), default=None)
+
+    corner, score = _followed(scene, row, np.array(blob.box[:2], dtype=np.float64), by_shape)
     rows = np.flatnonzero(np.isfinite(corner[:, 0]))
     distance = _span(corner[rows])
     step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
@@ -280,14 +284,11 @@ def _overlap(a: Blob, b: Blob) -> float:
     if np.any(off > np.maximum(MAX_SIDE_CHANGE * np.array(a.box[2:]), MAX_SIDE_CHANGE_PX)):
         return 0.0
     size = np.maximum(a.mask.shape, b.mask.shape)
-    one, other = (_padded(blob.mask, size) for blob in (a, b))
+    one, other = np.zeros((2, *size), np.bool_)  # each in the middle
+    for mask, whole in ((a.mask, one), (b.mask, other)):
+        y, x = (size - mask.shape) // 2
+        whole[y : y + mask.shape[0], x : x + mask.shape[1]] = mask
     return float(np.sum(one & other) / np.sum(one | other))
-
-
-def _padded(mask: Mask, size: NDArray[np.int64]) -> Mask:
-    """Mask in the middle of a larger one."""
-    low = (size - mask.shape) // 2
-    return np.pad(mask, [(a, n - m - a) for a, n, m in zip(low.tolist(), size.tolist(), mask.shape, strict=True)])
 
 
 def _is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
@@ -372,13 +373,10 @@ def _is_cut_off(scene: SampledScene, row: int, box: Rectangle, corner: Array) ->
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
     """Whether the second body moves independently and far enough to make the target ambiguous."""
     size, both = np.array([first.box[2:], second.box[2:]]), first.seen & second.seen
-    if (
-        second.merit < MIN_RIVAL_MERIT * first.merit
-        or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
-        or both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
-        or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in np.flatnonzero(second.seen).tolist()])
-        > 0.5
-    ):
+    rows = np.flatnonzero(second.seen).tolist()
+    few = both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
+    small = second.merit < MIN_RIVAL_MERIT * first.merit or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
+    if few or small or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in rows]) > 0.5:
         return False
     a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
     separate = np.any(np.abs(a - b) > 0.35 * size.sum(axis=0), axis=1)
