@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from string import Formatter
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
+from frictrack.base.number_format import format_length, format_number
 from frictrack.effects.path import NEEDS, Nonlinear, Path, ScanWave
 from frictrack.effects.ranges import Check, Span, Within
 from frictrack.records import Array, Mask
@@ -240,6 +241,25 @@ class DirectCheck:
     key: str
     instruction: str
     signal: Callable[[EffectInStudy], float]
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A description in the numbers of a study: `{F}` is a value, `{tau:1e3}` 1000 times it, `{period:m}` a length."""
+
+    text: str
+
+    def __call__(self, effect: EffectInStudy) -> str:
+        """Fill in the values of a fitted effect."""
+        names = {name for _, name, _, _ in Formatter().parse(self.text) if name}
+        return self.text.format_map({name: _Quoted(effect.value(name)) for name in names})
+
+
+class _Quoted(float):
+    """A value as it stands in a phrase."""
+
+    def __format__(self, spec: str) -> str:
+        return format_length(float(self)) if spec == "m" else format_number(float(spec or 1.0) * self)
 
 
 def picture_shift_signal(effect: EffectInStudy) -> float:

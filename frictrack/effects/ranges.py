@@ -75,15 +75,15 @@ class Within:
         return np.unique(np.clip(grid, low, high))
 
 
-def frequency_range(span: Span) -> tuple[float, float]:
+def frequency_range(span: Span, limit: float = 600.0) -> tuple[float, float]:
     """Lowest and highest frequency worth trying, Hz: at least one period in the longest run, five frames per period."""
     lowest = max(1.0 / span.duration, 2.0)
-    return lowest, max(min(0.2 * span.fps, 600.0), 2 * lowest)
+    return lowest, max(min(0.2 * span.fps, limit), 2 * lowest)
 
 
-def frequencies(span: Span) -> Array:
-    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart."""
-    return np.arange(*frequency_range(span), 0.25 / span.duration)
+def frequencies(span: Span, cells: float = 0.25, limit: float = 600.0) -> Array:
+    """Scan of a line in time, Hz: a quarter of a Rayleigh cell apart, or more where a line is wide."""
+    return np.arange(*frequency_range(span, limit), cells / span.duration)
 
 
 def log_grid(low: float, high: float, per_decade: int) -> Array:

@@ -2,19 +2,13 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Return s, shape (n, 1): N per N of F = mu N_a."""
     return path.s[:, None].astype(float)
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Friction without load."""
-    return f"{format_number(effect.value('F'))} N of dry friction that would remain without any load"
 
 
 equation = "F s"
@@ -24,6 +18,7 @@ what = "Surfaces attract each other, or a seal or magnet presses them together: 
 looks_like = "a friction coefficient that falls as the mass rises; nothing at all with one mass"
 mistaken_for = "levels that scatter from run to run, a wrong mass, friction as a power of the load"
 confirm = "Film three masses, each several times: the friction force is a straight line against the load."
+describe = Phrase("{F} N of dry friction that would remain without any load")
 invariant = "the force of adhesion stays when the load changes"
 settled_by = "film three masses, each several times"
 source = "Derjaguin 1934, Z. Phys. 88, 661: mu (N + N_a)"

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
 
@@ -11,12 +10,6 @@ from frictrack.effects.ranges import Span
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L and |v|, shape (n, 2): N per N of dF, N per N s/m of dF_v."""
     return np.column_stack([np.full_like(path.v, path.load), np.abs(path.v)])
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Difference between the two directions."""
-    dry, viscous = format_number(2 * effect.value("dF")), format_number(2 * effect.value("dF_v"))
-    return f"{dry} N between the two directions at the reference load, and {viscous} N more for every m/s"
 
 
 def draw_viscous_part(span: Span, uniform: Array) -> dict[str, float]:
@@ -32,6 +25,7 @@ what = "The surfaces resist more one way than the other: wear, tilted asperities
 looks_like = "forward and reversed runs need different friction laws"
 mistaken_for = "slope (the level part), a drive offset"
 confirm = "Turn the mass round on the course: asymmetry of its own face turns with it."
+describe = Phrase("{dF:2} N between the two directions at the reference load, and {dF_v:2} N more for every m/s")
 invariant = "asymmetry depends on the direction of motion and grows with the load or the speed"
 settled_by = "turn the mass round on the course"
 in_base_law = True

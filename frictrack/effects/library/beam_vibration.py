@@ -5,10 +5,9 @@ from operator import attrgetter
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, wave
-from frictrack.effects.ranges import Span, oscillates
+from frictrack.effects.ranges import Span, frequencies, oscillates
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
 MAX_FORMS = 6000  # tried in one scan: frequencies times mass ratios times lengths, a bound on its time
@@ -97,15 +96,14 @@ def _running(t: Array, rate: Array, change: Array, first: list[int]) -> Array:
     return np.concatenate([[0.0], np.cumsum(_steps(np.diff(t), rate, change))])
 
 
-def frequencies(span: Span) -> Array:
+def tones(span: Span) -> Array:
     """Frequencies of the bare beam worth trying, Hz: half a Rayleigh cell apart."""
-    lowest = max(1.0 / span.duration, 2.0)
-    return np.arange(lowest, max(min(0.2 * span.fps, MAX_FREQUENCY_HZ), 2 * lowest), 0.5 / span.duration)
+    return frequencies(span, cells=0.5, limit=MAX_FREQUENCY_HZ)
 
 
 def ratios(span: Span) -> Array:
     """Mass ratios worth trying: fewer where a long run asks for very many frequencies."""
-    count = MAX_FORMS // (len(frequencies(span)) * len(lengths(span)))
+    count = MAX_FORMS // (len(tones(span)) * len(lengths(span)))
     return np.geomspace(0.05, 5.0, int(np.clip(count, MIN_RATIOS, 13)))
 
 
@@ -116,13 +114,8 @@ def lengths(span: Span) -> Array:
     clamp = span.x_min if span.clamp_x is None else span.clamp_x
     farthest = max(abs(span.x_min - clamp), abs(span.x_max - clamp))
     # a longer beam is nearly a lighter mass: where time is short one length stands for all, and is refined from there
-    few = len(frequencies(span)) * 3 * 13 > MAX_FORMS
+    few = len(tones(span)) * 3 * 13 > MAX_FORMS
     return farthest * np.array([1.0, 1.4] if few else [1.0, 1.4, 2.0])
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Frequency of the beam without the mass."""
-    return f"{format_number(effect.value('frequency'))} Hz near the clamp, lower with the mass farther out"
 
 
 equation = (
@@ -131,7 +124,7 @@ equation = (
 )
 parameters = (
     Parameter("amplitude", "N", linear=True, role="amplitude"),
-    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("frequency", "Hz", scan=tones),
     Parameter("r", "1", scan=ratios),
     Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
     Parameter("phase", "rad", per_run=True, role="phase"),
@@ -143,6 +136,7 @@ looks_like = "a line whose frequency falls as the mass moves toward the free end
 mistaken_for = "vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)"
 confirm = "Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there."
 plausible = oscillates
+describe = Phrase("{frequency} Hz near the clamp, lower with the mass farther out")
 invariant = "the frequency of the beam falls toward its free end, and with a heavier mass"
 source = "Rayleigh's quotient with the static shape of an end-loaded cantilever"
 needs = ("clamp_x",)

@@ -1,22 +1,19 @@
 """Decaying vibration: a blow at release sets the beam or course ringing, and the ringing dies away."""
 
+from functools import partial
+
 import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
 from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
-from frictrack.effects.ranges import Span, all_of, frequency_range, oscillates, rings
+from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, rings
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """exp(-t/tau) sin(2 pi f t + phase), shape (n, 1): N at release per N of amplitude."""
     fading = np.exp(-path.t / nonlinear["tau"])
     return np.asarray(fading[:, None] * wave(nonlinear["frequency"] * path.t, nonlinear["phase"]))
-
-
-def frequencies(span: Span) -> Array:
-    """Frequencies worth trying, Hz: half a Rayleigh cell apart, as a line that dies away is a wide one."""
-    return np.arange(*frequency_range(span), 0.5 / span.duration)
 
 
 def decays(span: Span) -> Array:
@@ -32,7 +29,7 @@ def describe(effect: EffectInStudy) -> str:
 equation = "amplitude exp(-t/tau) sin(2 pi frequency t + phase)"
 parameters = (
     Parameter("amplitude", "N", linear=True, role="amplitude"),
-    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("frequency", "Hz", scan=partial(frequencies, cells=0.5)),  # a line that dies away is a wide one
     Parameter("tau", "s", scan=decays),
     Parameter("phase", "rad", per_run=True, role="phase"),
 )

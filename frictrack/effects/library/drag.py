@@ -2,19 +2,13 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
 from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """V |v|, shape (n, 1): N per N s^2/m^2 of c = rho C_d A / 2."""
     return (path.v * np.abs(path.v))[:, None]
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Force at two speeds."""
-    return f"{format_number(effect.value('c'))} N at 1 m/s, four times that at 2 m/s"
 
 
 equation = "c v |v|"
@@ -24,6 +18,7 @@ what = "Air pushed aside by the moving mass."
 looks_like = "a curve against v that bends upward at the fast end"
 mistaken_for = "viscous friction, wear along the path"
 confirm = "Film at twice the speed, or change the frontal area with a card."
+describe = Phrase("{c} N at 1 m/s, four times that at 2 m/s")
 invariant = "drag is proportional to the square of the speed"
 in_base_law = True
 basic = True

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter, Phrase
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
 
@@ -32,12 +31,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return "" if error <= MAX_ERROR else f"the drive would be {100 * error:.0f} % wrong"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Error and delay of the drive."""
-    error, late = format_number(100 * effect.value("e")), format_number(1e3 * effect.value("tau"))
-    return f"the true drive would be {error} % larger, {late} ms late"
-
-
 def known_weight_signal(effect: EffectInStudy) -> float:
     """Return chi-squared of the error at a weight that is known to `WEIGHT_RELATIVE_STD`."""
     return (effect.rms("e") / WEIGHT_RELATIVE_STD) ** 2
@@ -53,6 +46,7 @@ what = "Gain of the force sensor, area of the piston or constant of the motor ar
 looks_like = "a residual force of the shape of the drive, in every run, whatever the speed"
 mistaken_for = "a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)"
 confirm = "Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not."
+describe = Phrase("the true drive would be {e:100} % larger, {tau:1e3} ms late")
 invariant = "an error of the drive follows the drive"
 settled_by = "hang a known weight on the drive"
 direct_check = DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal)

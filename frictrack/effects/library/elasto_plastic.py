@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import direction_stretches, state_at_beginning
 from frictrack.effects.path import Array, Nonlinear, Path
@@ -82,11 +81,6 @@ def _table(share: float) -> "tuple[CubicSpline, CubicSpline, float]":
     return way, CubicSpline(way(u), u), float(way(MAX_YIELDED))
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Share of the level up to which nothing yields."""
-    return f"purely elastic up to {format_number(100 * effect.value('share'))} % of the level of dry friction"
-
-
 equation = (
     "coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - alpha w sgn v), alpha 0 up to w sgn v = "
     "share, then rising to 1 as (1 + cos(pi (1 - w sgn v)/(1 - share)))/2"
@@ -105,6 +99,7 @@ what = "The contact is a spring up to a share of its level: a small load to and 
 looks_like = "a loop against x after every reversal with straight flanks; no loop and no drift below the share"
 mistaken_for = "presliding (share 0 is close to it), unless the load stays below the share for many cycles"
 confirm = "Load it by a force that swings below the share: it does not drift, as Dahl's contact does."
+describe = Phrase("purely elastic up to {share:100} % of the level of dry friction")
 invariant = "a load below the share of the level moves nothing for good"
 source = (
     "Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "

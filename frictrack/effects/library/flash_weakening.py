@@ -4,8 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import bend_velocities
 
@@ -14,12 +13,6 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """-L s u/(1 + u), u = |v|/v_w, shape (n, 1): N per N of dF."""
     u = path.speed / nonlinear["v_w"]
     return -(path.load * path.s * u / (1 + u))[:, None]
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Fall of the level, and the speed at which half of it is reached."""
-    fall, speed = format_number(effect.value("dF")), format_number(effect.value("v_w"))
-    return f"the dry friction falls by {fall} N at very high speed, by half of that at {speed} m/s"
 
 
 equation = "-dF L s (|v|/v_w)/(1 + |v|/v_w)"
@@ -33,5 +26,6 @@ what = "Asperities that touch at high speed heat up and soften before they part.
 looks_like = "dry friction that falls with the speed, steeply at first and then slowly, in proportion to the load"
 mistaken_for = "a negative viscous coefficient, drag (both curve upward), a wide Stribeck effect"
 confirm = "Film runs at 1, 3 and 9 m/s, and one with the double mass: the fall doubles with the load, drag stays."
+describe = Phrase("the dry friction falls by {dF} N at very high speed, by half of that at {v_w} m/s")
 invariant = "flash weakening depends on the speed and grows with the load"
 source = "Rice 2006, J. Geophys. Res. 111, B05311; Beeler et al. 2008; Goldsby & Tullis 2011, Science 334, 216"

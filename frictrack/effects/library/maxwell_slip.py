@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
 from frictrack.effects.path import Array, Nonlinear, Path
@@ -55,11 +54,6 @@ def _bending(cut: DirectionStretches, length: Array, begin: Array) -> Array:
     return cut.way * np.minimum(entered[cut.which] + cut.slid / lengths, 1.0)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """How unlike the springs are."""
-    return f"the last spring slips {format_number(effect.value('spread'))} times as late as the first"
-
-
 equation = (
     "coulomb + stribeck times the mean of w_i sgn v, dw_i/dt = v/length_i until w_i sgn v = 1, lengths in "
     "constant ratios from the first to the last, which is spread times it, together of the stiffness given"
@@ -78,6 +72,7 @@ what = "Asperities slip one after the other, each at a load of its own: a loop i
 looks_like = "a loop against x in which a small loop returns to the point at which it left the large one"
 mistaken_for = "presliding, of which small loops drift instead of closing; bouc_wen"
 confirm = "Reverse twice within a loop and return: the force comes back to where it was, and goes on as before."
+describe = Phrase("the last spring slips {spread} times as late as the first")
 invariant = "a small loop inside a large one closes, whatever the speed"
 source = (
     "Iwan 1966, J. Appl. Mech. 33, 893; Al-Bender, Lampaert & Swevers 2005, IEEE Trans. Automatic Control 50, "

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
@@ -46,12 +45,6 @@ def contact_age(path: Path, length: float | Array, v_0: float | Array) -> Array:
     return follow_linear(path, np.exp(-step), gained, begin)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Direct effect, ageing and distance."""
-    a, b = format_number(effect.value("A")), format_number(effect.value("B"))
-    return f"{a} N at once and {b} N late per factor e of the speed, within {format_length(effect.value('D_c'))}"
-
-
 equation = "L s (F_0 + A ln(1 + |v|/v_0) + B ln(v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c"
 parameters = (
     Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
@@ -67,6 +60,7 @@ what = "The contacts creep and grow while they last, also at rest; sliding renew
 looks_like = "a peak after a rest that grows with the logarithm of its length; a double answer to a step of speed"
 mistaken_for = "stribeck, if the speed changes slowly and never rests; rate_state_slip, without rests"
 confirm = "Slide, hold for 1, 10 and 100 s, slide: the peak grows by the same amount per decade."
+describe = Phrase("{A} N at once and {B} N late per factor e of the speed, within {D_c:m}")
 invariant = "the age of the contacts needs rests, or steps of the speed"
 source = (
     "Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983, J. Geophys. Res. 88, 10359; direct effect cut "

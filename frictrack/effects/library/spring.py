@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
 
@@ -28,11 +27,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"it would be slack more than {reach:.2g} m away, {MAX_COURSES:g} courses: a constant force, and no spring"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Stiffness."""
-    return f"{format_number(effect.value('k'))} N more for every metre toward +x"
-
-
 def draw_rest(span: Span, uniform: Array) -> dict[str, float]:
     """Return a constant force k x_0 at k = 1 N/m, with the spring slack at a place of the course."""
     return {"x_0": -(span.x_min + (span.x_max - span.x_min) * float(uniform[0]))}
@@ -45,6 +39,7 @@ what = "A cable, hose or soft guide pulls the mass back."
 looks_like = "a straight line against x that does not turn round with the direction"
 mistaken_for = "viscous friction and drift, in one direction at one speed"
 confirm = "Film a reversed run, or take the cable off."
+describe = Phrase("{k} N more for every metre toward +x")
 invariant = "a spring pulls by place, in either direction of motion"
 settled_by = "take the cable off"
 in_base_law = True

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_length
-from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter, picture_shift_signal
+from frictrack.effects.definition import DirectCheck, Parameter, Phrase, picture_shift_signal
 from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span
 
@@ -20,12 +19,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return "" if arm <= travel else f"its arm of {arm:.2g} m is longer than the course ({travel:.2g} m)"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Place of the followed point on the target."""
-    ahead, above = format_length(effect.value("along")), format_length(effect.value("across"))
-    return f"the followed point would lie {ahead} along and {above} above the centre of mass"
-
-
 acts_on = "measurement"
 equation = "y: along (cos(angle) - 1) - across sin(angle)"
 parameters = (Parameter("along", "m", linear=True), Parameter("across", "m", linear=True))
@@ -33,6 +26,7 @@ what = "The target turns as it slides, and the followed point lies off the centr
 looks_like = "a displacement that copies the angle of the target"
 mistaken_for = "vibration (when the target rocks at one frequency), camera shake"
 confirm = "Follow a second mark at another height of the target: the two move differently when it rocks."
+describe = Phrase("the followed point would lie {along:m} along and {across:m} above the centre of mass")
 invariant = "a rotating target moves its mark in proportion to its angle"
 direct_check = DirectCheck("second mark", "Follow a second mark at another height of the target", picture_shift_signal)
 film_fault = True

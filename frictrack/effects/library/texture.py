@@ -1,7 +1,6 @@
 """Surface texture: friction that varies periodically along the course."""
 
-from frictrack.base.number_format import format_length
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_position, wave
 from frictrack.effects.ranges import is_periodic_in, spatial_periods
 
@@ -10,12 +9,6 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """L s sin(2 pi x/period + phase), shape (n, 1): N per N of amplitude."""
     ripple = wave(path.x / nonlinear["period"], nonlinear["phase"])
     return (path.load * path.s)[:, None] * ripple
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Period."""
-    period = format_length(effect.value("period"))
-    return f"a period of {period}: one mark every {period} of the course"
 
 
 equation = "amplitude L s sin(2 pi x/period + phase)"
@@ -32,6 +25,7 @@ looks_like = "ripples at the same places in every run; a chirp in time as the ma
 mistaken_for = "vibration, when the speed hardly changes"
 confirm = "Film at another speed: the ripples stay at their places and change their frequency."
 plausible = is_periodic_in("period")
+describe = Phrase("a period of {period:m}: one mark every {period:m} of the course")
 invariant = "texture keeps its places on the course"
 basic = True
 source = "textbook; position-dependent friction"
