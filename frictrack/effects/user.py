@@ -294,14 +294,20 @@ def _joined(op: ast.operator, left: Degree, right: Degree) -> Degree:
 
 def _nonlinear(name: str, p: str, unit: str, bounds: tuple[float, float] | None, count: int) -> Parameter:
     """A parameter inside the formula, with the scan in which it is first looked for."""
-    scan = Places(unit, bounds or OPEN, count)
-    if not scan.known:
+    found = _searched(p, unit, bounds or OPEN, count)
+    if found is None:
         _refuse(
             name,
             f"expected bounds of {p}, which does not simply multiply the formula, or its unit, but got neither; "
             f'give units = {{{p} = "m"}} or bounds = {{{p} = [low, high]}}',
         )
-    return Parameter(p, unit, bounds or OPEN, scan=scan, signed=unit == "m")
+    return found
+
+
+def _searched(p: str, unit: str, bounds: tuple[float, float], count: int) -> Parameter | None:
+    """A non-linear parameter; None where neither its unit nor its bounds say where to look for it."""
+    scan = Places(unit, bounds, count)
+    return Parameter(p, unit, bounds, scan=scan, signed=unit == "m") if scan.known else None
 
 
 @dataclass(frozen=True)
@@ -468,7 +474,7 @@ def _declared_parameter(name: str, p: str, declared: Declared, linear: bool, loa
     )
     if linear:
         return Parameter(p, unit, bounds, linear=True, loaded=loaded)
-    scan = Places(unit, bounds, N_SCAN_VALUES)
-    if not scan.known:
+    found = _searched(p, unit, bounds, N_SCAN_VALUES)
+    if found is None:
         raise FrictrackError(f'{name}: expected bounds of {p}, as in {p}=("{unit}", 0.0, 1.0)', usage=True)
-    return Parameter(p, unit, bounds, scan=scan, signed=unit == "m")
+    return found

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter
 from frictrack.effects.library import rate_state_ageing
 from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
 from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import breakaway_lengths
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -29,13 +27,7 @@ def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
 
 
 equation = "L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))"
-parameters = (
-    Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
-    Parameter("A", "N", linear=True, loaded=True),
-    Parameter("B", "N", linear=True, loaded=True),
-    Parameter("D_c", "m", (1e-9, np.inf), scan=breakaway_lengths),
-    Parameter("v_0", "m/s", (1e-12, np.inf), fixed=rate_state_ageing.REFERENCE_SPEED),
-)
+parameters = rate_state_ageing.parameters
 replaces = frozenset({"coulomb", "stribeck", "presliding", "rate_state_ageing"})
 scales_with = "load"
 memory = True

@@ -1,14 +1,9 @@
 """Viscous modulation: the film of lubricant is squeezed and drawn in turn, and viscous friction with it."""
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
-from frictrack.effects.ranges import all_of, frequencies, modulates, oscillates
-
-
-def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
-    """Viscous columns times 1 + depth sin(2 pi f t + phase), same shape as `inner`."""
-    return inner * (1 + nonlinear["depth"] * wave(nonlinear["frequency"] * path.t, nonlinear["phase"]))
+from frictrack.effects.definition import EffectInStudy, oscillation
+from frictrack.effects.library import load_modulation
+from frictrack.effects.ranges import all_of, modulates, oscillates
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -18,12 +13,9 @@ def describe(effect: EffectInStudy) -> str:
 
 
 equation = "F_v v depth sin(2 pi frequency t + phase)"
-parameters = (
-    Parameter("depth", "1", (-1.0, 1.0), role="depth"),
-    Parameter("frequency", "Hz", scan=frequencies),
-    Parameter("phase", "rad", per_run=True, role="phase"),
-)
-scan_wave = ScanWave("frequency", over_time)
+parameters = load_modulation.parameters
+columns = load_modulation.columns
+scan_wave = load_modulation.scan_wave
 varies_with = ""
 modifies = frozenset({"viscous"})
 what = "The gap between the surfaces breathes, and the film in it resists more and less in turn."
