@@ -139,9 +139,8 @@ def refine_robust(
         enough_pixels &= share.mean(axis=(1, 2)) > MIN_REMAINING_SHARE * float(counts.mean())
         enough_pixels &= np.all(share.reshape(len(cuts), -1) @ texture.T >= least, axis=1)
         start = np.clip(np.nan_to_num(fit.unrotated()), -MAX_SHIFT_PX, MAX_SHIFT_PX)
-        share[~enough_pixels] = initial_share[
-            ~enough_pixels
-        ]  # nothing sensible is left; the whole picture is as good as any
+        lost = ~enough_pixels  # nothing sensible is left; the whole picture is as good as any
+        share[lost] = initial_share[lost]
         better = refine_positions(template_products(cuts, template, share), start, template)
         failed = ~better.converged  # what went nowhere is no ground to stand on: the last place is
         better.put(failed, replace(fit[failed], converged=better.converged[failed]))
@@ -285,21 +284,15 @@ def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
         1 for pixels that fit, 0 for outliers, linear in between.
 
     """
-    weights = np.empty_like(standardised)
+    weights, (low, high) = np.empty_like(standardised), NEIGHBOUR_SHARES
     for k, picture in enumerate(standardised):
         local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third
-        weights[k] = np.clip(
-            (ZERO_WEIGHT_SIGMAS - np.maximum(np.abs(picture), local_mean)) / (ZERO_WEIGHT_SIGMAS - FULL_WEIGHT_SIGMAS),
-            0,
-            1,
-        )
+        deviation = np.maximum(np.abs(picture), local_mean)
+        fitting = np.clip((ZERO_WEIGHT_SIGMAS - deviation) / (ZERO_WEIGHT_SIGMAS - FULL_WEIGHT_SIGMAS), 0, 1)
         # A fitting pixel among many outliers fits by chance.
-        neighbour_share = cv2.blur(weights[k] * (initial_share[k] > 0), (5, 5)) / np.maximum(
-            cv2.blur(initial_share[k], (5, 5)), 0.1
-        )
-        weights[k] *= np.clip(
-            (neighbour_share - NEIGHBOUR_SHARES[0]) / (NEIGHBOUR_SHARES[1] - NEIGHBOUR_SHARES[0]), 0, 1
-        )
+        around = np.maximum(cv2.blur(initial_share[k], (5, 5)), 0.1)
+        neighbour_share = cv2.blur(fitting * (initial_share[k] > 0), (5, 5)) / around
+        weights[k] = fitting * np.clip((neighbour_share - low) / (high - low), 0, 1)
     return weights
 
 

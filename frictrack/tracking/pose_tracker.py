@@ -6,7 +6,7 @@ Only films in which the target rotates too far for the small angles of `subpixel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -180,11 +180,9 @@ def has_marks(cut: Patch) -> bool:
     contrast = abs(float(np.median(picture[inside])) - float(np.median(picture[distance > side - 1])))
     noise = robust_std(cv2.filter2D(picture, -1, NOISE_FILTER)[1:-1, 1:-1]) / 6  # Immerkaer 1996, CVIU 64:300
     least = max(MIN_MARK_SIGMAS * noise, MIN_MARK_SHARE * contrast, 1.0)
-    for degrees in (60, 120, 180):
-        turned = cv2.warpAffine(smooth, cv2.getRotationMatrix2D(middle, degrees, 1.0), (w, h))
-        if np.quantile(np.abs(turned - smooth)[inside], 0.97) > least:
-            return True
-    return False
+    turns = (cv2.getRotationMatrix2D(middle, degrees, 1.0) for degrees in (60, 120, 180))
+    changes = (np.abs(cv2.warpAffine(smooth, turn, (w, h)) - smooth)[inside] for turn in turns)
+    return any(np.quantile(change, 0.97) > least for change in changes)
 
 
 def min_frames_if_rotating(
@@ -315,19 +313,15 @@ class PoseTrack:
 
     def to_raw_track(self) -> RawTrack:
         """Convert to a track of the upper left corner of the rectangle; the rectangle itself does not rotate."""
-        out = empty_track(len(self.poses))
+        out, middle = empty_track(len(self.poses)), RotatableTemplate(self.template).middle
         out.reason[:] = self.reason
-        middle = RotatableTemplate(self.template).middle
+        values = [f.name for f in fields(SubpixelFit) if f.name != "position"]
         for i, pose in enumerate(self.poses):
-            if pose is None:
-                continue
-            at = pose.centre - middle
-            out.corner[i] = np.rint(at)
-            row = SubpixelFit(
-                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma, pose.score)),
-                *(np.array([q]) for q in (pose.gain, pose.offset, pose.misfit, pose.converged)),
-            )  # fmt: skip
-            out.fit.put(np.array([i]), row)
+            if pose is not None:
+                at = pose.centre - middle
+                out.corner[i] = np.rint(at)
+                row = SubpixelFit((at - out.corner[i])[None], *(np.array([getattr(pose, name)]) for name in values))
+                out.fit.put(np.array([i]), row)
         return out
 
 
@@ -588,10 +582,7 @@ def _learn(frames: list[Patch], poses: list[Pose], rotatable: RotatableTemplate)
     limit = MISFIT_RATIO * float(np.median([pose.misfit for pose in poses]))
     chosen = [(f, p) for f, p in zip(frames, poses, strict=True) if p.converged and p.misfit <= limit]
     cuts = np.stack([derotate(frame, pose, rotatable) for frame, pose in chosen])
+    light = {name: np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset")}
     n = len(chosen)
-    gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
-    at_rest = np.zeros((n, 2))
-    fit = SubpixelFit(
-        at_rest, np.zeros(n), np.zeros((n, 3)), np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_)
-    )
+    fit = replace(empty_track(n).fit, position=np.zeros((n, 2)), angle=np.zeros(n), **light)
     return learn_template(cuts, fit, rotatable.template)

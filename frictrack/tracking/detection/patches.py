@@ -339,10 +339,8 @@ def _largest(values: Array) -> NDArray[np.int64] | None:
         bottom, right = np.unravel_index(int(np.argmax(gain)), gain.shape)
         if gain[bottom, right] > best:
             residual = int(np.argmin(rows[bottom, : right + 1]))
-            best, found = (
-                float(gain[bottom, right]),
-                (residual, top, int(right) + MIN_SIDE_CELLS - residual, int(bottom) + MIN_SIDE_CELLS),
-            )
+            best = float(gain[bottom, right])
+            found = residual, top, int(right) + MIN_SIDE_CELLS - residual, int(bottom) + MIN_SIDE_CELLS
     return None if found is None else np.array(found, dtype=np.int64)
 
 

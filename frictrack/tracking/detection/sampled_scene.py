@@ -24,9 +24,8 @@ from frictrack.tracking.correlation import Rectangle
 
 MAX_SAMPLES = 32  # frames of a film that are looked at
 MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
-NOISE_QUANTILE = (
-    0.3  # of the differences, which shows noise where a body covers a place in up to two thirds of the frames
-)
+# Of the differences, which shows noise where a body covers a place in up to two thirds of the frames.
+NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
