@@ -8,6 +8,7 @@ misfit. From a position predicted by frames that show the target well, the objec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,41 +67,45 @@ def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: Targe
     if not suspect.any() or np.isnan(limit):
         return
     good = raw_track.found & ~suspect
-    visited = ~suspect
-    for _ in range(MAX_ROUNDS):
+
+    def remeasure(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        return _remeasure(film, raw_track, rows, known, target_model)
+
+    _spread(good, ~suspect, remeasure, MAX_ROUNDS)
+    share = unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
+    _accept_gradual(raw_track, good, share)
+    raw_track.reason[suspect & ~good] = OCCLUDED
+
+
+def _spread(
+    good: Mask, visited: Mask, judge: Callable[[NDArray[np.int64], NDArray[np.int64]], Mask], max_rounds: int
+) -> None:
+    """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
+    for _ in range(max_rounds):
         rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
-        good[rows] = _remeasure(film, raw_track, rows, np.flatnonzero(good), target_model)
-    _accept_gradual(
-        raw_track, good, unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
-    )
-    raw_track.reason[suspect & ~good] = OCCLUDED
+        good[rows] = judge(rows, np.flatnonzero(good))
 
 
 def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
     """Accept frames whose unexplained `share` (n,) hardly exceeds that of neighbouring good frames.
 
     Light and background change gradually along the path, while an occluding object appears at once. The position must
-    also
-    agree with the prediction from the neighbours, within its own standard deviation.
+    also agree with the prediction from the neighbours, within its own standard deviation.
     """
-    visited = good | ~raw_track.found
-    for _ in range(len(good)):
-        rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
-        if len(rows) == 0:
-            break
-        visited[rows] = True
-        good_rows = np.flatnonzero(good)
-        typical = np.array(
-            [np.median(share[good_rows[np.argsort(np.abs(good_rows - row))[:MAX_NEIGHBOURS]]]) for row in rows]
-        )
-        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, good_rows)[0])
+
+    def is_gradual(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        near = [known[np.argsort(np.abs(known - row))[:MAX_NEIGHBOURS]] for row in rows]
+        typical = np.array([np.median(share[some]) for some in near])
+        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, known)[0])
         agrees = np.all(off < MAX_PREDICTION_SIGMAS * raw_track.fit.sigma[rows, :2], axis=1)
-        little_unexplained = share[rows] <= MAX_UNEXPLAINED_SHARE
-        good[rows] = little_unexplained | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
-    good |= raw_track.found & ~visited & (share <= MAX_UNEXPLAINED_SHARE)
+        return little[rows] | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
+
+    little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
+    _spread(good, visited, is_gradual, len(good))
+    good |= raw_track.found & ~visited & little
 
 
 def _distance(good: Mask) -> NDArray[np.int64]:
