@@ -275,21 +275,7 @@ class BatchTracker:
         return fit
 
     def accepted(self, corner: NDArray[np.int64], fit: SubpixelFit) -> Mask:
-        """Decide which finds can be trusted.
-
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        fit : SubpixelFit
-            Fit on these cut-outs.
-
-        Returns
-        -------
-        array of bool (n,)
-            True where the fit converged, matches well and lies in the picture.
-
-        """
+        """Decide which finds can be trusted: converged, a good match, and in the picture, (n,)."""
         inside = np.all((corner + fit.position > -0.5) & (corner + fit.position < self.max_corner + 0.5), axis=1)
         within = np.all(np.abs(fit.position) < MAX_SHIFT_PX + 0.05, axis=1)
         return fit.converged & (fit.score >= self.min_score) & inside & within

@@ -225,42 +225,12 @@ def unexplained_share(score: Any, misfit: Any, typical_misfit: float) -> Any:
 
 
 def residual_images(cuts: Patch, fit: SubpixelFit, template: Template) -> Array:
-    """Compute what the target does not explain of cut-outs.
-
-    Parameters
-    ----------
-    cuts : array (n, h, w)
-        Grey values.
-    fit : SubpixelFit
-        Fit on these cut-outs.
-    template : Template
-        Template of the target.
-
-    Returns
-    -------
-    array (n, h, w)
-        Residuals in standard deviations of the template's pixel noise.
-
-    """
+    """Compute what the target does not explain of cut-outs (n, h, w), in standard deviations of the pixel noise."""
     return (template.weighted(cuts) - model_images(fit, template) * template.root_weight).reshape(cuts.shape)
 
 
 def model_images(fit: SubpixelFit, template: Template) -> Array:
-    """Compute what cut-outs should show.
-
-    Parameters
-    ----------
-    fit : SubpixelFit
-        Positions, rotation, gain and offset in n frames.
-    template : Template
-        Template of the target.
-
-    Returns
-    -------
-    array (n, h w)
-        Grey values above the level of the template, DN.
-
-    """
+    """Compute what cut-outs should show: grey values above the level of the template (n, h w), DN."""
     columns = template.design(fit.unrotated())
     ones = np.ones_like(fit.gain)
     parts = np.stack([fit.gain, fit.offset - template.level, 0 * ones, 0 * ones, fit.gain * fit.angle], axis=1)
@@ -269,21 +239,7 @@ def model_images(fit: SubpixelFit, template: Template) -> Array:
 
 
 def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
-    """Weight pixels by their own residual and by those of their neighbours.
-
-    Parameters
-    ----------
-    standardised : array (n, h, w)
-        Residuals in standard deviations.
-    initial_share : array (n, h, w)
-        Share of their weight that pixels have at first.
-
-    Returns
-    -------
-    array (n, h, w)
-        1 for pixels that fit, 0 for outliers, linear in between.
-
-    """
+    """Weight pixels by their own standardised residual and by those of their neighbours, (n, h, w) from 0 to 1."""
     weights, (low, high) = np.empty_like(standardised), NEIGHBOUR_SHARES
     for k, picture in enumerate(standardised):
         local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third

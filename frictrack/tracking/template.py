@@ -79,21 +79,7 @@ class FixedPattern:
         return b + (cuts - b - a * level) / slope, self.pixel_shares(corner, size)
 
     def pixel_shares(self, corner: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
-        """Cut the share of the weights out at given corners.
-
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        size : tuple of int
-            Height and width, px.
-
-        Returns
-        -------
-        array (n, h, w)
-            Share of its weight that each pixel keeps.
-
-        """
+        """Cut the share of the weights out at corners (n, 2): (n, h, w)."""
         return _cut(self.share, corner, size)
 
 
@@ -223,19 +209,7 @@ class Template:
         return shift_expansion((self.weight.shape[0], self.weight.shape[1]), self.bands)
 
     def widened(self, bands: tuple[float, float]) -> Template:
-        """Extend the band of the template to shorter waves; the new coefficients are zero.
-
-        Parameters
-        ----------
-        bands : tuple of float
-            Highest spatial frequencies along y and x, cycles/px.
-
-        Returns
-        -------
-        Template
-            The same picture.
-
-        """
+        """Extend the band to shorter waves along y and x, cycles/px; the new coefficients are zero."""
         h, w = shift_expansion((self.weight.shape[0], self.weight.shape[1]), bands).n_coefficients
         coefficients = np.zeros((h, w))
         coefficients[: self.coefficients.shape[0], : self.coefficients.shape[1]] = self.coefficients

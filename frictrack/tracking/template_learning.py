@@ -380,40 +380,12 @@ class SmoothPath:
         return np.asarray((known.mean(axis=0) > MIN_SMOOTH_SHARE) & (known.sum(axis=0) >= MIN_FRAMES))
 
     def updated(self, at: Array) -> SmoothPath:
-        """Compute the smooth path again from better positions.
-
-        Parameters
-        ----------
-        at : array (n, 2)
-            Positions in the same frames, px.
-
-        Returns
-        -------
-        SmoothPath
-            Old values stay where the new ones are NaN.
-
-        """
+        """Compute the path again from better positions (n, 2) px; old values stay where the new ones are NaN."""
         better = smooth_path(self.frames, at, self.frames).position
         return replace(self, position=np.where(np.isfinite(better), better, self.position))
 
     def with_path_positions(self, fit: SubpixelFit, corner: NDArray[np.int64], template: Template) -> SubpixelFit:
-        """Replace measured positions by those of the path, along the axes on which the template has short waves.
-
-        Parameters
-        ----------
-        fit : SubpixelFit
-            Fit on cut-outs of the same frames.
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        template : Template
-            Template with its band limits.
-
-        Returns
-        -------
-        SubpixelFit
-            Positions at which the template is learnt.
-
-        """
+        """Replace positions by those of the path, along the axes on which the template has short waves."""
         short = np.array(template.bands[::-1]) > BAND_LIMIT
         return replace(fit, position=np.where(short & np.isfinite(self.position), self.position - corner, fit.position))
 
@@ -436,21 +408,7 @@ class SmoothPath:
 
 
 def improves_positions(super_resolved: SubpixelFit, fit: SubpixelFit, axes: Mask) -> bool:
-    """Decide whether short waves make the positions more precise, or move them by more than noise would.
-
-    Parameters
-    ----------
-    super_resolved, fit : SubpixelFit
-        Fits with and without short waves.
-    axes : array of bool (2,)
-        Axes (x, y) that have short waves.
-
-    Returns
-    -------
-    bool
-        True where the template with short waves should be kept.
-
-    """
+    """Decide whether short waves make the positions more precise, or move them by more than noise would."""
     sigma_new, sigma_old = (float(np.median(np.hypot(*f.sigma[:, :2].T))) for f in (super_resolved, fit))
     moved = (super_resolved.position - fit.position)[:, axes] / fit.sigma[:, :2][:, axes]
     return (
