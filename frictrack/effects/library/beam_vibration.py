@@ -1,6 +1,5 @@
 """Beam vibration: the beam under the course rings, and its frequency falls as the mass moves away from the clamp."""
 
-from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
@@ -31,29 +30,7 @@ def shape(x: Array, length: Array) -> tuple[Array, Array]:
 
 
 def _cycles(path: Path, nonlinear: Nonlinear) -> Array:
-    """Cycles (n,) since release, the way before the path included.
-
-    They grow in proportion to the frequency: a population along one path that shares ratio and length shares them.
-    """
-    count, n = len(path.starts), len(path.t) // len(path.starts)
-    if count == 1 or not _is_shared(path, n):
-        return _counted(path, nonlinear)
-    frequency, heavy, length = (q[::n] for q in _form(path, nonlinear))
-    forms, which = np.unique(np.stack([heavy, length], axis=1), axis=0, return_inverse=True)
-    one = replace(path, starts=(0,), mass_ratio=1.0, **{name: getattr(path, name)[:n] for name in ("t", "x", "v", "s")})
-    own = [{"frequency": 1.0, "r": float(r), "beam_length": float(length)} for r, length in forms]
-    unit = np.stack([_counted(one, form) for form in own])
-    return np.asarray((frequency[:, None] * unit[which.ravel()]).ravel())
-
-
-def _is_shared(path: Path, n: int) -> bool:
-    """Whether all individuals of a population move same_motion: n samples each."""
-    same_motion = path.x.reshape(-1, n) if len(path.x) == n * len(path.starts) else np.empty((0, 1))
-    return bool(len(same_motion)) and path.starts[1] == n and bool(np.all(same_motion == same_motion[0]))
-
-
-def _counted(path: Path, nonlinear: Nonlinear) -> Array:
-    """Cycles (n,) since release by trapezoids with their end correction, order 4."""
+    """Cycles (n,) since release, the way before the path included, by trapezoids with their end correction, order 4."""
     assert path.clamp_x is not None
     own, first = _form(path, nonlinear), list(path.starts)
     rate, change = _rate(path, path.x, path.v, own)
