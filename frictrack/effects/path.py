@@ -12,18 +12,7 @@ import numpy as np
 from frictrack.records import GRAVITY, Array, EarlierRuns, Mask
 
 # What the files of effects are written with, types of arrays included.
-__all__ = [
-    "NEEDS",
-    "Array",
-    "Mask",
-    "Nonlinear",
-    "Path",
-    "ScanWave",
-    "joined_earlier",
-    "over_position",
-    "over_time",
-    "wave",
-]
+__all__ = ["Array", "Mask", "Nonlinear", "Path", "ScanWave", "over_position", "over_time", "wave"]
 
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
 # What an effect may need to know of a run, in words: what it is, and how it is given.

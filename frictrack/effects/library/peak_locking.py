@@ -16,11 +16,8 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 def plausible(values: Nonlinear, span: Span) -> str:
     """Return an objection to an amplitude beyond what interpolation does."""
     size = abs(values["amplitude"])
-    return (
-        ""
-        if size <= MAX_LOCKING_PX
-        else f"{size:.2g} px is more than interpolation does (at most {MAX_LOCKING_PX:g} px)"
-    )
+    objection = f"{size:.2g} px is more than interpolation does (at most {MAX_LOCKING_PX:g} px)"
+    return "" if size <= MAX_LOCKING_PX else objection
 
 
 def describe(effect: EffectInStudy) -> str:
