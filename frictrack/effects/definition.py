@@ -1,4 +1,8 @@
-"""One physical cause: its name, a function that returns columns, and named parameters with units and bounds."""
+"""One physical cause: its name, a function that returns columns, and named parameters with units and bounds.
+
+What an effect says of itself in the numbers of a study, and what shows it directly, are phrases and checks of an
+`EffectInStudy`. A parameter carries over to another set-up if it belongs to the sliding pair (`carries_over`).
+"""
 
 from __future__ import annotations
 
@@ -333,7 +337,8 @@ class Effect:
     direct_check : DirectCheck, optional
         A measurement other than a film that shows it directly.
     describe : callable, optional
-        Map an `EffectInStudy` to a phrase with the numbers of the study. Without it the parameters are listed.
+        Map an `EffectInStudy` to a phrase with the numbers of the study; a `Phrase` if it only fills in values. Without
+        it the parameters are listed.
     plausible : callable, optional
         Map values of one run and its `Span` to an objection, or "" where they are physically sensible.
     needs : tuple of str
@@ -555,6 +560,9 @@ SETUP_UNITS = ("Hz", "rad")  # frequencies and phases belong to the set-up
 
 def carries_over(effect: Effect, parameter: Parameter) -> bool:
     """Return whether a parameter describes the sliding pair and not the set-up, the course or a single run.
+
+    Its effect is a force that depends on the speed or on the normal load, not on the place, the mass or the drive; all
+    runs share its value; and it is no phase, amplitude of a wave, depth, frequency, place or moment.
 
     Parameters
     ----------

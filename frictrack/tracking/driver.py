@@ -8,7 +8,7 @@ rectangles differ, so that positions along the course refer to the same point of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
+from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Progress, Work, follow_film
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
@@ -40,7 +40,6 @@ from frictrack.tracking.template_learning import template_from_frame, without_bo
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
 
-Progress = Callable[[int, int, str], None]
 
 MIN_CONTRAST = 3  # grey values
 MAX_STRAIGHT_ANGLE = 0.05  # rad, of a track up to which its target does not rotate

@@ -16,7 +16,7 @@ from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE
+from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE, Progress
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.followed_target import MAX_UNEXPLAINED_SHARE, OCCLUDED
@@ -271,9 +271,6 @@ def _has_rotated(
     if found is None:
         return False
     return found.score > upright + CLEARLY_BETTER_SCORE or 1 - found.score**2 < MAX_UNEXPLAINED_RATIO * (1 - upright**2)
-
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
