@@ -13,7 +13,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span, models
 from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
-from frictrack.fit.pieces import pieces_of
+from frictrack.fit.cutting import pieces_of
 from frictrack.flow.plausibility_checks import withhold_verdict
 from frictrack.measure.plausibility import Finding
 from frictrack.simulate import Conditions, Start, simulate, simulate_displacement

@@ -12,9 +12,9 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
 from frictrack.fit import fit, global_search, restore, state, unfitted_problem
-from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters
-from frictrack.fit.pieces.acceleration_chain import acceleration_chain
-from frictrack.fit.separable import PopulationMisfit, displacement_block
+from frictrack.fit.global_search import PopulationMisfit, population_misfit, search_bounds, search_parameters
+from frictrack.fit.observations.acceleration import acceleration_chain
+from frictrack.fit.separable.model import displacement_block
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.settings.filters import FilterChoice
 from frictrack.simulate import Conditions, simulate

@@ -9,20 +9,12 @@ from scipy.optimize import least_squares
 from frictrack import effects
 from frictrack.effects import Path, Span, models
 from frictrack.fit import ParameterLayout, fit
+from frictrack.fit.global_search import PopulationMisfit, ReducedPopulationMisfit
 from frictrack.fit.linearised import linearise
-from frictrack.fit.separable import (
-    PopulationMisfit,
-    ProjectedProblem,
-    ReducedPopulationMisfit,
-    SeparableModel,
-    VariableProjection,
-    displacement_block,
-    force_block,
-    variable_projection,
-)
-from frictrack.fit.separable.blocks import double_integral, tiled_path
-from frictrack.fit.separable.bounded import bounded_coefficients
-from frictrack.fit.separable.scan import ScanTable
+from frictrack.fit.separable.common_amplitudes import variable_projection
+from frictrack.fit.separable.model import SeparableModel, displacement_block, double_integral, force_block, tiled_path
+from frictrack.fit.separable.projected import ProjectedProblem, bounded_coefficients
+from frictrack.fit.separable.varpro import ScanTable, VariableProjection
 from frictrack.simulate import Conditions, simulate
 from tests.runs import BASE, MASS, Spec, measured, study
 

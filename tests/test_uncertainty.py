@@ -24,7 +24,7 @@ from frictrack.effects import models
 from frictrack.fit import analyse_uncertainty, fit, with_uncertainty
 from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.fit.uncertainty.profile_likelihood import FixedQuantityProblem, ProfileSearch
-from frictrack.fit.uncertainty.reported_values import parse_quantity
+from frictrack.fit.uncertainty.reported import parse_quantity
 from frictrack.present import plots
 from frictrack.present.report import fit_text, tables
 from frictrack.results import ModelResults

@@ -16,6 +16,7 @@ from frictrack.base.workers import one_thread
 from frictrack.effects import check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
+from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
 from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
@@ -38,16 +39,7 @@ from frictrack.fit.parameters import (
     with_mass,
     without_mass,
 )
-from frictrack.fit.pieces import (
-    Piece,
-    Reference,
-    cut_into_pieces,
-    guess_mass,
-    piece_frames,
-    pieces_of,
-    reference_of,
-    spans_of,
-)
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty

@@ -13,17 +13,15 @@ from scipy.optimize import least_squares
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.effects.models import Model
+from frictrack.fit.cutting import MIN_FRAMES, cut_into_pieces
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, refine
 from frictrack.fit.linearised import has_per_run_coefficients
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.pieces import MIN_FRAMES, Piece, cut_into_pieces, displacement_rows, spans_of, without_starts
-from frictrack.fit.separable import (
-    ProjectedProblem,
-    SeparableModel,
-    displacement_block,
-    is_scannable,
-    variable_projection,
-)
+from frictrack.fit.pieces import Piece, displacement_rows, spans_of, without_starts
+from frictrack.fit.separable.common_amplitudes import variable_projection
+from frictrack.fit.separable.model import SeparableModel, displacement_block
+from frictrack.fit.separable.projected import ProjectedProblem
+from frictrack.fit.separable.varpro import is_scannable
 from frictrack.fit.stepwise import (
     EVENT_PARAMETERS,
     add_effect,

@@ -23,9 +23,10 @@ from scipy.interpolate import make_interp_spline
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects.models import Model, Values
+from frictrack.fit.cutting import Reference, whole_piece
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import without_mass
-from frictrack.fit.pieces import Piece, Reference, whole_piece
+from frictrack.fit.pieces import Piece
 from frictrack.measure.friction import count_flights
 from frictrack.records import GRAVITY, Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement

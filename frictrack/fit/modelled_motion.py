@@ -19,12 +19,96 @@ import numpy as np
 from scipy.fft import dct
 from scipy.special import ndtri
 
-from frictrack.fit.collisions import frames_of_impact
+from frictrack.effects import Effect, Path
+from frictrack.effects.models import Model
 from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
-from frictrack.fit.parameters import mass_ratio, penalty_jacobian, without_mass
+from frictrack.fit.parameters import mass_ratio, without_mass
+from frictrack.fit.penalties import penalty_jacobian
 from frictrack.fit.pieces import Piece
+from frictrack.fit.uncertainty import Estimates
 from frictrack.measure.motion import noise_level
-from frictrack.records import Array, ModelledMotion, Run
+from frictrack.records import Array, Curve, Mask, ModelledMotion, Run
+
+MAX_RELATIVE_STD = 0.3  # relative standard deviation of a resolved width
+MIN_IMPULSE_STD = 3.0  # standard deviations; a smaller impulse is not significant
+PULSE_HALF_WIDTHS = 3.0  # half length of a pulse in widths
+
+
+def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
+    """Summarise every collision of the fitted runs as JSON: impulse, time since release, what is known of the width."""
+    layout = solution.problem.layout
+    return [
+        _collision(solution, estimates, effect, i)
+        for effect in _collision_effects(solution)
+        for i in range(len(layout.run_names))
+        if (effect.name, i) not in layout.absent
+    ]
+
+
+def frames_of_impact(solution: Solution, covariance: Array, piece: Piece) -> Mask:
+    """Return the frames (n,) of collisions whose width is not resolved."""
+    layout = solution.problem.layout
+    values, _ = layout.values(solution.p, piece.run)
+    out = np.zeros(len(piece.t), dtype=bool)
+    for effect in _collision_effects(solution):
+        width, std = _width(solution, covariance, effect, piece.run)
+        if (effect.name, piece.run) not in layout.absent and std > MAX_RELATIVE_STD * width:
+            out |= np.abs(piece.t - values[effect.name]["time"]) <= PULSE_HALF_WIDTHS * max_width(width, std)
+    return out
+
+
+def max_width(width: float, std: float) -> float:
+    """Compute the largest plausible width (s) of a pulse: two standard deviations of its square above the fitted one.
+
+    Examples
+    --------
+    >>> max_width(3.0, 0.0)
+    3.0
+
+    """
+    return float(np.sqrt(width**2 + 4 * width * std))
+
+
+def _collision_effects(solution: Solution) -> list[Effect]:
+    return [e for e in solution.problem.model.effects if e.kind == "collision"]
+
+
+def _width(solution: Solution, covariance: Array, effect: Effect, run: int) -> tuple[float, float]:
+    """Width of a collision and its standard deviation, s; 0 where it is fixed."""
+    layout = solution.problem.layout
+    values, _ = layout.values(solution.p, run)
+    at = [i for i in layout.active(run) if (s := layout.slots[i]).effect == effect.name and s.parameter == "width"]
+    return values[effect.name]["width"], float(np.sqrt(covariance[at[0], at[0]])) if at else 0.0
+
+
+def _collision(solution: Solution, estimates: Estimates, effect: Effect, index: int) -> dict[str, Any]:
+    run, parameters = solution.problem.layout.run_names[index], estimates.parameters
+    impulse, time = parameters[f"{effect.name}.J[{run}]"], parameters[f"{effect.name}.time[{run}]"]
+    width, std = _width(solution, estimates.covariance, effect, index)
+    at_most, resolved = max_width(width, std), std <= MAX_RELATIVE_STD * width
+    if not impulse.value or abs(impulse.value) < MIN_IMPULSE_STD * (impulse.std or np.inf):
+        remark = "no significant collision in this run"
+    elif resolved:
+        remark = "its width is resolved"
+    else:
+        remark = (
+            f"its width is known to {100 * std / width:.0f} % only (at most {1e3 * at_most:.2g} ms): "
+            "these frames determine the impulse, but not the peak force"
+        )
+    return {
+        "effect": effect.name,
+        "run": run,
+        "impulse_N_s": impulse.value,
+        "std": impulse.std,
+        "relative_std": impulse.std / abs(impulse.value) if impulse.value and impulse.std is not None else None,
+        "time_s": time.value,
+        "width_s": width,
+        "width_std": std,
+        "width_at_most_s": at_most,
+        "resolved": resolved,
+        "words": remark,
+    }
+
 
 DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations
 ALPHA_UNMODELLED = 1e-3  # false-alarm probability of unmodelled motion per run
@@ -210,3 +294,74 @@ def band_summary(motion: ModelledMotion, run: Run) -> dict[str, Any]:
     }
     rms = {name: float(np.sqrt(np.mean(band[kept] ** 2))) for name, band in bands.items()}
     return rms | {"notes": list(motion.notes)}
+
+
+POINTS = 40  # of a curve
+STEP_STD = 1e-4  # of the finite differences, standard deviations
+MIN_SPEED_SHARE = 1e-3  # slowest speed of a curve over the fastest one
+
+
+def law_branches(
+    solution: Solution, curves: Sequence[Curve], covariance: Array, load: float | None
+) -> list[dict[str, Any]]:
+    """Compute the law for each direction in which the fitted runs moved.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+    curves
+        Its curves.
+    covariance
+        Covariance of the unknowns, (P, P).
+    load
+        Reference load, N; None if it is not known.
+
+    Returns
+    -------
+    list of dict
+        `direction` (+1 or -1), speeds `v` (m/s, above 0) from the slowest to the fastest that was seen, friction force
+        against the motion `F` and its standard deviation `sigma_F` (N) at the reference load, `load_N` (that load; None
+        if it is not known) and `effects`, the names of those that it contains. Empty without such effects.
+
+    """
+    speeds = np.concatenate([curve.v_model for curve in curves if curve.role == "fit"])
+    effects = tuple(e for e in without_mass(solution.problem.model).effects if _is_of_velocity(e))
+    if not effects:
+        return []
+    out = []
+    for direction in (1, -1):
+        seen = np.abs(speeds[direction * speeds > 0])
+        if not len(seen) or float(np.max(seen)) < MIN_SPEED_SHARE * float(np.max(np.abs(speeds))):
+            continue
+        low, high = max(float(np.min(seen)), MIN_SPEED_SHARE * float(np.max(seen))), float(np.max(seen))
+        v = low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2  # closer where the law is steep
+        force, sigma = _force_and_deviation(
+            solution, covariance, Model(effects), Path(0 * v, 0 * v, direction * v, np.full_like(v, direction))
+        )
+        branch = {"direction": direction, "v": v, "F": direction * force, "sigma_F": sigma}
+        out.append(branch | {"load_N": load, "effects": [e.name for e in effects]})
+    return [{k: q.tolist() if isinstance(q, np.ndarray) else q for k, q in branch.items()} for branch in out]
+
+
+def _is_of_velocity(effect: Effect) -> bool:
+    """Whether an effect adds a force of friction, not of gravity or the drive, that depends on the velocity alone."""
+    of_runs = any(p.per_run for p in effect.parameters)
+    return effect.scales_with in ("load", "nothing") and not (effect.modifies or of_runs) and effect.is_of_velocity
+
+
+def _force_and_deviation(solution: Solution, covariance: Array, law: Model, path: Path) -> tuple[Array, Array]:
+    """Force of the law along a path, N, and its standard deviation to first order: the diagonal of J C J'."""
+    layout, p = solution.problem.layout, solution.p
+
+    def force(unknowns: Array) -> Array:
+        return law.force(path, layout.values(unknowns, 0)[0]) / mass_ratio(layout, unknowns)
+
+    steps = STEP_STD * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    jacobian = np.zeros((len(path.v), len(p)))
+    for k in np.flatnonzero(steps > 0):
+        step = np.zeros(len(p))
+        step[k] = steps[k]
+        jacobian[:, k] = (force(p + step) - force(p - step)) / (2 * steps[k])
+    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    return force(p), np.sqrt(np.maximum(variance, 0.0))

@@ -26,7 +26,8 @@ from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import LIBRARY, Effect, Parameter, carries_over, scales_with_load
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, white_noise_covariance
-from frictrack.fit.parameters import MASS, prior_departure, prior_jacobian, prior_residual
+from frictrack.fit.parameters import MASS
+from frictrack.fit.penalties import prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (
     Estimates,

@@ -12,9 +12,10 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, Span
+from frictrack.fit.cutting import MIN_FRAMES
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
-from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.records import GRAVITY, Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, linearise_acceleration

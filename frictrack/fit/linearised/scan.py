@@ -26,9 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.workers import map_in_threads
-from frictrack.fit.linearised.columns import MIN_COLUMN_SQUARE, CandidateGrid, ColumnProducts, column_products
+from frictrack.fit.linearised.columns import (
+    MIN_COLUMN_SQUARE,
+    CandidateGrid,
+    ColumnProducts,
+    WaveProducts,
+    are_sums_of_waves,
+    column_products,
+)
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
-from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves
 from frictrack.records import Array
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model

@@ -15,11 +15,17 @@ White, H. (1982). Maximum likelihood estimation of misspecified models. Economet
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from frictrack.base.distributions import student_ppf
+from frictrack.fit.cutting import MIN_FRAMES
 from frictrack.fit.least_squares import (
     NORMAL_QUANTILE_975,
     LeastSquaresProblem,
@@ -31,13 +37,154 @@ from frictrack.fit.least_squares import (
     refine,
 )
 from frictrack.fit.observations.displacement import DisplacementObservation
-from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, penalty_jacobian
-from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains, acceleration_noise
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.penalties import penalty_jacobian
+from frictrack.fit.pieces import Piece
 from frictrack.fit.routes import FitOutcome, FittedRuns
+from frictrack.fit.separable.model import DataBlock, friction_series, path_of
 from frictrack.fit.uncertainty import Estimates, linear_estimates
+from frictrack.measure.motion import (
+    STENCIL_FRAMES,
+    FactoredSmoother,
+    FilterMethod,
+    Smoother,
+    SmootherData,
+    Structure,
+    frame_grid,
+    frame_weights,
+    stencils,
+    unit_responses,
+)
 from frictrack.records import Array, Mask, Run
 
+
+@dataclass(frozen=True)
+class AccelerationChain:
+    """Low-pass and double difference of one piece: a linear map from its n frames to m accelerations, m/s^2.
+
+    The frames within the run's guard of either end are smoothed but not compared.
+    """
+
+    linear: LinearOperator  # (m, n)
+    sigma_a: Array  # noise of the accelerations, (m,)
+    kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
+    cutoff: float  # Hz
+
+    def apply(self, columns: Array) -> Array:
+        """Compute accelerations (m, k), m/s^2, of displacements (n, k), m."""
+        return np.asarray(self.linear.matmat(columns))
+
+    def transposed(self, columns: Array) -> Array:
+        """Apply the transposed map to columns (m, k), shape (n, k)."""
+        return np.asarray(self.linear.rmatmat(columns))
+
+    def only(self, rows: Mask) -> AccelerationChain:
+        """Return the same chain, compared only at the marked frames (n,) of the piece."""
+        use = rows[self.kept]
+        pick = eye_array(len(use), format="csr")[use]
+        return replace(
+            self, linear=aslinearoperator(pick) @ self.linear, sigma_a=self.sigma_a[use], kept=self.kept[use]
+        )
+
+
+def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
+    """Create the chain of one piece: the filter that the run's motion was asked for, else a low-pass at its cut-off."""
+    n = len(piece.t)
+    guard = min(run.motion.guard, n // 8, max((n - MIN_FRAMES) // 2, 0))
+    kept = np.arange(guard, n - guard)
+    method = Smoother.read(run.motion.filter).method if run.motion.filter else None
+    linear, sigma_a = _low_pass(run, piece, kept) if method is None else _filter(method, piece, kept)
+    return AccelerationChain(linear, sigma_a, kept, run.motion.cutoff)
+
+
+class _LowPass(LinearOperator):
+    """Low-pass and second derivative: accelerations (m,) of displacements (n,) that stand in `frames` of a grid."""
+
+    def __init__(self, second: csr_array, smoother: FactoredSmoother, frames: NDArray[np.int64], weight: Array) -> None:
+        super().__init__(float, (second.shape[0], len(frames)))  # type: ignore[call-arg]
+        self._second, self._smoother, self._frames, self._weight = second, smoother, frames, weight
+
+    def _matmat(self, displacements: Array) -> Array:
+        full = np.zeros((len(self._weight), displacements.shape[1]))
+        full[self._frames] = displacements
+        return np.asarray(self._second @ self._smoother.smooth(full))
+
+    def _rmatmat(self, accelerations: Array) -> Array:
+        back = self._smoother.posterior_covariance_times(self._second.T @ accelerations)
+        return np.asarray(self._weight[:, None] * back)[self._frames]
+
+
+def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Low-pass at the run's cut-off and second derivative: the map, and the noise at the kept frames."""
+    grid = frame_grid(piece.t)
+    weight = grid.to_frames(frame_weights(piece.sigma, np.ones(len(piece.t), dtype=bool)))
+    low_pass = Structure.low_pass(run.motion.cutoff, grid.interval)
+    smoother = low_pass.factor_smoother(SmootherData(np.zeros(grid.n), weight))
+    start, table = stencils(grid.n, grid.interval)
+    frames = grid.frames[kept]
+    noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
+    sigma_a = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
+    rows = np.repeat(np.arange(len(kept)), STENCIL_FRAMES)
+    columns = (start[frames, None] + np.arange(STENCIL_FRAMES)).ravel()
+    second = csr_array((table[2, frames].ravel(), (rows, columns)), shape=(len(kept), grid.n))
+
+    return _LowPass(second, smoother, grid.frames, weight), sigma_a[frames]
+
+
+def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Second derivative by another filter, as a matrix of its responses to every frame, and the noise."""
+    grid = frame_grid(piece.t)
+    known = grid.to_frames(np.ones(len(piece.t))) > 0
+    responses = [response[grid.frames[kept]] for _, response in unit_responses(method, known, 2)]
+    matrix = np.concatenate(responses, axis=1) / grid.interval**2
+    return aslinearoperator(matrix), np.linalg.norm(matrix * piece.sigma, axis=1)
+
+
+def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:
+    """Compute the root mean square noise of all compared accelerations, m/s^2."""
+    return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
+
+
+def acceleration_chains(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[AccelerationChain]:
+    """Create the chains of all pieces."""
+    return [acceleration_chain(runs[piece.run], piece) for piece in pieces]
+
+
+PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
+SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
 BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
+
+
+def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
+    """Create a block from the accelerations of a piece, in units of their `noise`, m/s^2.
+
+    The force enters by its cosine components within the passband of the chain, so that the map is one small matrix. The
+    data are the accelerations in the coordinates that a force along the path can change.
+    """
+    t = piece.t
+    k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
+    cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
+    known = np.interp(t, piece.panels.t, piece.known)
+    twice = CubicSpline(t, np.column_stack([cosines, known])).antiderivative(2)(t)
+    basis, response = np.linalg.qr(chain.apply(twice[:, :k] / piece.mass) / noise)
+    measured = chain.apply((piece.y - twice[:, k])[:, None])[:, 0] / noise
+    data = basis.T @ measured
+    through = -cosines @ response.T
+
+    def picture(rows: Array) -> Array:
+        flat = chain.apply(rows.reshape(-1, rows.shape[-1]).T).T / noise
+        return np.asarray(flat.reshape(*rows.shape[:-1], -1) @ basis)
+
+    return DataBlock(
+        run=piece.run,
+        path=path_of(piece),
+        data=data,
+        forward=lambda rows: rows @ through,
+        picture=picture,
+        friction=friction_series(piece),
+        rest=max(float(measured @ measured - data @ data), 0.0),
+        highest=SCAN_BAND_FACTOR * chain.cutoff,
+    )
 
 
 @dataclass(frozen=True)

@@ -15,22 +15,3 @@ Golub, G. H. & Pereyra, V. (1973). The differentiation of pseudo-inverses and no
 variables separate. SIAM J. Numer. Anal. 10, 413-432.
 
 """
-
-# ruff: noqa: F401 - the imports are the interface
-
-from frictrack.fit.separable.blocks import (
-    DataBlock,
-    chain_block,
-    displacement_block,
-    force_block,
-    path_at_compared,
-    repeat_values,
-    rows_at_compared,
-    tiled_path,
-)
-from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
-from frictrack.fit.separable.model import SeparableModel
-from frictrack.fit.separable.population import PopulationMisfit, ReducedPopulationMisfit
-from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
-from frictrack.fit.separable.scan import is_scannable
-from frictrack.fit.separable.varpro import VariableProjection

@@ -18,8 +18,7 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.model import DataBlock, SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.records import Array

@@ -10,17 +10,23 @@ from frictrack.fit.stepwise.growth import (
     reorder_effects,
     simulate_trial,
 )
-from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty, entry_order, reversed_ties, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import effect_for_scan, scan_effect, scan_effects
 from frictrack.fit.stepwise.trial import (
+    EVENT_PARAMETERS,
     STRONG_MISFIT_CHI2,
     CandidateTrial,
     baseline_misfit,
+    bic_penalty,
     deepen_trials,
+    effect_for_scan,
+    entry_order,
     gain_by_smaller_scatter,
     is_unconstrained,
     misfit_left_by_other,
     most_by_smaller_scatter,
+    reversed_ties,
+    scan_effect,
+    scan_effects,
+    ties_are_resolved,
     try_effect,
     try_effects,
     try_together,

@@ -18,15 +18,18 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
 from frictrack.fit.pieces import Piece
-from frictrack.fit.stepwise.order import (
+from frictrack.fit.stepwise.trial import (
     EVENT_PARAMETERS,
+    CandidateTrial,
     bic_penalty,
+    deepen_trials,
     entry_order,
     model_without,
+    refine_on_measured_motion,
+    scan_effect,
     ties_are_resolved,
+    try_effect,
 )
-from frictrack.fit.stepwise.scan_starts import scan_effect
-from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
 from frictrack.records import Array
 
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking

@@ -1,5 +1,7 @@
 """Compute the uncertainty of fitted parameters: estimates, model misfit, profile likelihood, bootstrap."""
 
+# ruff: noqa: F401 - the imports are the interface
+
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -15,41 +17,20 @@ from frictrack.fit.uncertainty.estimates import (
     Parameters,
     estimate_parameters,
     linear_estimates,
+    stated_error_changes,
     with_misfit,
+    with_stated_errors,
 )
 from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, Progress, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
-from frictrack.fit.uncertainty.remarks import level_remarks
-from frictrack.fit.uncertainty.reported_values import reported_by_address, reported_names, reported_values_and_jacobian
-from frictrack.fit.uncertainty.rolling import rolling_remarks
-from frictrack.fit.uncertainty.stated_errors import stated_error_changes, with_stated_errors
-
-__all__ = [
-    "Bootstrap",
-    "Estimate",
-    "Estimates",
-    "Misfit",
-    "Parameters",
-    "Profile",
-    "UncertaintyAnalysis",
-    "analyse_uncertainty",
-    "bootstrap",
-    "dispersion",
-    "estimate_parameters",
-    "level_remarks",
-    "linear_estimates",
-    "merge_uncertainty",
-    "misfit_of",
-    "profile",
-    "reported_by_address",
-    "reported_names",
-    "reported_values_and_jacobian",
-    "rolling_remarks",
-    "stated_error_changes",
-    "with_misfit",
-    "with_stated_errors",
-]
+from frictrack.fit.uncertainty.reported import (
+    level_remarks,
+    reported_by_address,
+    reported_names,
+    reported_values_and_jacobian,
+    rolling_remarks,
+)
 
 Interval = tuple[float | None, float | None]
 

@@ -35,7 +35,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.routes import FittedRuns, require_one_fit
-from frictrack.fit.uncertainty.reported_values import reported_names, reported_values_and_jacobian, standard_deviations
+from frictrack.fit.uncertainty.reported import reported_names, reported_values_and_jacobian, standard_deviations
 from frictrack.records import Array
 
 MIN_DRAWS = 20  # fewer give no standard deviation

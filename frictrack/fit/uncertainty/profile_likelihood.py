@@ -35,7 +35,7 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.routes import FittedRuns, require_one_fit
-from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
+from frictrack.fit.uncertainty.reported import Quantity, parse_quantity
 from frictrack.records import Array, Mask
 
 QUANTILE_TOLERANCE = 5e-3  # share of the quantile: accuracy of an end

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from frictrack.base.number_format import MINUS, format_number, format_quantity, format_range, join_words, lower_first
-from frictrack.fit.parameters import SCATTER_BOUNDS
+from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, Results
 from frictrack.results.candidates import candidate_rows

@@ -9,17 +9,11 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Path, Span, models
-from frictrack.fit.global_search import search_settings
+from frictrack.fit.global_search import PopulationMisfit, ReducedPopulationMisfit, search_settings
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.separable import (
-    ConstrainedVariableProjection,
-    PopulationMisfit,
-    ReducedPopulationMisfit,
-    SeparableModel,
-    VariableProjection,
-    force_block,
-    variable_projection,
-)
+from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
+from frictrack.fit.separable.model import SeparableModel, force_block
+from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.search import minimise
 
 from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X

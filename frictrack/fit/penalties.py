@@ -24,8 +24,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from frictrack.fit.parameters.constraints import MASS
-from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout, whitening_matrix
+from frictrack.fit.parameters import MASS, MIN_RUNS_FOR_SCATTER, ParameterLayout, whitening_matrix
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-6, 0.5)  # range of the relative standard deviation of the levels
