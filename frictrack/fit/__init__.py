@@ -17,7 +17,6 @@ from frictrack.effects import check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
-from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.observations import (
@@ -44,7 +43,7 @@ from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
-from frictrack.fit.stepwise import add_effect, remove_effect
+from frictrack.fit.stepwise import add_effect, fit_displacement, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.records import Array, Run
 from frictrack.search import Convergence, SearchMethod

@@ -16,7 +16,6 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter
 from frictrack.effects.models import Model
-from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.observations import (
     AccelerationChain,
@@ -40,6 +39,7 @@ from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
 from frictrack.fit.separable.model import DataBlock, SeparableModel, displacement_block, repeat_values, tiled_path
 from frictrack.fit.separable.projected import bounded_population
+from frictrack.fit.stepwise import refit_until_stop
 from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 

@@ -166,8 +166,6 @@ class ParameterLayout:
         Duration, places and speeds that each run covers.
     absent : frozenset of (str, int)
         Pairs (effect, run) of per-run events that a run does not show. Their coefficients are zero there.
-    levels_free : bool
-        Leave the friction levels without penalty, as for a run that the others predict.
     slots : tuple of Slot
         The P unknowns in order.
     fixed : dict
@@ -183,7 +181,6 @@ class ParameterLayout:
     run_names: tuple[str, ...]
     spans: tuple[Span, ...]
     absent: frozenset[tuple[str, int]] = frozenset()
-    levels_free: bool = False
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
     constraints: tuple[Constraint, ...] = field(init=False)
@@ -253,6 +250,23 @@ class ParameterLayout:
     def names(self) -> list[str]:
         """Addresses of all unknowns, in order."""
         return [s.name(self.run_names) for s in self.slots]
+
+    def effect(self, name: str) -> Effect:
+        """Return an effect of the model by its name."""
+        return next(e for e in self.model.effects if e.name == name)
+
+    def by_address(self, p: Array) -> dict[str, float]:
+        """Return unknowns p (P,) by address; those of single runs also as their mean, by the address without a run."""
+        each: dict[str, list[float]] = {}
+        for s, value in zip(self.slots, p.tolist(), strict=True):
+            each.setdefault(f"{s.effect}.{s.parameter}", []).append(value)
+        means = {address: float(np.mean(values)) for address, values in each.items()}
+        return means | dict(zip(self.names, p.tolist(), strict=True))
+
+    def unknowns(self, known: Mapping[str, float], default: Array | float = 0.0) -> Array:
+        """Return unknowns (P,) with known values by address, with or without a run; `default` (P,) for the others."""
+        others = zip(self.names, np.broadcast_to(default, len(self.slots)), strict=True)
+        return np.array([known.get(name, known.get(name.partition("[")[0], other)) for name, other in others])
 
     @property
     def levels(self) -> list[int]:
@@ -360,8 +374,7 @@ class ParameterLayout:
         if p.tie is None:
             return p.per_run and p.fixed is None
         tie = Tie.read(p.tie)
-        leader = next(e for e in self.model.effects if e.name == tie.effect)
-        return self._has_run_values(leader.parameter(tie.parameter))
+        return self._has_run_values(self.effect(tie.effect).parameter(tie.parameter))
 
     @cached_property
     def priors(self) -> tuple[ReportedPrior, ...]:
@@ -474,7 +487,7 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     The motion does not change. Levels stay as they are where a coefficient already determines their scale.
     """
     levels = layout.levels
-    if not levels or layout.levels_free or layout.has_scale_constraint:
+    if not levels or layout.has_scale_constraint:
         return p
     too_few = len(levels) < MIN_RUNS_FOR_SCATTER
     factor = float(np.mean(p[levels])) if too_few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))

@@ -141,7 +141,7 @@ def _level_jacobian(layout: ParameterLayout, tau: float) -> Array:
     """Rows (m, P) that hold the friction levels."""
     levels = layout.levels
     rows = np.eye(len(layout.slots))[levels]
-    if layout.levels_free or not levels:
+    if not levels:
         return rows[:0]
     return rows / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else rows.mean(axis=0, keepdims=True) * MEAN_LEVEL_WEIGHT
 

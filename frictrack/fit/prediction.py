@@ -11,10 +11,10 @@ import numpy as np
 
 from frictrack.effects import Effect
 from frictrack.fit.cutting import Reference, cut_into_pieces, piece_frames, pieces_of
-from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.observations import friction_pieces
 from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.stepwise import refit_until_stop
 from frictrack.records import Array, Run
 
 TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # rad, start values of a per-run phase
@@ -45,11 +45,7 @@ def _is_event(effect: Effect) -> bool:
 
 def _start_unknowns(fitted: Solution, problem: LeastSquaresProblem) -> Array:
     """Unknowns (P,) of a run: shared ones as fitted, its own at their mean, phases at the best quarter turn."""
-    values: dict[tuple[str, str], list[float]] = {}
-    for slot, value in zip(fitted.problem.layout.slots, fitted.p, strict=True):
-        values.setdefault((slot.effect, slot.parameter), []).append(float(value))
-    slots = problem.layout.slots
-    p = np.array([np.mean(values[s.effect, s.parameter]) for s in slots])
+    slots, p = problem.layout.slots, problem.layout.unknowns(fitted.problem.layout.by_address(fitted.p))
     phases = {(e.name, q.name) for e in problem.model.effects for q in e.parameters if q.role == "phase"}
     for i, s in enumerate(slots):
         if s.run is not None and (s.effect, s.parameter) in phases:

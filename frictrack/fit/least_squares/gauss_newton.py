@@ -184,7 +184,7 @@ class _Refinement:
         low, high = problem.layout.bounds
         if free is not None:
             low, high = np.where(free, low, p), np.where(free, high, p)
-        random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER and not problem.layout.levels_free
+        random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER
         return cls(problem, (low, high), free is None, scatter and random)
 
     def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:

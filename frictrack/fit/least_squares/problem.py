@@ -374,9 +374,9 @@ class LeastSquaresProblem:
         near._simulations, near._near = {}, list(responses)
         return near
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
-        """Create the same kind of problem for another layout or other pieces."""
-        return LeastSquaresProblem(layout.model, layout, pieces, self.budget)
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> LeastSquaresProblem:
+        """Create the same kind of problem for another layout or other pieces than its own."""
+        return LeastSquaresProblem(layout.model, layout, pieces or self.pieces, self.budget)
 
     def with_budget(self, budget: EvaluationBudget) -> LeastSquaresProblem:
         """Return the same problem with another budget of evaluations."""

@@ -208,7 +208,7 @@ class AccelerationProblem(LeastSquaresProblem):
         self.chains = list(chains)
         self.noise = acceleration_noise(chains)
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> AccelerationProblem:
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> AccelerationProblem:
         """Create the same kind of problem for another layout or other data of the same frames."""
         return AccelerationProblem(super().rebuild(layout, pieces), self.chains)
 

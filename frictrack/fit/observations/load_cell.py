@@ -223,9 +223,9 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     observed, simulates = "friction", False
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
-        """Create the same kind of problem for another layout or other pieces."""
-        return MeasuredFrictionProblem(layout.model, layout, pieces, self.budget)
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> LeastSquaresProblem:
+        """Create the same kind of problem for another layout or other pieces than its own."""
+        return MeasuredFrictionProblem(layout.model, layout, pieces or self.pieces, self.budget)
 
     def first_starts(self) -> list[Array]:
         """Return empty starts: no piece has an unknown start."""
@@ -483,7 +483,7 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
     scanned = {}
     for i in problem.separable.groups[g].nonlinear_slots:
         slot = layout.slots[i]
-        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        parameter = layout.effect(slot.effect).parameter(slot.parameter)
         if parameter.scan is not None:
             scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
     most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)  # points per axis

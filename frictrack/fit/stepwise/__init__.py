@@ -4,15 +4,15 @@
 
 from frictrack.fit.stepwise.growth import (
     add_effect,
-    guess_coefficients,
+    fit_displacement,
     refine_to_end,
+    refit_until_stop,
     remove_effect,
     reorder_effects,
     simulate_trial,
 )
 from frictrack.fit.stepwise.trial import (
     EVENT_PARAMETERS,
-    STRONG_MISFIT_CHI2,
     CandidateTrial,
     baseline_misfit,
     bic_penalty,
@@ -23,7 +23,6 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     misfit_left_by_other,
     most_by_smaller_scatter,
-    reversed_ties,
     scan_effect,
     scan_effects,
     ties_are_resolved,

@@ -93,28 +93,6 @@ def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
     return leaders <= {effect.name, *(e.name for e in known_values)}
 
 
-def reversed_ties(model: Model) -> list[Model]:
-    """Return the same model with each tie between two scanned effects reversed, one model per tie.
-
-    A scan sees the leading effect first and alone, so the other direction may find a better start.
-    """
-    out = []
-    for e in model.effects:
-        for p in (p for p in e.nonlinear if p.tie):
-            tie = Tie.read(str(p.tie))
-            leader = next(other for other in model.effects if other.name == tie.effect)
-            leader_parameter = leader.parameter(tie.parameter)
-            if leader is e or not leader_parameter.free or leader_parameter.scan is None or tie.factor == 0:
-                continue
-            reversed_tie = f"{1 / tie.factor!r}*{e.name}.{p.name}"
-            reversed_effects = {
-                leader.name: leader.adjusted(**{leader_parameter.name: {"tie": reversed_tie, "prior": None}}),
-                e.name: e.adjusted(**{p.name: {"tie": None}}),
-            }
-            out.append(Model(tuple(reversed_effects.get(o.name, o) for o in model.effects)))
-    return out
-
-
 def model_without(solution: Solution, name: str) -> Model:
     """Return the model without one effect; parameters tied to it are fixed at their current values."""
     model = solution.problem.model
@@ -562,12 +540,12 @@ def _best_of_starts(
     layout = replace(old, model=old.model + effect, absent=old.absent | absent)
     problem = _projected_problem(linearised, layout)
     own_groups = [g for g, group in enumerate(problem.separable.groups) if effect.name in group.names]
-    known = dict(zip(old.names, linearised.solution.p, strict=True))
+    known = old.by_address(linearised.solution.p)
     first: SeparableSolution | None = None
     found = []
     for values in starts:
         new = [1.0 if s.effect == LEVEL else values.get((s.parameter, s.run), 0.0) for s in layout.slots]
-        p = np.array([known.get(name, value) for name, value in zip(layout.names, new, strict=True)])
+        p = layout.unknowns(known, np.array(new))
         state = problem.at(p) if first is None else problem.at(p, first, own_groups)  # the rest is the same
         first = first or state
         # friction levels first: until they give back what they took up of the effect, it has no size to refine
@@ -649,14 +627,13 @@ def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> Cand
     layout = replace(trial.layout, absent=linearised.solution.problem.layout.absent)
     problem = _projected_problem(linearised, layout)
     search = VariableProjection(problem.separable, problem.tau)
-    known_values = dict(zip(trial.layout.names, trial.p, strict=True))
-    p = np.array([known_values.get(n, v) for n, v in zip(layout.names, search.start_values(), strict=True)])
+    p = layout.unknowns(trial.layout.by_address(trial.p), search.start_values())
     state = search.restart_effect(problem, problem.at(p), name)
-    found = dict(zip(layout.names, problem.separable.law(state.nonlinear_values, state.coefficients), strict=True))
+    found = layout.by_address(problem.separable.law(state.nonlinear_values, state.coefficients))
     removed = {pair for pair in search.unneeded_events(state, penalty) if pair[0] == name}
     kept = replace(layout, absent=layout.absent | removed)
     problem = _projected_problem(linearised, kept)
-    state = _refined(problem, problem.at(np.array([found[n] for n in kept.names])))
+    state = _refined(problem, problem.at(kept.unknowns(found)))
     new = _trial(trial.effect, problem, state)
     return min(new, trial, key=lambda t: t.misfit + penalty * len(t.layout.slots))
 
@@ -677,12 +654,8 @@ def _with_shared_amplitude(
     """The same effect with one amplitude for all runs, started at the mean; refined while it may reach a misfit."""
     old = free_amplitudes.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects[:-1], effect)))
-    known_values: dict[str, list[float]] = {}
-    for name, value in zip(old.names, free_amplitudes.p, strict=True):
-        known_values.setdefault(name, []).append(float(value))
-        known_values.setdefault(name.split("[")[0], []).append(float(value))
     problem = _projected_problem(linearised, layout)
-    p = np.array([np.mean(known_values[n]) for n in layout.names])
+    p = layout.unknowns(old.by_address(free_amplitudes.p))
     return _trial(effect, problem, _refined(problem, problem.at(p), limit))
 
 

@@ -154,7 +154,7 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
         shown, std_shown = (None, None) if reason else (float(value), float(deviation))
         out[names[i]] = Estimate(shown, std_shown, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
-        unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
+        unit = layout.effect(effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied_estimates(solution, covariance, out)
     correlated = correlations(names, reported_slots(layout), covariance)

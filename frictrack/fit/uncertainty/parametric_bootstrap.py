@@ -24,7 +24,6 @@ import numpy as np
 from frictrack.base.distributions import RNG, accepts_seed
 from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
-from frictrack.fit.displacement import fit_displacement
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
@@ -35,6 +34,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.routes import FittedRuns, require_one_fit
+from frictrack.fit.stepwise import fit_displacement
 from frictrack.fit.uncertainty.reported import reported_names, reported_values_and_jacobian, standard_deviations
 from frictrack.records import Array
 
