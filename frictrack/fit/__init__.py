@@ -17,15 +17,15 @@ from frictrack.effects import check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
-from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
+from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
 from frictrack.fit.observations import (
+    MeasuredFrictionProblem,
     check_effects,
     fit_accelerations,
     fit_measured_friction,
     fit_starts,
     friction_pieces,
-    friction_problem,
     reference_load,
     uses_measured_friction,
 )
@@ -217,7 +217,7 @@ def _fit_friction(
     if route.search == "varpro":
         found = FitOutcome(fit_measured_friction(law, pieces, names, fps))
     else:
-        found = fit_by_search(friction_problem(law, pieces, names, fps), fitted, route, callback)
+        found = fit_by_search(MeasuredFrictionProblem.of(law, pieces, names, fps), fitted, route, callback)
     return _finish(found, runs, reference, route, (0,) * len(fitted))
 
 
@@ -238,7 +238,7 @@ def _fit_motion(
     lengths = tuple(piece_frames(law, own, run) for own, run in zip(whole, fitted, strict=True))
     pieces = _cut(whole, lengths)
     if route.search != "varpro":
-        found = fit_by_search(unfitted_problem(law, pieces, names, fps), fitted, route, callback)
+        found = fit_by_search(LeastSquaresProblem.of(law, pieces, names, fps), fitted, route, callback)
     elif route.domain == "force":
         found = fit_accelerations(fit_displacement(law, pieces, names, fps), fitted)
     else:
@@ -353,7 +353,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     searched = _searched(saved)
     if saved.get("measured", False):
         reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
-        first = friction_problem(law, friction_pieces(fitted, reference.load), names, fps)
+        first = MeasuredFrictionProblem.of(law, friction_pieces(fitted, reference.load), names, fps)
         problem = first.rebuild(replace(first.layout, absent=absent), first.pieces)
         starts = problem.first_starts()
     else:

@@ -30,6 +30,7 @@ from frictrack.effects.models import Model
 from frictrack.fit.pieces import (
     Piece,
     Rows,
+    column_norms,
     cut_rows,
     displacement_rows,
     motion_before,
@@ -57,6 +58,12 @@ MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
 _NOISE: WeakKeyDictionary[Run, NoiseStretch] = WeakKeyDictionary()  # the last one of a run: every model asks for it
+MIN_PIECE_FRAMES = 2 * MIN_FRAMES  # frames; in shorter pieces the start uses up a quarter of the information
+EXCESS_STD = 2.33  # standard deviations of chi-squared: one-sided 1 % level
+MIN_SINGULAR_VALUE = 1e-6  # relative; smaller singular values are left out
+REVERSAL_PIECE_FRAMES = 512  # frames; computing time grows faster than the length
+MIN_HISTORY_FRAMES = 100  # first frames of a record without known history; they determine the states of memory
+SCAN_QUANTILES = (0.25, 0.5, 0.75)  # quantiles of a scan at which a non-linear parameter is held
 
 
 @dataclass(frozen=True)
@@ -368,14 +375,6 @@ def guess_mass(pieces: Sequence[Piece]) -> float:
     return float(np.sqrt(np.mean(drive**2) / np.mean(acceleration**2))) or 1.0
 
 
-MIN_PIECE_FRAMES = 2 * MIN_FRAMES  # frames; in shorter pieces the start uses up a quarter of the information
-EXCESS_STD = 2.33  # standard deviations of chi-squared: one-sided 1 % level
-MIN_SINGULAR_VALUE = 1e-6  # relative; smaller singular values are left out
-REVERSAL_PIECE_FRAMES = 512  # frames; computing time grows faster than the length
-MIN_HISTORY_FRAMES = 100  # first frames of a record without known history; they determine the states of memory
-SCAN_QUANTILES = (0.25, 0.5, 0.75)  # quantiles of a scan at which a non-linear parameter is held
-
-
 def piece_frames(model: Model, pieces: Sequence[Piece], run: Run) -> int:
     """Choose the number of frames per piece of one run from its longest possible `pieces`; 0 leaves these whole."""
     whole = max(len(p.t) for p in pieces)
@@ -444,8 +443,7 @@ def _values_before_fit(effect: Effect, span: Span) -> list[dict[str, float]]:
 def _distinguishable_directions(rows: Sequence[Array], pieces: Sequence[Piece]) -> Array:
     """Combinations (K, K') of the coefficients that the run can distinguish."""
     jac = np.concatenate([without_starts(p, r[:, :-1])[0] for p, r in zip(pieces, rows, strict=True)])
-    norm = np.linalg.norm(jac, axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(jac)
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
     return np.asarray(vt[s > MIN_SINGULAR_VALUE * s[0]].T / norm[:, None])
 

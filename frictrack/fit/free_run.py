@@ -27,6 +27,7 @@ from frictrack.fit.cutting import Reference, whole_piece
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import without_mass
 from frictrack.fit.pieces import Piece
+from frictrack.fit.smooth_functions import rms
 from frictrack.measure.friction import count_flights
 from frictrack.records import GRAVITY, Array, Run
 from frictrack.simulate import Conditions, Start, simulate_displacement
@@ -51,7 +52,7 @@ class FreeRun:
     @property
     def rms(self) -> float:
         """Root mean square of measured minus simulated displacement, m."""
-        return float(np.sqrt(np.mean((self.y - self.x) ** 2)))
+        return rms(self.y - self.x)
 
 
 def free_run(solution: Solution, run: Run, reference: Reference, index: int = 0) -> FreeRun | None:
@@ -100,7 +101,7 @@ def free_errors(found: Sequence[FreeRun | None], role: str | None = None) -> dic
     if found and len(known) == len(found):
         residual = np.concatenate([f.y - f.x for f in known])
         moved = np.concatenate([f.y - np.mean(f.y) for f in known])
-        out["free_run_rms_um"] = 1e6 * float(np.sqrt(np.mean(residual**2)))
+        out["free_run_rms_um"] = 1e6 * rms(residual)
         out["free_run_relative"] = float(np.linalg.norm(residual) / max(float(np.linalg.norm(moved)), 1e-30))
     return out if role is None else out | {"free_run": role if found else None}
 

@@ -15,16 +15,11 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
-from frictrack.effects.models import Model
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.observations import (
-    AccelerationChain,
-    acceleration_chains,
-    acceleration_noise,
-    chain_block,
     fit_starts,
-    friction_block,
     linearise_accelerations,
+    through_chains,
 )
 from frictrack.fit.parameters import (
     LEVEL,
@@ -35,16 +30,20 @@ from frictrack.fit.parameters import (
     normalise_levels,
 )
 from frictrack.fit.penalties import prior_misfit
-from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
-from frictrack.fit.separable.model import DataBlock, SeparableModel, displacement_block, repeat_values, tiled_path
+from frictrack.fit.separable.model import DataBlock, SeparableModel, repeat_values, tiled_path
 from frictrack.fit.separable.projected import bounded_population
+from frictrack.fit.smooth_functions import rms
 from frictrack.fit.stepwise import refit_until_stop
 from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 
 MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
 MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in the cache of the processor
+Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
+MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
+FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
+MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
 class _SearchMisfit(ABC):
@@ -226,17 +225,6 @@ class ReducedPopulationMisfit(_SearchMisfit):
                 rows[:, at[own], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, own]
 
 
-Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
-MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
-FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
-MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
-
-
-def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
-    """Create the problem of a model that has no start values yet."""
-    return LeastSquaresProblem(model, ParameterLayout(model, names, spans_of(pieces, len(names), fps)), pieces)
-
-
 def fit_by_search(
     problem: LeastSquaresProblem, runs: Sequence[Run], route: Route, callback: Callback | None = None
 ) -> FitOutcome:
@@ -260,8 +248,8 @@ def fit_by_search(
 
     """
     assert route.method is not None
-    chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" and problem.simulates else None
-    misfit = population_misfit(problem, chains, route.over)
+    filtered = route.domain == "force" and problem.simulates
+    misfit = population_misfit(through_chains(problem, runs) if filtered else problem, route.over)
     found = search_parameters(misfit, route.method, np.random.default_rng(route.rng), callback)
     tau = searched_scatter(problem.layout, found.points[0])
     law = fit_starts(problem, found.points[0], problem.first_starts(), tau)
@@ -372,34 +360,13 @@ def searched_scatter(layout: ParameterLayout, p: Array) -> float:
     return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS_FOR_SCATTER else 0.03
 
 
-def population_misfit(
-    problem: LeastSquaresProblem, chains: Sequence[AccelerationChain] | None, over: str = "all"
-) -> PopulationMisfit | ReducedPopulationMisfit:
-    """Create the misfit of a search.
+def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> PopulationMisfit | ReducedPopulationMisfit:
+    """Create the misfit of a search over "all" unknowns, or over the "nonlinear" ones with the best coefficients.
 
-    Parameters
-    ----------
-    problem : LeastSquaresProblem
-        The problem.
-    chains : sequence of AccelerationChain or None
-        With chains: squared acceleration residuals, m^2/s^4. Without: chi-squared of the displacement.
-    over : {"all", "nonlinear"}
-        Unknowns to search; for "nonlinear" the coefficients are solved for every individual.
-
-    Returns
-    -------
-    PopulationMisfit or ReducedPopulationMisfit
-        Callable that maps points (Q, d) to misfits (Q,).
-
+    It is chi-squared of the displacement, or the sum of squared residuals of acceleration or friction, in their unit.
     """
     kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
-    if not problem.simulates:
-        return kind(problem.layout, [friction_block(p) for p in problem.pieces], unit=problem.pieces[0].sigma[0] ** 2)
-    if chains is None:
-        return kind(problem.layout, [displacement_block(p) for p in problem.pieces])
-    noise = acceleration_noise(chains)
-    blocks = [chain_block(p, c, noise) for p, c in zip(problem.pieces, chains, strict=True)]
-    return kind(problem.layout, blocks, unit=noise**2)
+    return kind(problem.layout, problem.blocks, unit=problem.noise**2)
 
 
 def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
@@ -420,10 +387,9 @@ def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
         Lower and upper bounds of the searched parameters.
 
     """
-    data_range = _DataRange(misfit.layout, misfit.blocks)
-    layout = misfit.layout
-    effects = {e.name: e for e in layout.model.effects}
-    return np.array([data_range.interval(effects[s.effect], s) for s in (layout.slots[i] for i in misfit.searched)])
+    layout, data_range = misfit.layout, _DataRange(misfit.layout, misfit.blocks)
+    slots = [layout.slots[i] for i in misfit.searched]
+    return np.array([data_range.interval(layout.effect(s.effect), s) for s in slots])
 
 
 class _DataRange:
@@ -462,7 +428,7 @@ class _DataRange:
         column = np.concatenate([effect.columns(b.path, typical_values)[:, place] for b in self.blocks])
         travel = max(float(np.ptp(b.path.x)) for b in self.blocks)
         target = self.max_force if effect.acts_on == "force" else MAX_SHIFT_SHARE * travel
-        return target / max(float(np.sqrt(np.mean(column**2))), 1e-12)
+        return target / max(rms(column), 1e-12)
 
 
 def _is_wave(effect: Effect, parameter: Parameter) -> bool:

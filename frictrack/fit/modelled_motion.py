@@ -23,8 +23,8 @@ from frictrack.effects import Effect, Path
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_matrix
 from frictrack.fit.parameters import mass_ratio, without_mass
-from frictrack.fit.penalties import penalty_jacobian
 from frictrack.fit.pieces import Piece
+from frictrack.fit.smooth_functions import rms
 from frictrack.fit.uncertainty import Estimates
 from frictrack.measure.motion import noise_level
 from frictrack.records import Array, Curve, Mask, ModelledMotion, Run
@@ -32,6 +32,12 @@ from frictrack.records import Array, Curve, Mask, ModelledMotion, Run
 MAX_RELATIVE_STD = 0.3  # relative standard deviation of a resolved width
 MIN_IMPULSE_STD = 3.0  # standard deviations; a smaller impulse is not significant
 PULSE_HALF_WIDTHS = 3.0  # half length of a pulse in widths
+DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations
+ALPHA_UNMODELLED = 1e-3  # false-alarm probability of unmodelled motion per run
+EXCESS_STD = 4.0  # standard deviations of chi-squared per frame: significantly above one
+POINTS = 40  # of a curve
+STEP_STD = 1e-4  # of the finite differences, standard deviations
+MIN_SPEED_SHARE = 1e-3  # slowest speed of a curve over the fastest one
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
@@ -110,11 +116,6 @@ def _collision(solution: Solution, estimates: Estimates, effect: Effect, index: 
     }
 
 
-DIFFERENCE_STEP = 1e-6  # finite-difference step, standard deviations
-ALPHA_UNMODELLED = 1e-3  # false-alarm probability of unmodelled motion per run
-EXCESS_STD = 4.0  # standard deviations of chi-squared per frame: significantly above one
-
-
 class UnmodelledMotion(NamedTuple):
     """The significant part of a residual beyond white noise."""
 
@@ -134,16 +135,6 @@ def modelled_motion(
     fitted = [_run_motion(solution, covariance, i, run) for i, run in enumerate(runs)]
     predicted = [_run_motion(own, _predicted_covariance(solution, covariance, own), 0, run) for own, run in validation]
     return (*fitted, *(replace(motion, role="validation") for motion in predicted))
-
-
-def covariance_at_fitted_scatter(solution: Solution) -> Array:
-    """Compute the covariance (P, P) of the unknowns at the fitted scatter of the friction levels.
-
-    Unlike `covariance_of` it is not widened for a scatter known from few runs. Widening would separate each run's
-    level from the coefficient that it multiplies, while their product is as well known as the run is.
-    """
-    held = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
-    return inverse_normal_matrix(np.vstack([solution.few_rows, held]))[0]
 
 
 def _predicted_covariance(fitted: Solution, covariance: Array, solution: Solution) -> Array:
@@ -292,13 +283,7 @@ def band_summary(motion: ModelledMotion, run: Run) -> dict[str, Any]:
         "sigma_F_N": motion.sigma_F,
         "sigma_a_smoothed": smoothed,
     }
-    rms = {name: float(np.sqrt(np.mean(band[kept] ** 2))) for name, band in bands.items()}
-    return rms | {"notes": list(motion.notes)}
-
-
-POINTS = 40  # of a curve
-STEP_STD = 1e-4  # of the finite differences, standard deviations
-MIN_SPEED_SHARE = 1e-3  # slowest speed of a curve over the fastest one
+    return {name: rms(band[kept]) for name, band in bands.items()} | {"notes": list(motion.notes)}
 
 
 def law_branches(
@@ -351,17 +336,12 @@ def _is_of_velocity(effect: Effect) -> bool:
 
 
 def _force_and_deviation(solution: Solution, covariance: Array, law: Model, path: Path) -> tuple[Array, Array]:
-    """Force of the law along a path, N, and its standard deviation to first order: the diagonal of J C J'."""
+    """Force of the law along a path, N, and its standard deviation to first order."""
     layout, p = solution.problem.layout, solution.p
 
     def force(unknowns: Array) -> Array:
         return law.force(path, layout.values(unknowns, 0)[0]) / mass_ratio(layout, unknowns)
 
-    steps = STEP_STD * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    jacobian = np.zeros((len(path.v), len(p)))
-    for k in np.flatnonzero(steps > 0):
-        step = np.zeros(len(p))
-        step[k] = steps[k]
-        jacobian[:, k] = (force(p + step) - force(p - step)) / (2 * steps[k])
-    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
-    return force(p), np.sqrt(np.maximum(variance, 0.0))
+    steps = STEP_STD * _square_root(covariance).T  # along independent directions
+    changes = [(force(p + step) - force(p - step)) / (2 * STEP_STD) for step in steps]
+    return force(p), np.linalg.norm(changes, axis=0)

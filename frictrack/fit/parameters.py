@@ -30,6 +30,9 @@ from frictrack.records import Array, Mask, Run
 
 MASS = "mass"  # pseudo-effect; its parameter is the unit of mass over the mass, minus one
 Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; numbers, or arrays of a population
+LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
+MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
+MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
 
 
 @dataclass(frozen=True)
@@ -115,10 +118,6 @@ def _internal_value(model: Model, constraint: Constraint, target: Any, values: V
     if np.allclose(three - two, two - one, rtol=1e-9):
         return 1.0 + (target - one) / (two - one)
     return one / target
-
-
-LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
-MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
 
 
 @dataclass(frozen=True)
@@ -495,9 +494,6 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     p[levels] /= factor
     p[layout.loaded] *= factor
     return p
-
-
-MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

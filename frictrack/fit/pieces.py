@@ -27,25 +27,29 @@ from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
 
+Rows = NDArray[np.int_]
+SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
+
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
     """The linear map from errors (n, ...) to independent ones of standard deviation one.
 
-    The prediction c of the correlated part follows c[i + 1] = persistence[i] c[i] + gain[i] e[i].
+    With E the shift by one frame, it is D^-1 (I - P E)^-1 (I - C E): D holds the deviations of the innovations,
+    C the correlation of neighbouring frames, P what the prediction keeps of its predecessor.
 
     Attributes
     ----------
     size : array of shape (n,)
-        Standard deviations of the innovations e - c.
-    persistence, gain : array of shape (n - 1,), optional
-        Coefficients of the recursion; None where all noise is white, so that c is zero.
+        The diagonal of D.
+    correlation, persistence : array of shape (n - 1,), optional
+        The diagonals of C and P; None where all noise is white.
 
     """
 
     size: Array
+    correlation: Array | None = None
     persistence: Array | None = None
-    gain: Array | None = None
 
     @classmethod
     def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...]) -> Whitening:
@@ -66,62 +70,51 @@ class Whitening:
             share[i] = before / variance[i]
             if i < len(decay):
                 before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
-        return cls(np.sqrt(variance), decay * (1 - share[:-1]), decay * share[:-1])
+        return cls(np.sqrt(variance), decay, decay * (1 - share[:-1]))
 
     def whitened(self, errors: Array) -> Array:
         """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
-        return np.asarray((errors - self._predicted(errors, 0.0)) / _column(self.size, errors))
+        return _solved(self.persistence, _times(self.correlation, errors)) / _column(self.size, errors)
 
     def coloured(self, white: Array) -> Array:
         """Compute the errors (n, ...) that have these innovations."""
-        innovations = white * _column(self.size, white)
-        return np.asarray(innovations + self._predicted(innovations, 1.0))
+        return _solved(self.correlation, _times(self.persistence, white * _column(self.size, white)))
 
     def transposed(self, white: Array) -> Array:
         """Apply the transposed map of `whitened`."""
-        scaled = white / _column(self.size, white)
-        return np.asarray(scaled - self._predicted_transposed(scaled, 0.0))
+        return _times(self.correlation, _solved(self.persistence, white / _column(self.size, white), up=True), up=True)
 
     def coloured_transposed(self, rows: Array) -> Array:
         """Apply the transposed map of `coloured` to rows (n, ...)."""
-        return np.asarray((rows + self._predicted_transposed(rows, 1.0)) * _column(self.size, rows))
-
-    def _predicted(self, e: Array, feedback: float) -> Array | float:
-        """The series c (n, ...) with c[0] = 0 and c[i + 1] = (persistence + feedback gain)[i] c[i] + gain[i] e[i].
-
-        From errors e the feedback is 0; from innovations, which are errors less c, it is 1.
-        """
-        if self.persistence is None or self.gain is None:
-            return 0.0
-        banded, right = np.ones((2, len(e))), np.zeros_like(e)
-        banded[1, :-1] = -(self.persistence + feedback * self.gain)
-        right[1:] = _column(self.gain, e) * e[:-1]
-        return _solve((1, 0), banded, right)
-
-    def _predicted_transposed(self, e: Array, feedback: float) -> Array | float:
-        """The transposed map of `_predicted`."""
-        if self.persistence is None or self.gain is None:
-            return 0.0
-        banded, out = np.ones((2, len(e))), np.zeros_like(e)
-        banded[0, 1:] = -(self.persistence + feedback * self.gain)
-        out[:-1] = _column(self.gain, e) * _solve((0, 1), banded, e)[1:]
-        return out
+        return _times(self.persistence, _solved(self.correlation, rows, up=True), up=True) * _column(self.size, rows)
 
 
-def _solve(bands: tuple[int, int], banded: Array, right: Array) -> Array:
-    """Solutions (n, ...) of banded equations for right sides (n, ...)."""
-    flat = right.reshape(len(right), -1)
-    return np.asarray(solve_banded(bands, banded, flat, check_finite=False)).reshape(right.shape)
+def _times(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E) times a series (n, ...), or `up` the transposed matrix."""
+    if share is None:
+        return series
+    out, weight = series.copy(), _column(share, series)
+    if up:
+        out[:-1] -= weight * series[1:]
+    else:
+        out[1:] -= weight * series[:-1]
+    return out
+
+
+def _solved(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E)^-1 times a series (n, ...), or `up` that of the transposed matrix."""
+    if share is None:
+        return series
+    banded = np.ones((2, len(series)))
+    banded[(0, slice(1, None)) if up else (1, slice(-1))] = -share
+    flat = series.reshape(len(series), -1)
+    solution = solve_banded((0, 1) if up else (1, 0), banded, flat, check_finite=False)
+    return np.asarray(solution).reshape(series.shape)
 
 
 def _column(values: Array, like: Array) -> Array:
     """Values (n,) reshaped to multiply an array (n, ...)."""
     return values.reshape(-1, *[1] * (like.ndim - 1))
-
-
-Rows = NDArray[np.int_]
-
-SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
 
 @dataclass(frozen=True)
@@ -171,14 +164,6 @@ class Piece:
     def coloured(self, white: Array) -> Array:
         """Convert independent numbers (n, ...) of standard deviation one to errors, m: the inverse of `whitened`."""
         return self.whitening.coloured(white)
-
-    def whitened_transposed(self, white: Array) -> Array:
-        """Apply the transpose of `whitened`."""
-        return self.whitening.transposed(white)
-
-    def coloured_transposed(self, rows: Array) -> Array:
-        """Apply the transpose of `coloured`."""
-        return self.whitening.coloured_transposed(rows)
 
     @property
     def noise(self) -> Array:
@@ -446,6 +431,13 @@ class JoinedPieces:
 def consecutive_slices(counts: Iterable[int]) -> list[slice]:
     """Return the slices of parts of given sizes that follow one another."""
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(np.cumsum([0, *counts]))]
+
+
+def column_norms(columns: Array) -> Array:
+    """Compute the norms (P,) of columns (N, P); one for a column of zeros, so that columns can be divided by them."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(norm)
 
 
 def split_motions(

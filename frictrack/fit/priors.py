@@ -44,6 +44,9 @@ PRIOR_NEEDS_NOISE = (
     "fit the displacement, or leave the prior out"
 )
 MIN_RELATIVE_EIGENVALUE = 1e-9  # of the correlation matrix of a prior; less is the rounding of the derivatives
+MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior
+ALPHA_CONTRADICTION = 0.01
+MAX_NAMED = 3  # parameters in the remark
 
 
 def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "displacement") -> Model:
@@ -186,11 +189,6 @@ def _regular(matrix: Array) -> Array:
     size, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
     size = np.maximum(size, MIN_RELATIVE_EIGENVALUE)
     return np.asarray((vectors * size) @ vectors.T * std * std[:, None], dtype=np.float64)
-
-
-MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior
-ALPHA_CONTRADICTION = 0.01
-MAX_NAMED = 3  # parameters in the remark
 
 
 @dataclass(frozen=True)

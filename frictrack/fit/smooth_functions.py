@@ -1,4 +1,4 @@
-"""Smooth functions: Gaussian processes of the most likely size, interpolation, correlation time of a series.
+"""Smooth functions: Gaussian processes of the most likely size, interpolation; size and correlation time of a series.
 
 A Gaussian process in the residual of a model is a smooth force that the model lacks.
 
@@ -122,6 +122,11 @@ def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -
     shrunk = size / (1 + size * values)
     basis = root @ vectors
     return SmoothProcess(float(gains[best]), 0, basis @ (shrunk * g), basis * np.sqrt(shrunk), basis * np.sqrt(size))
+
+
+def rms(values: Array) -> float:
+    """Compute the root mean square of some values."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _autocorrelation(r: Array) -> Array:

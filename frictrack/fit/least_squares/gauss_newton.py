@@ -25,6 +25,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.fit.least_squares.problem import LeastSquaresProblem
 from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, canonical_form, normalise_levels
+from frictrack.fit.pieces import column_norms
 from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
@@ -350,8 +351,7 @@ def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: 
     DampedStep
 
     """
-    norm = np.linalg.norm(rows, axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(rows)
     z = _bounded_step(rows / norm, right, (bounds[0] * norm, bounds[1] * norm), region)
     step = z / norm
     fall = float(right @ right - np.sum((right - rows @ step) ** 2))

@@ -15,12 +15,15 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
 from frictrack.effects.models import Model, Values
 from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, split_motions
+from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, spans_of, split_motions
+from frictrack.fit.separable.model import DataBlock, displacement_block
 from frictrack.records import Array, Mask
 from frictrack.search import EvaluationBudget
 from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
 
 PATH_SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # arrays of a path with one value per node
+MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
+SHARPENING = 1.5  # by which the speed of a reversal falls from step to step, where a swing cannot be solved at once
 
 
 @dataclass(frozen=True)
@@ -245,10 +248,6 @@ def difference_step(value: float, bounds: tuple[float, float]) -> float:
     return float(1e-6 * max(abs(value), 1e-3 * width if np.isfinite(width) else 1.0))
 
 
-MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
-SHARPENING = 1.5  # by which the speed of a reversal falls from step to step, where a swing cannot be solved at once
-
-
 @dataclass(frozen=True)
 class PieceResponse:
     """One piece under a model: motion, whitened residual and sensitivities, start position and speed projected out.
@@ -348,6 +347,7 @@ class LeastSquaresProblem:
 
     observed = "displacement"  # what is compared
     simulates = True  # whether the model makes a motion
+    noise = 1.0  # what one whitened number stands for where all have the same noise, m/s^2 or N
 
     @property
     def is_of_points(self) -> bool:
@@ -388,6 +388,16 @@ class LeastSquaresProblem:
     def n_frames(self) -> int:
         """Frames of all pieces."""
         return sum(len(p.t) for p in self.pieces)
+
+    @classmethod
+    def of(cls, model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
+        """Create the problem of a model that has no start values yet, over the pieces of runs with these names."""
+        return cls(model, ParameterLayout(model, names, spans_of(pieces, len(names), fps)), pieces)
+
+    @property
+    def blocks(self) -> list[DataBlock]:
+        """The pieces as data that forces along their measured motion explain."""
+        return [displacement_block(piece) for piece in self.pieces]
 
     def first_starts(self) -> list[Array]:
         """Return start position (m) and speed (m/s) of every piece, from the smoothed motion."""

@@ -35,7 +35,8 @@ from frictrack.fit.penalties import (
     prior_jacobian,
     prior_residual,
 )
-from frictrack.fit.pieces import Piece, consecutive_slices
+from frictrack.fit.pieces import Piece, column_norms, consecutive_slices
+from frictrack.fit.smooth_functions import rms
 from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array, Mask
 from frictrack.search import COST_OF_MEMORY
@@ -44,6 +45,13 @@ from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels
 MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
 MIN_SINGULAR_VALUE_PROJECTED = 1e-9  # relative; smaller singular values are not determined by the runs
+NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution
+SCATTER_STEP = 1.05  # factor on tau, to see which variances depend on it
+MIN_BATCHES_PER_UNKNOWN = 2  # least number of batches per unknown
+MIN_SINGULAR_VALUE = 1e-8  # relative; smaller singular values are not determined by the data
+MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
+MIN_KEPT_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
+MIN_SINGULAR_VALUE_HELD_OUT = 1e-7  # relative; parameters keep their values along smaller ones
 
 
 @dataclass(frozen=True)
@@ -305,9 +313,7 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
     law = np.vstack([few, penalty_jacobian(layout, tau, solution.p)])
     law = law if kept is None else law[:, kept]
     r = np.concatenate([solution.residual, -penalty_residual(layout, solution.p, tau)])
-    norm = np.linalg.norm(law, axis=0)
-    norm[norm == 0] = 1.0
-    u, s, _ = np.linalg.svd(law / norm, full_matrices=False)
+    u, s, _ = np.linalg.svd(law / column_norms(law), full_matrices=False)
     u = u[:, s > MIN_SINGULAR_VALUE_PROJECTED * s[0]] if len(s) else u
     u = np.concatenate([expanded(u[: len(few)]), u[len(few) :]])
     rows = consecutive_slices(len(response.r) for response in solution.responses)
@@ -348,13 +354,7 @@ def position_and_velocity(response: PieceResponse) -> tuple[Array, Array]:
     return response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
 
 
-NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution
-SCATTER_STEP = 1.05  # factor on tau, to see which variances depend on it
-MIN_BATCHES_PER_UNKNOWN = 2  # least number of batches per unknown
-MIN_SINGULAR_VALUE = 1e-8  # relative; smaller singular values are not determined by the data
-
-
-def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
+def white_noise_covariance(solution: Solution, tau: float | None = None) -> tuple[Array, Array]:
     """Compute the covariance of the unknowns for white noise and a known scatter of the levels.
 
     It is the inverse curvature of the objective: a profile of the linearised model rises by one per variance.
@@ -363,6 +363,8 @@ def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
     ----------
     solution : Solution
         The fit.
+    tau : float, optional
+        Scatter of the levels; default that of the fit.
 
     Returns
     -------
@@ -372,9 +374,8 @@ def white_noise_covariance(solution: Solution) -> tuple[Array, Array]:
         Unknowns that the data do not determine.
 
     """
-    return inverse_normal_matrix(
-        np.vstack([solution.few_rows, penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)])
-    )
+    penalty = penalty_jacobian(solution.problem.layout, tau or solution.tau or 0.03, solution.p)
+    return inverse_normal_matrix(np.vstack([solution.few_rows, penalty]))
 
 
 def covariance_of(solution: Solution) -> tuple[Array, Array]:
@@ -403,29 +404,19 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
     """
     layout = solution.problem.layout
-    tau = solution.tau or 0.03
     white, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
         return _batch_covariance(solution, white), unseen
-    full = white + _systematic_covariance(solution, white)
-    full = full * (student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975) ** 2
+    systematic = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ white
+    widening = student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975
+    full = (white + systematic.T @ systematic) * widening**2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
-    larger_scatter, _ = inverse_normal_matrix(
-        np.vstack([solution.few_rows, penalty_jacobian(layout, SCATTER_STEP * tau, solution.p)])
-    )
-    variance = np.maximum(np.diag(white), 1e-300)
-    share = np.maximum(
-        np.log(np.maximum(np.diag(larger_scatter), 1e-300) / variance) / (2 * np.log(SCATTER_STEP)), 1e-3
-    )
+    larger_scatter, _ = white_noise_covariance(solution, SCATTER_STEP * (solution.tau or 0.03))
+    before, after = (np.maximum(np.diag(covariance), 1e-300) for covariance in (white, larger_scatter))
+    share = np.maximum(np.log(after / before) / (2 * np.log(SCATTER_STEP)), 1e-3)
     widening = student_ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
     return full * widening[:, None] * widening, unseen
-
-
-def _systematic_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) that slow tracking errors and the remaining camera shake add."""
-    added = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ bread
-    return added.T @ added
 
 
 def _systematic_gradients(r: PieceResponse) -> Array:
@@ -437,7 +428,7 @@ def _systematic_gradients(r: PieceResponse) -> Array:
     blocks = [np.zeros((0, r.jac.shape[1]))]
     if len(r.jac) != len(piece.sigma):
         return blocks[0]
-    whitened_jacobian = piece.whitened_transposed(r.jac)
+    whitened_jacobian = piece.whitening.transposed(r.jac)
     if piece.systematic:
         size = slow_spectrum(len(whitened_jacobian))
         blocks.append(
@@ -534,11 +525,6 @@ def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:
     return half.T @ half, unseen
 
 
-MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
-MIN_KEPT_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
-MIN_SINGULAR_VALUE = 1e-7  # relative; parameters keep their values along smaller ones
-
-
 def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | None = None) -> tuple[float, str]:
     """Compute the root mean square of the held-out residual.
 
@@ -565,17 +551,16 @@ def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | 
     whole = np.zeros(len(solution.p)) if compared is None else _step(compared)
     if by == "frames" or len(runs) < 2 or (by is None and not _are_predictable(solution, runs)):
         hidden = fitted.problem.hidden_frames(fitted.responses)
-        step, none = (
-            _step(fitted, fitted.problem.kept_rows(fitted.responses, hidden)) - whole,
-            np.zeros(len(whole), bool),
-        )
-        return _rms([run.hidden_errors(step, none) for run in _linear_runs(solution, hidden).values()]), "frames"
+        step = _step(fitted, fitted.problem.kept_rows(fitted.responses, hidden)) - whole
+        none = np.zeros(len(step), dtype=bool)
+        errors = [run.hidden_errors(step, none) for run in _linear_runs(solution, hidden).values()]
+        return rms(np.concatenate(errors)), "frames"
     errors = []
     for i, run in runs.items():
         own = _own_unknowns(solution, i)
         rows = [None if r.piece.run == i else np.column_stack([r.jac, r.r]) for r in fitted.responses]
         errors.append(run.hidden_errors(np.where(own, 0.0, _step(fitted, rows, ~own) - whole), own))
-    return _rms(errors), "run"
+    return rms(np.concatenate(errors)), "run"
 
 
 @dataclass(frozen=True)
@@ -603,28 +588,23 @@ class _LinearRun:
 
 def _linear_runs(solution: Solution, hidden: Sequence[Mask]) -> dict[int, _LinearRun]:
     """Every run about the fitted model."""
-    runs: dict[int, list[int]] = {}
-    for i, r in enumerate(solution.responses):
-        runs.setdefault(r.piece.run, []).append(i)
-    return {run: _linear_run(solution, which, hidden) for run, which in runs.items()}
-
-
-def _linear_run(solution: Solution, which: Sequence[int], hidden: Sequence[Mask]) -> _LinearRun:
-    own = [solution.responses[i] for i in which]
-    return _LinearRun(
-        pieces=[r.piece for r in own],
-        residual=np.concatenate([r.r for r in own]),
-        jac=stacked_rows([r.jac for r in own], [r.active for r in own], len(solution.p)),
-        starts=block_diag(*(r.q for r in own)),
-        hidden=np.concatenate([hidden[i] for i in which]),
-    )
+    out = {}
+    for run in dict.fromkeys(r.piece.run for r in solution.responses):
+        own = [r for r in solution.responses if r.piece.run == run]
+        out[run] = _LinearRun(
+            pieces=[r.piece for r in own],
+            residual=np.concatenate([r.r for r in own]),
+            jac=stacked_rows([r.jac for r in own], [r.active for r in own], len(solution.p)),
+            starts=block_diag(*(r.q for r in own)),
+            hidden=np.concatenate([h for r, h in zip(solution.responses, hidden, strict=True) if r.piece.run == run]),
+        )
+    return out
 
 
 def _are_predictable(solution: Solution, runs: Mapping[int, _LinearRun]) -> bool:
     """Whether the other runs determine the shared parameters well enough to predict every run."""
     rows = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
-    norm = np.linalg.norm(np.vstack([*(r.jac for r in runs.values()), rows]), axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(np.vstack([*(r.jac for r in runs.values()), rows]))
     for i, run in runs.items():
         own = _own_unknowns(solution, i)
         known = np.vstack([*(r.jac for k, r in runs.items() if k != i), rows])[:, ~own] / norm[~own]
@@ -654,10 +634,9 @@ def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: 
     jac = stacked_rows([own[:, :-1] for _, own in used], [active for active, _ in used], len(solution.p))
     left = np.concatenate([jac, penalty_jacobian(layout, tau, solution.p)])[:, free]
     right = np.concatenate([*(own[:, -1] for _, own in used), -penalty_residual(layout, solution.p, tau)])
-    norm = np.linalg.norm(solution.jac[:, free], axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(solution.jac[:, free])
     step = np.zeros(len(solution.p))
-    step[free] = np.linalg.lstsq(left / norm, right, rcond=MIN_SINGULAR_VALUE)[0] / norm
+    step[free] = np.linalg.lstsq(left / norm, right, rcond=MIN_SINGULAR_VALUE_HELD_OUT)[0] / norm
     return step
 
 
@@ -669,16 +648,11 @@ def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
     """
     if not columns.shape[1]:
         return np.zeros(0)
-    norm = np.linalg.norm(columns, axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(columns)
     _, size, vt = np.linalg.svd(columns / norm, full_matrices=False)
-    found = size > MIN_SINGULAR_VALUE * size[0]
+    found = size > MIN_SINGULAR_VALUE_HELD_OUT * size[0]
     to_columns = vt[found].T / size[found]  # directions of unit information in all frames
     u, share, wt = np.linalg.svd((columns[kept] / norm) @ to_columns, full_matrices=False)
     seen = share**2 > MIN_KEPT_SHARE
     coordinates = wt[seen].T @ ((u[:, seen].T @ residual[kept]) / share[seen])
     return np.asarray(to_columns @ coordinates / norm)
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))

@@ -19,6 +19,19 @@ from frictrack.records import Array
 
 QUADRATURES = (0.0, np.pi / 2)
 MIN_COLUMN_SQUARE = 1e-20  # smaller squares belong to places that no run reaches
+OVERSAMPLING = 1.5  # plain waves per cell 1/U
+N_NEIGHBOURS = 12  # plain waves on either side that make up a wave
+N_SAMPLES = 90  # along a run, at which the sums are fitted
+N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
+MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
+MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
+MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
+MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
+MAX_PLAIN = 400  # whose Gram matrix is held
+MAX_PLAIN_SAMPLES = 1_500_000  # of plain waves held at once
+MAX_PRODUCTS_KEPT = 10_000_000  # of plain waves with the draws, over all pieces
+SAMPLES_AT_ONCE = 60_000  # that fit into the cache
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,22 +310,6 @@ def products_of_grids(law: LinearisedModel, grids: Sequence[CandidateGrid], seri
         out.data[at] += left @ series.measured[law.rows[i]]
         out.coordinates[at, law.coordinate_slices[i]] = coordinates
     return out
-
-
-OVERSAMPLING = 1.5  # plain waves per cell 1/U
-N_NEIGHBOURS = 12  # plain waves on either side that make up a wave
-N_SAMPLES = 90  # along a run, at which the sums are fitted
-N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
-MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
-MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
-MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
-MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
-MAX_PLAIN = 400  # whose Gram matrix is held
-MAX_PLAIN_SAMPLES = 1_500_000  # of plain waves held at once
-MAX_PRODUCTS_KEPT = 10_000_000  # of plain waves with the draws, over all pieces
-SAMPLES_AT_ONCE = 60_000  # that fit into the cache
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

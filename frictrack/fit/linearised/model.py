@@ -23,6 +23,8 @@ from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, Linea
 
 # smoothing parameters; bandwidths from a tenth of the frame rate downwards
 SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
+MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
+Float32Array = NDArray[np.float32]
 
 
 def linearise_about_measurement(solution: Solution) -> Solution:
@@ -120,9 +122,6 @@ def _second_difference_diagonal(n: int) -> Array:
     out = np.full(n, 6.0)
     out[[0, -1]], out[[1, -2]] = 1.0, 5.0
     return out
-
-
-MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
 
 
 @dataclass(eq=False)
@@ -316,9 +315,6 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
         k: make_interp_spline(piece.panels.t, q, k=1)(t) for k, q in series.items() if q is not None
     }
     return replace(path, t=t, x=x, v=v, s=s, **read)
-
-
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(eq=False)

@@ -8,23 +8,19 @@ noise, errors and remarks of that quantity. Everything else is blind to the kind
 
 from frictrack.fit.least_squares import LeastSquaresProblem
 from frictrack.fit.observations.acceleration import (
-    AccelerationChain,
     AccelerationObservation,
-    acceleration_chains,
-    acceleration_noise,
-    chain_block,
     fit_accelerations,
     fit_starts,
     linearise_accelerations,
+    through_chains,
 )
 from frictrack.fit.observations.displacement import DisplacementObservation, Observation
 from frictrack.fit.observations.load_cell import (
     MeasuredFrictionPiece,
+    MeasuredFrictionProblem,
     check_effects,
     fit_measured_friction,
-    friction_block,
     friction_pieces,
-    friction_problem,
     keep_compared_frames,
     reference_load,
     uses_measured_friction,

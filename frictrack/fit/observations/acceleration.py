@@ -42,6 +42,7 @@ from frictrack.fit.penalties import penalty_jacobian
 from frictrack.fit.pieces import Piece
 from frictrack.fit.routes import FitOutcome, FittedRuns
 from frictrack.fit.separable.model import DataBlock, friction_series, path_of
+from frictrack.fit.smooth_functions import rms
 from frictrack.fit.uncertainty import Estimates, linear_estimates
 from frictrack.measure.motion import (
     STENCIL_FRAMES,
@@ -56,6 +57,10 @@ from frictrack.measure.motion import (
     unit_responses,
 )
 from frictrack.records import Array, Mask, Run
+
+PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
+SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
+BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
 
 
 @dataclass(frozen=True)
@@ -140,27 +145,9 @@ def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tupl
     return aslinearoperator(matrix), np.linalg.norm(matrix * piece.sigma, axis=1)
 
 
-def acceleration_noise(chains: Sequence[AccelerationChain]) -> float:
-    """Compute the root mean square noise of all compared accelerations, m/s^2."""
-    return float(np.sqrt(np.mean(np.concatenate([c.sigma_a for c in chains]) ** 2)))
-
-
-def acceleration_chains(runs: Sequence[Run], pieces: Sequence[Piece]) -> list[AccelerationChain]:
-    """Create the chains of all pieces."""
-    return [acceleration_chain(runs[piece.run], piece) for piece in pieces]
-
-
-PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
-SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
-BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
-
-
-def chain_block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
-    """Create a block from the accelerations of a piece, in units of their `noise`, m/s^2.
-
-    The force enters by its cosine components within the passband of the chain, so that the map is one small matrix. The
-    data are the accelerations in the coordinates that a force along the path can change.
-    """
+def _block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
+    """The accelerations of a piece, in units of noise, in the coordinates that a force along the path changes."""
+    # the force enters by its cosine components within the passband of the chain, so that the map is one small matrix
     t = piece.t
     k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
     cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
@@ -206,11 +193,16 @@ class AccelerationProblem(LeastSquaresProblem):
     def __init__(self, problem: LeastSquaresProblem, chains: Sequence[AccelerationChain]) -> None:
         super().__init__(problem.model, problem.layout, problem.pieces)
         self.chains = list(chains)
-        self.noise = acceleration_noise(chains)
+        self.noise = rms(np.concatenate([c.sigma_a for c in chains]))  # m/s^2
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> AccelerationProblem:
         """Create the same kind of problem for another layout or other data of the same frames."""
         return AccelerationProblem(super().rebuild(layout, pieces), self.chains)
+
+    @property
+    def blocks(self) -> list[DataBlock]:
+        """The accelerations of every piece."""
+        return [_block(piece, chain, self.noise) for piece, chain in zip(self.pieces, self.chains, strict=True)]
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it, seen through its chain."""
@@ -242,7 +234,7 @@ class AccelerationProblem(LeastSquaresProblem):
         """Return Z (N, k), in units of sigma, with Z'Z = C' V C for columns C (M, k) over all accelerations."""
         out, ends = [], np.cumsum([len(r.r) for r in responses])[:-1]
         for chain, response, own in zip(self.chains, responses, np.split(columns, ends), strict=True):
-            back = response.piece.coloured_transposed(chain.transposed(own)) / self.noise
+            back = response.piece.whitening.coloured_transposed(chain.transposed(own)) / self.noise
             out.append(back - response.q @ (response.q.T @ back))
         return np.concatenate(out)
 
@@ -271,17 +263,21 @@ class AccelerationObservation(DisplacementObservation):
         return covariance()
 
 
+def through_chains(problem: LeastSquaresProblem, runs: Sequence[Run]) -> AccelerationProblem:
+    """Return the problem of displacements seen through the acceleration chains of the runs."""
+    return AccelerationProblem(problem, [acceleration_chain(runs[piece.run], piece) for piece in problem.pieces])
+
+
 def fit_accelerations(solution: Solution, runs: Sequence[Run]) -> FitOutcome:
     """Minimise the squared acceleration residuals, starting from the best fit of the displacement."""
-    problem = AccelerationProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
+    problem = through_chains(solution.problem, runs)
     force = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
     return FitOutcome(fit_starts(solution.problem, force.p, force.starts, force.tau), force)
 
 
 def linearise_accelerations(solution: Solution, runs: Sequence[Run]) -> Solution:
     """Return the same solution, linearised in the force domain."""
-    problem = AccelerationProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
-    return hold(problem, solution.p, solution.starts, solution.tau)
+    return hold(through_chains(solution.problem, runs), solution.p, solution.starts, solution.tau)
 
 
 def fit_starts(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:

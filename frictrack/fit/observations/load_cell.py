@@ -35,6 +35,15 @@ MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that
 MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
 LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
 RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
+MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
+PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
+MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
+MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
+MAX_GRID_STARTS = 3  # points of a grid that are refined
+MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
+BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
+MIN_BLOCKS = 8  # least number of blocks per run
+MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,17 +136,6 @@ def points_of(run: Run) -> tuple[SpeedPoints, Array]:
     return points, np.full(len(force), points.noise(force[:, None])[0])
 
 
-MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
-PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
-MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
-MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
-MAX_GRID_STARTS = 3  # points of a grid that are refined
-MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
-BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
-MIN_BLOCKS = 8  # least number of blocks per run
-MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
-
-
 class FrameNodes(Panels):
     """Nodes at the frames of a run: nothing is integrated between them."""
 
@@ -227,6 +225,21 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         """Create the same kind of problem for another layout or other pieces than its own."""
         return MeasuredFrictionProblem(layout.model, layout, pieces or self.pieces, self.budget)
 
+    @classmethod
+    def of(cls, model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> MeasuredFrictionProblem:
+        """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
+        return cls(model, ParameterLayout(model, names, tuple(_span(piece, fps) for piece in pieces)), pieces)
+
+    @property
+    def noise(self) -> float:  # type: ignore[override]
+        """Noise of the load cell, N."""
+        return float(self.pieces[0].sigma[0])
+
+    @property
+    def blocks(self) -> list[DataBlock]:
+        """The compared frames of every run."""
+        return [_block(piece) for piece in self.pieces]
+
     def first_starts(self) -> list[Array]:
         """Return empty starts: no piece has an unknown start."""
         return [np.zeros(0) for _ in self.pieces]
@@ -265,6 +278,26 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
             on_start=np.zeros((0, len(active))),
             r_full=residual,
         )
+
+
+def _span(piece: Piece, fps: float) -> Span:
+    """Duration, places and speeds of a run."""
+    x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
+    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
+
+
+def _block(piece: Piece) -> DataBlock:
+    """The compared frames of a run as data of the separable model."""
+    weight = 1.0 / piece.sigma
+    return DataBlock(
+        run=piece.run,
+        path=piece.path,
+        data=piece.y * weight,
+        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
+        friction=-piece.a_hat / piece.path.load,
+        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
+    )
 
 
 def keep_compared_frames(solution: Solution) -> Solution:
@@ -331,12 +364,6 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
         for i, (run, load) in enumerate(zip(runs, loads, strict=True))
     ]
-
-
-def _span(piece: Piece, fps: float) -> Span:
-    """Duration, places and speeds of a run."""
-    x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
 
 
 def _white_noise(run: Run) -> float:
@@ -438,32 +465,10 @@ def _direction(v: Array, held: float) -> Array:
 
 def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """Fit a model from scratch: variable projection along the measured motion, then all unknowns together."""
-    problem = friction_problem(model, pieces, names, fps)
-    separable = SeparableModel(problem.layout, [friction_block(p) for p in pieces])
+    problem = MeasuredFrictionProblem.of(model, pieces, names, fps)
+    separable = SeparableModel(problem.layout, problem.blocks)
     state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
     return fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
-
-
-def friction_problem(
-    model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float
-) -> MeasuredFrictionProblem:
-    """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
-    spans = tuple(_span(piece, fps) for piece in pieces)
-    return MeasuredFrictionProblem(model, ParameterLayout(model, names, spans), pieces)
-
-
-def friction_block(piece: Piece) -> DataBlock:
-    """Create the compared frames of a run as data of the separable model."""
-    weight = 1.0 / piece.sigma
-    return DataBlock(
-        run=piece.run,
-        path=piece.path,
-        data=piece.y * weight,
-        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
-        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
-        friction=-piece.a_hat / piece.path.load,
-        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
-    )
 
 
 def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:

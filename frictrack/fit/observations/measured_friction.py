@@ -30,7 +30,7 @@ from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_st
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames
+from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames, rms
 from frictrack.fit.uncertainty import Estimates, Misfit, linear_estimates
 from frictrack.records import Array, Curve, Run
 
@@ -96,14 +96,14 @@ def _over_all_frames(solution: Solution) -> Solution:
 
 def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs: the white part, or the part that does not repeat between strokes if larger."""
-    white = _rms(np.concatenate([r.piece.sigma for r in solution.responses]))
+    white = rms(np.concatenate([r.piece.sigma for r in solution.responses]))
     if solution.problem.is_of_points:
         return FrictionNoise(white, 1.0, white)
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
-    if not found or (rms := _rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
+    if not found or (slow := rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
         return FrictionNoise(white, 1.0, white, count)
-    return FrictionNoise(rms, max(correlation_time_frames(d) for d in differences), white, count)
+    return FrictionNoise(slow, max(correlation_time_frames(d) for d in differences), white, count)
 
 
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
@@ -203,7 +203,7 @@ def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
             "place, time and speed rise together in these records: what goes with one of them may go with another; a "
             "record at another speed, or one that slows down again, tells them apart"
         )
-    left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
+    left = rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
     if noise.stroke_count and noise.correlation_frames > 1:
         interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
         out.append(
@@ -348,11 +348,7 @@ def _errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
     left = np.concatenate([r.piece.y - r.model_y for r in responses])
     force = np.concatenate([r.piece.y for r in responses])
     return dict.fromkeys(DISPLACEMENT_ERRORS) | {
-        "rms_N": _rms(left),
-        "noise_N": _rms(np.concatenate([r.piece.sigma for r in responses])),
+        "rms_N": rms(left),
+        "noise_N": rms(np.concatenate([r.piece.sigma for r in responses])),
         "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
     }
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

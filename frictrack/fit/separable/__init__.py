@@ -1,12 +1,12 @@
 """Variable projection along the measured motion, where the coefficients of a model are linear.
 
-    separable = SeparableModel(layout, [force_block(run, path, friction, sigma), ...])
+    separable = SeparableModel(problem.layout, problem.blocks)
     state = variable_projection(separable)()
     p = separable.law(state.nonlinear_values, state.coefficients)
 
-`force_block` takes a friction series; `displacement_block` and `chain_block` take pieces of films, in the
-displacement or the acceleration domain. `state` holds the non-linear values, the coefficients (K,) and the misfit; p
-(P,) holds all unknowns of the layout. `variable_projection(separable)(data)` fits other data (M,) along the same
+The blocks of a problem are its displacements, accelerations or measured friction. `state` holds the non-linear values,
+the coefficients (K,) and the misfit; p (P,) holds all unknowns of the layout. `variable_projection(separable)(data)` fits
+other data (M,) along the same
 motion and reuses its tables. `ProjectedProblem(separable, data).refine(state)` refines a known solution.
 
 References

@@ -25,6 +25,9 @@ from frictrack.records import Array, Mask
 MAX_SAMPLES_KEPT = 20_000  # of a tiled path: to evaluate an effect along a longer one takes far longer than to tile it
 MIN_SAMPLES_PER_COMPARED = 2  # samples per compared frame from which a separate path is worth its cost
 Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
+Indices = NDArray[np.int_]
+Values = dict[str, dict[str, Any]]
+QUADRATURES = (0.0, np.pi / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,37 +70,6 @@ class DataBlock:
     def evaluation_path(self, has_memory: bool) -> Path:
         """Return the path on which effects are evaluated: those without memory at the compared samples only."""
         return self.path if self.compared_path is None or has_memory else self.compared_path
-
-
-def force_block(run: int, path: Path, friction: Array, sigma: Array | float) -> DataBlock:
-    """Create a block from a measured friction series.
-
-    Parameters
-    ----------
-    run : int
-        Index of the run.
-    path : Path
-        Motion at the n samples.
-    friction : array of shape (n,)
-        Measured friction, N.
-    sigma : array of shape (n,) or float
-        Its standard deviation, N.
-
-    Returns
-    -------
-    DataBlock
-        The series as data; forces map to it directly.
-
-    """
-    weight = np.broadcast_to(1.0 / np.asarray(sigma, dtype=float), friction.shape)
-    return DataBlock(
-        run=run,
-        path=path,
-        data=friction * weight,
-        forward=(lambda rows: rows) if np.all(weight == 1.0) else (lambda rows: rows * weight),
-        picture=np.zeros_like,
-        friction=friction / path.load,
-    )
 
 
 def displacement_block(piece: Piece) -> DataBlock:
@@ -222,11 +194,6 @@ def repeat_values(values: Any, n: int, is_depth: bool) -> Any:
         return float(values[0])
     repeated = np.repeat(values, n)
     return repeated[:, None] if is_depth else repeated
-
-
-Indices = NDArray[np.int_]
-Values = dict[str, dict[str, Any]]
-QUADRATURES = (0.0, np.pi / 2)
 
 
 @dataclass(frozen=True)

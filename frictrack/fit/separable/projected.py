@@ -34,6 +34,12 @@ RIDGE = 1e-12  # relative; keeps nearly equal columns solvable
 POPULATION_RIDGE = 1e-9  # the same for a population, whose members may be far from any solution
 MAX_BLOCK_ROUNDS, MAX_ROUNDS = 6, 60  # rounds of pivoting: in blocks, and in all
 PULL_PRECISION = 1e-12  # relative; a smaller pull does not release a coefficient from its bound
+RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
+FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
+MIN_DAMPING_AFTER_FAILURE = 1e-3  # larger ones end in other minima: two of 1000 searches for ATM2 missed their optimum
+COST_OF_EVALUATION = 0.1  # in a budget, where a simulation of all runs costs 1 (2 and 18 ms)
+MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
+NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 
 def bounded_coefficients(
@@ -126,14 +132,6 @@ def solve_positive(matrix: Array, right: Array) -> Array:
     """
     _, solution, info = dposv(matrix, right)
     return np.asarray(solution if info == 0 else np.linalg.solve(matrix, right))
-
-
-RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
-FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
-MIN_DAMPING_AFTER_FAILURE = 1e-3  # larger ones end in other minima: two of 1000 searches for ATM2 missed their optimum
-COST_OF_EVALUATION = 0.1  # in a budget, where a simulation of all runs costs 1 (2 and 18 ms)
-MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
-NO_INDICES: Indices = np.zeros(0, dtype=int)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,15 @@ from frictrack.records import Array
 MAX_SCAN_AXES = 3  # parameters of one effect that are scanned together
 MAX_AT_ONCE = 64  # grid points evaluated at once
 MIN_UNEXPLAINED_SHARE = 1e-6  # smallest share of a column outside the model
+MAX_PLACES = 3  # grid points of one scan that are refined
+ROUGH_STEPS = 3  # steps while effects are still missing
+MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
+MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
+MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
+LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
+SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
+MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
+MIN_GAIN_CHI2 = 0.05  # the same in units of chi-squared per frame; less changes no decision
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,17 +360,6 @@ def _gains(schur: Array, right: Array, table: ScanTable, box: tuple[Array, Array
     own, (low, high) = right / size, (bound * size for bound in box)
     c = np.clip(np.linalg.solve(unit, own[:, :, None])[:, :, 0], low, high)
     return np.asarray(np.sum(c * (2 * own - (unit @ c[:, :, None])[:, :, 0]), axis=1))
-
-
-MAX_PLACES = 3  # grid points of one scan that are refined
-ROUGH_STEPS = 3  # steps while effects are still missing
-MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
-MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
-MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
-LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
-SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
-MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
-MIN_GAIN_CHI2 = 0.05  # the same in units of chi-squared per frame; less changes no decision
 
 
 class VariableProjection:

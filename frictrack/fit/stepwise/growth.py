@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from frictrack.base.errors import FrictrackError
-from frictrack.effects import Effect, Span
+from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.cutting import MIN_FRAMES, cut_into_pieces
 from frictrack.fit.least_squares import (
@@ -27,10 +28,10 @@ from frictrack.fit.least_squares import (
     refit_with_scatter,
 )
 from frictrack.fit.linearised import LinearisedModel, has_per_run_coefficients, linearise, measured_series
-from frictrack.fit.parameters import LEVEL, ParameterLayout
-from frictrack.fit.pieces import Piece, displacement_rows, spans_of, without_starts
+from frictrack.fit.parameters import LEVEL
+from frictrack.fit.pieces import Piece, displacement_rows, without_starts
 from frictrack.fit.separable.common_amplitudes import variable_projection
-from frictrack.fit.separable.model import SeparableModel, displacement_block
+from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem
 from frictrack.fit.separable.varpro import is_scannable
 from frictrack.fit.stepwise.trial import (
@@ -42,6 +43,7 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     model_without,
     refine_on_measured_motion,
+    reversed_ties,
     scan_effect,
     ties_are_resolved,
     try_effect,
@@ -89,40 +91,35 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 
     """
     pieces = [p.with_clock(1.0) for p in pieces]  # pieces drawn from a fit may have its clock rate
-    spans = spans_of(pieces, len(names), fps)
     if any(p.turns for p in pieces):
-        return _through_reversals(model, pieces, names, spans)
+        return _through_reversals(model, pieces, names, fps)
     found = []
     with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
-        found.append(_by_variable_projection(model, pieces, names, spans))
+        found.append(_by_variable_projection(model, pieces, names, fps))
     # a relaxed effect has too many parameters for a scan; one with memory takes ten times as long
     can_grow = not any(e.relaxed or e.memory for e in model.effects)
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
-        plain, scanned = entry_order(model)
-        with suppress(FrictrackError) if found else nullcontext():
-            problem = _problem_of(plain, pieces, names, spans)
-            found.append(_one_after_the_other(problem, best_on_grid(problem), model, scanned))
+        for other in (model, *reversed_ties(model)):
+            with suppress(FrictrackError) if found else nullcontext():
+                first, later = entry_order(other)
+                problem = _problem_of(first, pieces, names, fps)
+                found.append(_with_ties_of(_one_after_the_other(problem, best_on_grid(problem), other, later), model))
     return refit_until_stop(min(found, key=lambda s: s.objective))
 
 
-def _problem_of(
-    effects: list[Effect], pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
-) -> LeastSquaresProblem:
+def _problem_of(effects: list[Effect], pieces: list[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
     """The problem of some effects over all pieces."""
     if not effects:
         raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
-    layout = ParameterLayout(Model(tuple(effects)), names, spans)
-    return LeastSquaresProblem(layout.model, layout, pieces)
+    return LeastSquaresProblem.of(Model(tuple(effects)), pieces, names, fps)
 
 
-def _by_variable_projection(
-    model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]
-) -> Solution:
+def _by_variable_projection(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """The fit that variable projection starts; effects that it cannot scan are added afterwards."""
     # clock errors are found in simulation, for few runs
     later = [e for e in entry_order(model)[1] if not is_scannable(e) or e.clock is not None]
-    problem = _problem_of([e for e in model.effects if e not in later], pieces, names, spans)
-    blocks = [displacement_block(p) for p in problem.pieces]
+    problem = _problem_of([e for e in model.effects if e not in later], pieces, names, fps)
+    blocks = problem.blocks
     separable = SeparableModel(problem.layout, blocks)
     search = variable_projection(separable)
     state = search()
@@ -168,13 +165,31 @@ def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, l
     return _add_later(fit_with_scatter(problem, p, problem.first_starts()), model, later)
 
 
-def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], spans: tuple[Span, ...]) -> Solution:
+def _with_ties_of(solution: Solution, model: Model) -> Solution:
+    """The fit under the ties of `model`, refined from values found under other ties."""
+    old = solution.problem.layout
+    changes = {e.name: _changed_ties(old.effect(e.name), e) for e in model.effects}
+    if not any(changes.values()):
+        return solution
+    layout = replace(old, model=Model(tuple(old.effect(name).adjusted(**own) for name, own in changes.items())))
+    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
+    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
+    return fit_with_scatter(solution.problem.rebuild(layout), np.array(p), solution.starts, solution.tau or 0.03)
+
+
+def _changed_ties(fitted: Effect, wanted: Effect) -> dict[str, dict[str, Any]]:
+    """Tie and fixed value of the parameters of an effect whose tie is to be another one."""
+    changed = [p for p in wanted.parameters if p.tie != fitted.parameter(p.name).tie]
+    return {p.name: {"tie": p.tie, "fixed": p.fixed} for p in changed}
+
+
+def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """The fit of runs with stops and reversals; with very many segments, on some of them first."""
     subset = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
     if {p.run for p in subset} != {p.run for p in pieces}:
         subset = pieces
     start_effects, later = split_start_effects(model)
-    problem = _problem_of(start_effects, subset, names, spans)
+    problem = _problem_of(start_effects, subset, names, fps)
     guess = shoot_lengthening if any(p.slack for p in subset) else best_on_grid
     found = _one_after_the_other(problem, guess(problem), model, later)
     if len(subset) == len(pieces):

@@ -31,6 +31,20 @@ from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.records import Array
 
 EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment in addition to its size
+MAX_STARTS = 4  # grid points of one scan that are refined
+MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
+PRIOR_HALF_WIDTH_STD = 4.0  # range of a scan about a prior, standard deviations
+MIN_GAIN_SHARE = 0.5  # share of the best gain
+Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
+StartValues = dict[tuple[str, int | None], float]  # by parameter and run (None for all runs)
+MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
+MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
+MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
+MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
+MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
+STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
+ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
+ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fall of a step, share of the misfit
 
 
 def bic_penalty(count: float, frames: int) -> float:
@@ -93,6 +107,28 @@ def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
     return leaders <= {effect.name, *(e.name for e in known_values)}
 
 
+def reversed_ties(model: Model) -> list[Model]:
+    """Return the same model with each tie between two scanned effects reversed, one model per tie.
+
+    A scan sees the leading effect first and alone, so the other direction may find a better start.
+    """
+    out = []
+    for e in model.effects:
+        for p in (p for p in e.nonlinear if p.tie):
+            tie = Tie.read(str(p.tie))
+            leader = next(other for other in model.effects if other.name == tie.effect)
+            leader_parameter = leader.parameter(tie.parameter)
+            if leader is e or not leader_parameter.free or leader_parameter.scan is None or tie.factor == 0:
+                continue
+            reversed_tie = f"{1 / tie.factor!r}*{e.name}.{p.name}"
+            reversed_effects = {
+                leader.name: leader.adjusted(**{leader_parameter.name: {"tie": reversed_tie, "prior": None}}),
+                e.name: e.adjusted(**{p.name: {"tie": None}}),
+            }
+            out.append(Model(tuple(reversed_effects.get(o.name, o) for o in model.effects)))
+    return out
+
+
 def model_without(solution: Solution, name: str) -> Model:
     """Return the model without one effect; parameters tied to it are fixed at their current values."""
     model = solution.problem.model
@@ -109,15 +145,6 @@ def model_without(solution: Solution, name: str) -> Model:
             for e in (model - name).effects
         )
     )
-
-
-MAX_STARTS = 4  # grid points of one scan that are refined
-MIN_GRID_STEPS_APART = 3  # grid steps; closer points count as the same
-PRIOR_HALF_WIDTH_STD = 4.0  # range of a scan about a prior, standard deviations
-MIN_GAIN_SHARE = 0.5  # share of the best gain
-
-Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
-StartValues = dict[tuple[str, int | None], float]  # by parameter and run (None for all runs)
 
 
 def effect_for_scan(solution: Solution, effect: Effect) -> Effect:
@@ -281,16 +308,6 @@ def _scan_near_prior(p: Parameter, prior: tuple[float, float]) -> Within:
     mean, std = prior
     low, high = max(p.bounds[0], mean - PRIOR_HALF_WIDTH_STD * std), min(p.bounds[1], mean + PRIOR_HALF_WIDTH_STD * std)
     return Within((float(low), float(np.nextafter(max(high, low), np.inf))), p.scan)
-
-
-MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
-MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
-MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
-MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
-MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
-STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
-ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
-ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fall of a step, share of the misfit
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,9 @@ from frictrack.fit.uncertainty.reported import (
 from frictrack.records import Array
 
 MIN_CORRELATION = 0.95  # stronger correlations are reported
+# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
+MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
+UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
 
 
 @dataclass(frozen=True)
@@ -186,11 +189,6 @@ def correlations(names: list[str], at: list[int], covariance: Array) -> list[tup
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
     return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > MIN_CORRELATION]
-
-
-# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
-MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
-UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
 
 
 def unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:

@@ -26,6 +26,15 @@ from frictrack.fit.routes import FittedRuns
 from frictrack.records import GRAVITY, ROLLING, Array, Run
 
 DIFFERENCE_SEPARATOR = " - "  # separates two addresses whose difference is meant
+MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable
+MAX_NAMES_LISTED = 6  # parameters listed of one group
+NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
+MIN_OTHER_RUNS = 2  # that agree with each other
+MIN_RATIO = 1.3  # of friction levels; smaller differences are usual between repeats of a run
+MIN_SPREADS = 5.0  # of the other runs, and standard deviations of the difference
+MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction from that of a shape
+MIN_ROLLING_FRAMES, MIN_ROLLING_TURN = 16, 0.5  # frames, and rad, from which a turn is judged
+MIN_ROLLING_R2 = 0.98  # of the angle against the way
 
 
 def reported_slots(layout: ParameterLayout) -> list[int]:
@@ -107,14 +116,6 @@ def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
         raise FrictrackError(f"expected a free parameter of the law ({', '.join(names)}) {why}", usage=True)
     slot = layout.names.index(parts[0])
     return Quantity(address, layout.slots[slot].unit, slot, parts)
-
-
-MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable
-MAX_NAMES_LISTED = 6  # parameters listed of one group
-NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
-MIN_OTHER_RUNS = 2  # that agree with each other
-MIN_RATIO = 1.3  # of friction levels; smaller differences are usual between repeats of a run
-MIN_SPREADS = 5.0  # of the other runs, and standard deviations of the difference
 
 
 def identifiability_remarks(
@@ -283,11 +284,6 @@ def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Arr
             f"(one that is {ratio**0.5:.3g} times too high does this), its scale ({ratio:.3g} times), its normal load "
             "and its surface"
         )
-
-
-MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction from that of a shape
-MIN_ROLLING_FRAMES, MIN_ROLLING_TURN = 16, 0.5  # frames, and rad, from which a turn is judged
-MIN_ROLLING_R2 = 0.98  # of the angle against the way
 
 
 def rolling_remarks(fitted: FittedRuns) -> Iterator[str]:
