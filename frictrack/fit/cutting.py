@@ -262,11 +262,9 @@ def run_context(run: Run, reference: Reference) -> RunContext:
 
 
 def _frames_at_rest(run: Run) -> int:
-    """Number of frames at the beginning of a record in which a free mass rests; 0 if it slides from the first one.
-
-    If the smoothed motion is never certainly slow, only the first frame is tested. With a load cell a mass may rest
-    under any force, so no frame counts as rest.
-    """
+    """Number of frames at the beginning of a record in which a free mass rests; 0 if it slides from the first one."""
+    # If the smoothed motion is never certainly slow, only the first frame is tested. With a load cell a mass may rest
+    # under any force, so no frame counts as rest.
     if run.friction_N is not None:
         return 0
     v, sigma = run.motion.v, run.motion.sigma_v
@@ -280,11 +278,9 @@ def _frames_at_rest(run: Run) -> int:
 
 
 def _significant_angle(times: Array, angle: Array) -> Array | None:
-    """The significant part of the target's angle (n,), gaps interpolated; None if most of it is unknown.
-
-    Angle and place of one frame come from the same pixels, so the noise of the angle is correlated with that of the
-    place. An angle that does not exceed its noise counts as constant zero.
-    """
+    """The significant part of the target's angle (n,), gaps interpolated; None if most of it is unknown."""
+    # Angle and place of one frame come from the same pixels, so the noise of the angle is correlated with that of the
+    # place. An angle that does not exceed its noise counts as constant zero.
     known = np.isfinite(angle)
     if np.mean(known) <= MIN_KNOWN_SHARE:
         return None

@@ -119,7 +119,7 @@ def _initial_states(model: Model, values: Values, piece: Piece, level: float) ->
 def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Start, int], Array]) -> Start:
     """The first state, fitted to the first frames by Gauss-Newton; from rest only the position is fitted."""
     frames = min(int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES)), len(piece.t))
-    first, rests = piece.first(frames), piece.path.s[0] == 0
+    first, rests = piece.part(0, frames), piece.path.s[0] == 0
     names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
     memory = np.array([states[name][0, k] for name, k in names])
     travel, speed = float(np.ptp(first.x_hat)), float(np.ptp(first.v_hat))

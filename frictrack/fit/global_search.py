@@ -47,20 +47,7 @@ MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance t
 
 
 class _SearchMisfit(ABC):
-    """Misfit of points of a search. Called with points (Q, d), it returns misfits (Q,).
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        The unknowns.
-    blocks : sequence of DataBlock
-        The data.
-    tau : float
-        Relative standard deviation of the friction levels.
-    unit : float
-        Factor from whitened squares to the unit in which the misfit is reported.
-
-    """
+    """Misfit of points of a search. Called with points (Q, d), it returns misfits (Q,)."""
 
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
@@ -88,23 +75,8 @@ class _SearchMisfit(ABC):
         return np.concatenate([self.evaluate(part)[0] for part in parts])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Compute misfits and friction levels.
-
-        A level is 1 + d; d has mean zero and standard deviation tau.
-
-        Parameters
-        ----------
-        points : array of shape (Q, d)
-            Points of the search.
-
-        Returns
-        -------
-        misfits : array of shape (Q,)
-            Squared misfits.
-        levels : array of shape (Q, R)
-            Friction levels of the R runs.
-
-        """
+        """Compute misfits and friction levels."""
+        # a level is 1 + d; d has mean zero and standard deviation tau
         levels = np.ones((len(points), len(self.layout.run_names)))
         misfits = np.full(len(points), sum(b.rest for b in self.blocks))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -273,23 +245,6 @@ def search_parameters(
 
     The friction levels of several runs are not searched: each has its least-squares value, held about one to within 3
     %.
-
-    Parameters
-    ----------
-    misfit : PopulationMisfit or ReducedPopulationMisfit
-        What is minimised.
-    method : str or SearchMethod
-        A key of `frictrack.search.METHODS`, or a record with settings.
-    rng : numpy.random.Generator
-        Source of random numbers.
-    callback : callable, optional
-        Called with generation, best point by address and its misfit. A true return value stops the search.
-
-    Returns
-    -------
-    SearchedOptima
-        The "group of feasible solutions", best first, their misfits, and the search generation by generation.
-
     """
     layout = misfit.layout
     names = [layout.names[i] for i in misfit.searched]
@@ -375,17 +330,6 @@ def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
     Forces reach 1.5 times the largest measured friction, amplitudes of waves its whole range. Other coefficients
     reach the value that makes such a force along the measured motion. Phases go from -pi to pi. Frequencies go as far
     as they are scanned, in the force domain up to twice the cut-off.
-
-    Parameters
-    ----------
-    misfit : PopulationMisfit or ReducedPopulationMisfit
-        What is minimised.
-
-    Returns
-    -------
-    array of shape (d, 2)
-        Lower and upper bounds of the searched parameters.
-
     """
     layout, data_range = misfit.layout, _DataRange(misfit.layout, misfit.blocks)
     slots = [layout.slots[i] for i in misfit.searched]

@@ -187,10 +187,8 @@ def _piece_motion(
 
 
 def _force_and_acceleration(solution: Solution, piece: Piece, p: Array, x: Array, v: Array) -> tuple[Array, Array]:
-    """Friction force (N) and acceleration at the frames for unknowns p (P,) and a path x, v (n,).
-
-    A fitted mass acts as one more force, and every coefficient stands for `mass_ratio` times itself.
-    """
+    """Friction force (N) and acceleration at the frames for unknowns p (P,) and a path x, v (n,)."""
+    # a fitted mass acts as one more force, and every coefficient stands for `mass_ratio` times itself
     problem = solution.problem
     values, level = problem.layout.values(p, piece.run)
     path = piece.at_frames(x, v, level)
@@ -201,10 +199,8 @@ def _force_and_acceleration(solution: Solution, piece: Piece, p: Array, x: Array
 def _independent_changes(
     solution: Solution, covariance: Array, response: PieceResponse, x: Array, v: Array
 ) -> list[Array]:
-    """Changes of x, v, a and F at the frames, (n, k) each, along k independent directions of one standard deviation.
-
-    The start is least squares for any unknowns, so it follows them; it has an error of its own as well.
-    """
+    """Changes of x, v, a and F at the frames, (n, k) each, along k independent directions of one standard deviation."""
+    # the start is least squares for any unknowns, so it follows them; it has an error of its own as well
     piece, active, p = response.piece, response.active, solution.p
     n = len(active)
     inverse_upper = np.linalg.inv(response.upper)

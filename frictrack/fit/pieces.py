@@ -263,10 +263,6 @@ class Piece:
         drive = 0.0 if self.path.drive is None else self.path.drive
         return replace(self, mass=mass, known=self.known - drive / self.mass + drive / mass)
 
-    def first(self, n: int) -> Piece:
-        """Return the first n frames of the piece."""
-        return self.part(0, n)
-
     def part(self, start: int, stop: int) -> Piece:
         """Return the frames from `start` up to `stop` as a piece."""
         low, high = int(self.at[start]), int(self.at[stop - 1])

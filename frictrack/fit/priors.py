@@ -327,11 +327,9 @@ def _shares(solution: Solution, noise: Array, rows: Array, alone: _DataAlone) ->
 
 
 def _other_errors(explained: Array, total: Array) -> Array:
-    """What errors of the data beyond white noise add to the covariance of the estimate, in units of the prior, (m, m).
-
-    A factor that is common to all variances (Student's t, as the noise level is estimated) is applied to the share of
-    the data alone: the standard deviations of the prior are known.
-    """
+    """What errors beyond white noise add to the covariance of the estimate, in units of the prior, (m, m)."""
+    # a factor that is common to all variances (Student's t, as the noise level is estimated) is applied to the share of
+    # the data alone: the standard deviations of the prior are known
     factor = np.linalg.cholesky(explained + 1e-12 * np.eye(len(explained)))
     ratio = np.linalg.solve(factor, np.linalg.solve(factor, total).T)
     wider = max(float(np.linalg.eigvalsh((ratio + ratio.T) / 2)[0]), 1.0)

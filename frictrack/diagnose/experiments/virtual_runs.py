@@ -356,7 +356,7 @@ def make_run(
     if n < MIN_RUN_FRAMES:
         raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
     motion = found.motion
-    piece = replace(piece, x_hat=motion.x, v_hat=motion.v, a_hat=motion.a, y=found.model_y).first(n)
+    piece = replace(piece, x_hat=motion.x, v_hat=motion.v, a_hat=motion.a, y=found.model_y).part(0, n)
     return VirtualRun(design, piece, *unknowns(spans_of([replace(piece, run=0)], 1, conditions.fps * design.rate)[0]))
 
 

@@ -247,11 +247,9 @@ class _Refinement:
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
 
     def after_trial(self, state: Solution, step: Array) -> Solution:
-        """The solution after a trial step.
-
-        If the step went too far, the coefficients are solved again for its non-linear parameters (variable
-        projection).
-        """
+        """The solution after a trial step."""
+        # if the step went too far, the coefficients are solved again for its non-linear parameters (variable
+        # projection)
         trial, linear, (low, high) = self.after_step(state, step), self.problem.layout.coefficients, self.bounds
         for _ in range(MAX_PROJECTIONS):
             if trial.objective < state.objective:
@@ -359,10 +357,8 @@ def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: 
 
 
 def _bounded_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> Array:
-    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on.
-
-    The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
-    """
+    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on."""
+    # The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
     (low, high), z, free = bounds, np.zeros(rows.shape[1]), np.ones(rows.shape[1], dtype=bool)
     damping = region.damping
     while np.any(free):

@@ -123,7 +123,7 @@ class JoinedLaw:
         spread = self.joined.spread(values)
         if not isinstance(spread, np.ndarray):
             return spread
-        of = next(e for e in self.model.effects if e.name == effect)
+        of = self.layout.effect(effect)
         return spread[:, None] if of.parameter(parameter).role == "depth" else spread
 
     def acceleration(self, x: Array, v: Array, t: Array) -> Array:
@@ -208,7 +208,7 @@ class JoinedLaw:
 
     def _column(self, group: UnknownGroup) -> int:
         """Which column of its effect a linear parameter multiplies."""
-        of = next(e for e in self.model.effects if e.name == group.effect)
+        of = self.layout.effect(group.effect)
         return [q.name for q in of.linear].index(group.parameter)
 
     def _difference(
@@ -300,22 +300,7 @@ class PieceResponse:
 
 @dataclass(eq=False)
 class _Simulation:
-    """Pieces of a problem that are simulated together, and a motion near theirs.
-
-    Attributes
-    ----------
-    joined : JoinedPieces
-        The pieces.
-    columns : list of list of int
-        Groups of unknowns that affect each piece.
-    guess : array of shape (3 p,)
-        Accelerations of the near motion.
-    near : MotionResponse or None
-        Its response, where it has the same panels.
-    is_first : bool
-        Whether these pieces have not been simulated yet.
-
-    """
+    """Pieces of a problem that are simulated together, and a motion near theirs."""
 
     joined: JoinedPieces
     columns: list[list[int]]
@@ -376,7 +361,7 @@ class LeastSquaresProblem:
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> LeastSquaresProblem:
         """Create the same kind of problem for another layout or other pieces than its own."""
-        return LeastSquaresProblem(layout.model, layout, pieces or self.pieces, self.budget)
+        return type(self)(layout.model, layout, pieces or self.pieces, self.budget)
 
     def with_budget(self, budget: EvaluationBudget) -> LeastSquaresProblem:
         """Return the same problem with another budget of evaluations."""
@@ -585,11 +570,9 @@ class LeastSquaresProblem:
     def _solve_sharpening(
         self, law: JoinedLaw, starts: Array, guess: Array
     ) -> tuple[CollocationSolution, MotionResponse]:
-        """Solve swinging masses whose dry friction turns slowly at a reversal first, then as sharply as it does.
-
-        A mass that swings in the record and comes to rest under the law has no other near motion to begin with
-        (continuation: Allgower & Georg 1990, Numerical Continuation Methods).
-        """
+        """Solve swinging masses whose dry friction turns slowly at a reversal first, then as sharply as it does."""
+        # a mass that swings in the record and comes to rest under the law has no other near motion to begin with
+        # (continuation: Allgower & Georg 1990, Numerical Continuation Methods)
         pieces = law.joined.pieces
         widest = max(float(np.max(np.abs(q.v_hat))) / q.slack for q in pieces if q.slack)
         for k in range(max(int(np.ceil(np.log(widest) / np.log(SHARPENING))), 1), -1, -1):
@@ -618,10 +601,8 @@ class LeastSquaresProblem:
     def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]
     ) -> tuple[Array, Array, Array]:
-        """Measurement shift at the frames, its derivative in x, and its change per unit of every active unknown.
-
-        A clock error is already in the times of the piece. Only its change shifts the measurement.
-        """
+        """Measurement shift at the frames, its derivative in x, and its change per unit of every active unknown."""
+        # A clock error is already in the times of the piece. Only its change shifts the measurement.
         x = motion.x_edge[piece.at]
         v = motion.v_edge[piece.at]
         direct = np.zeros((len(x), len(active)))

@@ -420,10 +420,8 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
 
 
 def _systematic_gradients(r: PieceResponse) -> Array:
-    """Gradient (m, A) of the objective under each systematic error of a piece, one standard deviation of each.
-
-    Empty where the model is compared behind a filter, whose rows are not frames.
-    """
+    """Gradient (m, A) of the objective under each systematic error of a piece, one standard deviation of each."""
+    # empty where the model is compared behind a filter, whose rows are not frames
     piece = r.piece
     blocks = [np.zeros((0, r.jac.shape[1]))]
     if len(r.jac) != len(piece.sigma):
@@ -483,11 +481,9 @@ def clustered_covariance(solution: Solution, bread: Array, gradients: Array) -> 
 
 
 def _batch_covariance(solution: Solution, bread: Array) -> Array:
-    """Covariance (P, P) from batches of segments.
-
-    With as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means, Annals
-    of Statistics 38, 1034-1070).
-    """
+    """Covariance (P, P) from batches of segments."""
+    # with as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means,
+    # Annals of Statistics 38, 1034-1070)
     gradients = solution.stacked([(r.jac.T @ r.r)[None] for r in solution.responses])
     batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, batch_count(solution))])
     return clustered_covariance(solution, bread, batches)
@@ -565,10 +561,9 @@ def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | 
 
 @dataclass(frozen=True)
 class _LinearRun:
-    """One run about the fitted model, its s pieces stacked.
+    """One run about the fitted model, its s pieces stacked."""
 
-    Whitened residual (n,), sensitivities (n, P) and starts (n, 2 s); which frames are hidden (n,).
-    """
+    # whitened residual (n,), sensitivities (n, P) and starts (n, 2 s); which frames are hidden (n,)
 
     pieces: list[Piece]
     residual: Array
@@ -623,10 +618,8 @@ def _own_unknowns(solution: Solution, run: int) -> Mask:
 
 
 def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: Mask | None = None) -> Array:
-    """Gauss-Newton step (P,) of the free unknowns for some rows [J, r] of every piece, by default all of them.
-
-    Directions that these rows hardly determine, compared with all frames, stay 0.
-    """
+    """Gauss-Newton step (P,) of the free unknowns for some rows [J, r] of every piece, by default all of them."""
+    # directions that these rows hardly determine, compared with all frames, stay 0
     layout, tau = solution.problem.layout, solution.tau or 0.03
     free = np.ones(len(solution.p), dtype=bool) if free is None else free
     rows = [np.column_stack([r.jac, r.r]) for r in solution.responses] if rows is None else rows
@@ -641,11 +634,9 @@ def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: 
 
 
 def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
-    """Coefficients (k,) of a run's own columns (n, k) from its kept frames.
-
-    Directions along which the kept frames hold nearly none of the information stay 0: the time of an event that lies
-    between two frames may show in one frame alone, and linear extrapolation from the others means nothing.
-    """
+    """Coefficients (k,) of a run's own columns (n, k) from its kept frames."""
+    # directions along which the kept frames hold nearly none of the information stay 0: the time of an event that lies
+    # between two frames may show in one frame alone, and linear extrapolation from the others means nothing
     if not columns.shape[1]:
         return np.zeros(0)
     norm = column_norms(columns)

@@ -180,11 +180,11 @@ def _products_of_blocks(
 
 
 class _Absorption:
-    """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them.
+    """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them."""
 
-    A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every other
-    is evaluated for each series at its own scatter. The views say at which of the T scatters which series are seen.
-    """
+    # A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every
+    # other is evaluated for each series at its own scatter. The views say at which of the T scatters which series are
+    # seen.
 
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
         self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
@@ -256,10 +256,8 @@ class _Absorption:
 def _block_parts(
     law: LinearisedModel, series: ScannedSeries, rows: Sequence[NDArray[np.int_]], t: int
 ) -> tuple[list[Array], Array]:
-    """What a scatter of the levels leaves of coordinates by every block itself, and T (L, p) that couples the blocks.
-
-    The friction level of a run absorbs its part alone.
-    """
+    """What a scatter of the levels leaves of coordinates by every block, and T (L, p) that couples the blocks."""
+    # the friction level of a run absorbs its part alone
     projector = series.residual_projectors[t]
     if len(rows) == 1:
         return [projector[np.ix_(rows[0], rows[0])]], np.zeros((len(projector), 0))
@@ -303,10 +301,8 @@ def whitener(schur: Array, full: Array) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array:
-    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing.
-
-    A difference from the identity may come out indefinite, because small shares of its columns were neglected.
-    """
+    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing."""
+    # a difference from the identity may come out indefinite, because small shares of its columns were neglected
     left, axes = np.linalg.eigh(gram)
     floor = np.where(left[..., :1] > 0, 0.0, MAX_ABSORBED_LEFT)
     size = np.where(left > floor, 1 / np.sqrt(np.maximum(left, MIN_UNEXPLAINED_SHARE)), 0.0)

@@ -197,7 +197,7 @@ class AccelerationProblem(LeastSquaresProblem):
 
     def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> AccelerationProblem:
         """Create the same kind of problem for another layout or other data of the same frames."""
-        return AccelerationProblem(super().rebuild(layout, pieces), self.chains)
+        return AccelerationProblem(LeastSquaresProblem(layout.model, layout, pieces or self.pieces), self.chains)
 
     @property
     def blocks(self) -> list[DataBlock]:

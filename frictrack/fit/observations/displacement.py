@@ -233,11 +233,9 @@ class DisplacementObservation(Observation):
 
 
 def _misfit(run: Run, curves: Sequence[Curve]) -> Array:
-    """Measured minus modelled displacement (n,), m; 0 before the first fitted frame, linear in time after the last.
-
-    Every segment has its own start. So that segments meet without a jump, what follows is moved by a shift and a speed,
-    which no filter changes.
-    """
+    """Measured minus modelled displacement (n,), m; 0 before the first fitted frame, linear in time after the last."""
+    # Every segment has its own start. So that segments meet without a jump, what follows is moved by a shift and a
+    # speed, which no filter changes.
     m = run.motion
     y = np.where(run.displacement.known, run.displacement.x, m.x)
     t, x, v, a = m.t, y.copy(), m.v.copy(), m.a.copy()

@@ -221,10 +221,6 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     observed, simulates = "friction", False
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> LeastSquaresProblem:
-        """Create the same kind of problem for another layout or other pieces than its own."""
-        return MeasuredFrictionProblem(layout.model, layout, pieces or self.pieces, self.budget)
-
     @classmethod
     def of(cls, model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> MeasuredFrictionProblem:
         """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
@@ -257,11 +253,10 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         return [self._response(piece, p) for piece in self.pieces]
 
     def _response(self, piece: Piece, p: Array) -> PieceResponse:
-        layout = self.layout
         path = piece.path
         motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
-        active = layout.active(piece.run)
-        values, level = layout.values(p, piece.run)
+        active = self.layout.active(piece.run)
+        values, level = self.layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
         return PieceResponse(
@@ -384,53 +379,40 @@ def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     known = np.flatnonzero(np.isfinite(series))
     full_series = np.interp(np.arange(len(series)), known, series[known])
     context = run_context(run, Reference(run.mass or 1.0, 1.0))
-    path = _measured_path(run, context, full_series, load)
-    return MeasuredFrictionPiece(
-        run=index,
-        frames=rows,
-        t=path.t[rows],
-        y=series[rows],
-        sigma=np.full(len(rows), noise),
-        panels=FrameNodes(path.t),
-        at=rows,
-        per_frame=1,
-        x_hat=path.x,
-        v_hat=path.v,
-        a_hat=-full_series,
-        known=np.zeros_like(path.t),
-        path=path,
-        mass=1.0,
-        way=context.way,
-        systematic=run.drift or 0.0,
-    )
+    path, sigma = _measured_path(run, context, full_series, load), np.full(len(rows), noise)
+    piece = _friction_piece(index, path, full_series, rows, sigma)
+    return replace(piece, way=context.way, systematic=run.drift or 0.0)
 
 
-def _piece_of_points(run: Run, index: int, load: float) -> MeasuredFrictionPiece:
+def _piece_of_points(run: Run, index: int, load: float | Array) -> MeasuredFrictionPiece:
     """The piece of a table of speeds and forces: every row is compared, with its own deviation."""
     points, sigma = points_of(run)
     force, v = np.asarray(run.friction_N, dtype=float), run.motion.v
     least = max(MIN_NOISE_SHARE * float(np.max(np.abs(force))), 1e-12)
     t, still = run.motion.t - run.motion.t[0], np.zeros(len(v))
-    path = Path(
-        t, still, v, np.sign(v), load=load * (points.load if run.loads is not None else 1.0), mass=run.mass, steady=True
-    )
+    load = load * (points.load if run.loads is not None else 1.0)
+    path = Path(t, still, v, np.sign(v), load=load, mass=run.mass, steady=True)
+    piece = _friction_piece(index, path, force, np.arange(len(v)), np.maximum(sigma, least))
+    return replace(piece, way=np.stack([t, still, v]), points=points)
+
+
+def _friction_piece(index: int, path: Path, force: Array, rows: Rows, sigma: Array) -> MeasuredFrictionPiece:
+    """The piece of a force (n,) along a path, compared at some rows, there with the deviations sigma."""
     return MeasuredFrictionPiece(
         run=index,
-        frames=np.arange(len(v)),
-        t=t,
-        y=force,
-        sigma=np.maximum(sigma, least),
-        panels=FrameNodes(t),
-        at=np.arange(len(v)),
+        frames=rows,
+        t=path.t[rows],
+        y=force[rows],
+        sigma=sigma,
+        panels=FrameNodes(path.t),
+        at=rows,
         per_frame=1,
-        x_hat=still,
-        v_hat=v,
+        x_hat=path.x,
+        v_hat=path.v,
         a_hat=-force,
-        known=still,
+        known=np.zeros_like(path.t),
         path=path,
         mass=1.0,
-        way=np.stack([t, still, v]),
-        points=points,
     )
 
 

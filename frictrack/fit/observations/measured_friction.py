@@ -176,11 +176,9 @@ def _thinned(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
 
 
 def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
-
-    The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
-    friction is averaged but its residual.
-    """
+    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual."""
+    # The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
+    # friction is averaged but its residual.
     piece = response.piece
     assert isinstance(piece, MeasuredFrictionPiece)
     n = len(piece.t) // step * step

@@ -5,9 +5,9 @@
     p = separable.law(state.nonlinear_values, state.coefficients)
 
 The blocks of a problem are its displacements, accelerations or measured friction. `state` holds the non-linear values,
-the coefficients (K,) and the misfit; p (P,) holds all unknowns of the layout. `variable_projection(separable)(data)` fits
-other data (M,) along the same
-motion and reuses its tables. `ProjectedProblem(separable, data).refine(state)` refines a known solution.
+the coefficients (K,) and the misfit; p (P,) holds all unknowns of the layout. `variable_projection(separable)(data)`
+fits other data (M,) along the same motion and reuses its tables. `ProjectedProblem(separable, data).refine(state)`
+refines a known solution.
 
 References
 ----------

@@ -73,19 +73,7 @@ class DataBlock:
 
 
 def displacement_block(piece: Piece) -> DataBlock:
-    """Create a block from the displacement of a piece.
-
-    Parameters
-    ----------
-    piece : Piece
-        The piece.
-
-    Returns
-    -------
-    DataBlock
-        Whitened displacement minus that of the known acceleration, start position and speed projected out.
-
-    """
+    """Create a block from the displacement of a piece."""
     q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
     twice = double_integral(piece.t)
 
@@ -396,21 +384,7 @@ class SeparableModel:
     # --- evaluation
 
     def columns(self, g: int, nonlinear_values: Array, steps: Array) -> Array:
-        """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters.
-
-        Parameters
-        ----------
-        g : int
-            Index of the group.
-        nonlinear_values, steps : array of shape (P,)
-            Parameter vector, of which only non-linear values are used, and the steps of the differences.
-
-        Returns
-        -------
-        array of shape (1 + q, k, M)
-            Data per unit coefficient, in standard deviations; then the same per unit of each parameter.
-
-        """
+        """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters."""
         parts = []
         for b, block in enumerate(self.blocks):
             places = self.places[g].reshape(-1, len(self.layout.run_names))[:, block.run]
@@ -470,22 +444,7 @@ class SeparableModel:
     # --- conversion to the unknowns of the layout
 
     def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
-        """Convert a separable solution to the unknowns of the layout.
-
-        Parameters
-        ----------
-        nonlinear_values : array of shape (P,)
-            Parameter vector with the non-linear values.
-        coefficients : array of shape (K,)
-            Linear coefficients.
-
-        Returns
-        -------
-        array of shape (P,)
-            All unknowns, phases within their bounds. A sinusoid has its amplitude (the mean over runs where it is
-            shared) and phases.
-
-        """
+        """Convert a separable solution to the unknowns of the layout."""
         p = np.array(nonlinear_values, dtype=float)
         estimates_by_slot: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}

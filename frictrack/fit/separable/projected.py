@@ -47,24 +47,6 @@ def bounded_coefficients(
 ) -> tuple[Array, Mask]:
     """Minimise c' G c - 2 c' u within bounds.
 
-    Parameters
-    ----------
-    gram : array of shape (K, K)
-        G.
-    right : array of shape (K,)
-        u.
-    low, high : array of shape (K,)
-        Bounds; equal bounds fix a coefficient.
-    damping : float
-        Share of the diagonal of G that is added to it.
-
-    Returns
-    -------
-    coefficients : array of shape (K,)
-        The minimum.
-    unconstrained : array of bool, shape (K,)
-        Coefficients that are not at a bound.
-
     Examples
     --------
     >>> c, free = bounded_coefficients(np.eye(2), np.array([1.0, -1.0]), np.zeros(2), np.full(2, 9.0))
@@ -253,25 +235,7 @@ class ProjectedProblem:
         groups: Iterable[int] | None = None,
         taking_part: Indices | None = None,
     ) -> SeparableSolution:
-        """Evaluate the solution for given non-linear values.
-
-        Parameters
-        ----------
-        nonlinear_values : array of shape (P,)
-            Parameter vector.
-        known : SeparableSolution, optional
-            Solution whose columns are reused for all groups not in `groups`; by default these take no part.
-        groups : iterable of int, optional
-            Groups to evaluate; default all.
-        taking_part : array of int, optional
-            Coefficients that take part from now on; default all of these groups.
-
-        Returns
-        -------
-        SeparableSolution
-            Coefficients, residual and misfit.
-
-        """
+        """Evaluate the solution for given non-linear values."""
         self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
         columns = {} if known is None else dict(known.columns)
         excluded = np.ones(len(self.separable.coefficients), bool) if known is None else known.excluded.copy()
@@ -351,25 +315,6 @@ class ProjectedProblem:
         """Refine the non-linear parameters of some groups and the friction levels by Levenberg-Marquardt.
 
         A solution stays as it is once the budget is spent.
-
-        Parameters
-        ----------
-        state : SeparableSolution
-            Where to start.
-        groups : iterable of int, optional
-            Groups to refine; default all.
-        steps : int
-            Largest number of steps.
-        enough : float
-            Stop when a step is predicted to gain less than this share of the misfit.
-        below : float
-            Stop when the misfit is not expected to fall below this value.
-
-        Returns
-        -------
-        SeparableSolution
-            The refined solution.
-
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
         parameters = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots})

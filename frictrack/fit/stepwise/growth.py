@@ -218,7 +218,7 @@ def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
         pieces = solution.problem.pieces
         if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
             break
-        shorter = [p.first(n) for n, p in zip(kept, pieces, strict=True)]
+        shorter = [p.part(0, n) for n, p in zip(kept, pieces, strict=True)]
         problem = solution.problem.rebuild(solution.problem.layout, shorter)
         with suppress(FrictrackError):  # the motion under a law that lacks much cannot be integrated everywhere
             if free is None:

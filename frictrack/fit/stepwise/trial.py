@@ -351,10 +351,8 @@ def try_effects(
 
 
 def _near_best(linearised: LinearisedModel, trials: Sequence[CandidateTrial], misfit: float) -> float:
-    """Misfit above which a trial does not come near the best one, which may need more unknowns.
-
-    `misfit` is that of the model without any effect.
-    """
+    """Misfit above which a trial does not come near the best one, which may need more unknowns."""
+    # `misfit` is that of the model without any effect
     if not trials:
         return np.inf
     frames = sum(len(b.data) for b in linearised.blocks)

@@ -349,10 +349,8 @@ def _powers(units: Iterable[str], *, force_has_length: bool) -> tuple[Array, Arr
 
 
 def _shifts(solution: Solution) -> Iterator[Array]:
-    """Yield the changes (P,) of the unknowns per relative error of the scale, and of the mass.
-
-    A prior is of the true values, and so it takes a part of their error.
-    """
+    """Yield the changes (P,) of the unknowns per relative error of the scale, and of the mass."""
+    # a prior is of the true values, and so it takes a part of their error
     layout = solution.problem.layout
     covariance, priors = white_noise_covariance(solution)[0], prior_jacobian(layout, solution.p)
     values = layout.reported_values(solution.p)

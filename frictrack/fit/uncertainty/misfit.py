@@ -90,11 +90,9 @@ def misfit_of(solution: Solution) -> Misfit | None:
 
 
 def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array, Array]:
-    """Inner products of the traces of K unit forces in the data.
-
-    They are those of what the model cannot follow of them with itself (K, K), with the residual (K,), and those of the
-    whole traces with the Jacobian (P, K).
-    """
+    """Inner products of the traces of K unit forces in the data."""
+    # they are those of what the model cannot follow of them with itself (K, K), with the residual (K,), and those of
+    # the whole traces with the Jacobian (P, K)
     size = max(columns.stop for columns, _ in forces)
     gram, data = np.zeros((size, size)), np.zeros(size)
     on_model, gradient = np.zeros((law.u.shape[1], size)), np.zeros((len(law.solution.p), size))
@@ -108,10 +106,8 @@ def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array
 
 
 def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
-    """The most likely force, its covariance scaled to the largest standard deviation under any plausible force.
-
-    The axis of the missing force is uncertain, and the standard deviations must hold for each plausible one.
-    """
+    """The most likely force, its covariance scaled to the largest standard deviation under any plausible force."""
+    # the axis of the missing force is uncertain, and the standard deviations must hold for each plausible one
     own = np.sqrt(np.maximum(np.diag(best.covariance), 1e-300))
     largest = np.sqrt(np.max([np.diag(m.covariance) for m in plausible], axis=0))
     scale = np.maximum(largest / own, 1.0)

@@ -34,7 +34,6 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.routes import FittedRuns, require_one_fit
-from frictrack.fit.stepwise import fit_displacement
 from frictrack.fit.uncertainty.reported import reported_names, reported_values_and_jacobian, standard_deviations
 from frictrack.records import Array
 
@@ -132,7 +131,6 @@ def bootstrap(
     *,
     rng: RNG = 0,
     level: float = 0.95,
-    scratch: bool = False,
     progress: Progress | None = None,
 ) -> Bootstrap:
     """Draw new data from a fit and fit them again.
@@ -147,8 +145,6 @@ def bootstrap(
         Random numbers: a generator, a seed, or None for other numbers in every call.
     level : float
         Confidence level of the intervals.
-    scratch : bool
-        Fit every draw from scratch instead of refining the fit.
     progress : callable, optional
         Called with the number done, the total, and "draws".
 
@@ -178,21 +174,15 @@ def bootstrap(
     if draws < MIN_DRAWS:
         raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
     require_one_fit(result)
-    if scratch and not result.route.is_default:
-        how = f"{result.route.domain} domain, {result.route.search}"
-        raise FrictrackError(
-            f"expected a fit of displacements by varpro to draw from scratch but got {how}; leave scratch out",
-            usage=True,
-        )
     generator = np.random.default_rng(rng)
-    solution, layout = result.solution, result.solution.problem.layout
+    solution, law, layout = result.solution, result.compared, result.solution.problem.layout
     blocks = [_block_length(r) for r in solution.responses]
     found: list[tuple[Array, Array, float]] = []
     reasons: list[str] = []
     for k in range(draws):
         try:
             drawn = _drawn_problem(solution, blocks, generator)
-            found.append(_reported_with_std(_refit(result.compared, drawn, scratch=scratch)))
+            found.append(_reported_with_std(fit_with_scatter(drawn, law.p, law.starts, law.tau or 0.03)))
         except (FrictrackError, np.linalg.LinAlgError) as e:
             reasons.append(str(e))
         if progress is not None:
@@ -224,14 +214,6 @@ def _drawn_problem(solution: Solution, blocks: Sequence[int], rng: np.random.Gen
     noise = _noise(solution, blocks, rng)
     pieces = [replace(r.piece, y=r.model_y + r.piece.coloured(e)) for r, e in zip(responses, noise, strict=True)]
     return solution.problem.rebuild(layout, pieces)
-
-
-def _refit(law: Solution, drawn: LeastSquaresProblem, *, scratch: bool) -> Solution:
-    """The fit to drawn data: refined from the fitted one, or from scratch."""
-    layout = drawn.layout
-    if scratch:
-        return fit_displacement(layout.model, drawn.pieces, layout.run_names, layout.span.fps)
-    return fit_with_scatter(drawn, law.p, law.starts, law.tau or 0.03)
 
 
 def _noise(solution: Solution, blocks: Sequence[int], rng: np.random.Generator) -> list[Array]:

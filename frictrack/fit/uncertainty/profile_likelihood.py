@@ -193,8 +193,8 @@ class FixedQuantityProblem(LeastSquaresProblem):
         changed: dict[str, Any] = {
             name: getattr(r, name) + np.outer(getattr(r, name)[:, at], share) for name in ("jac", "on_start")
         }
-        if (displacement := getattr(r, "plain", None)) is not None:  # behind an acceleration chain
-            changed["plain"] = self._with_pivot_derivative(displacement, derivative)
+        if (displacement := getattr(r, "displacement", None)) is not None:  # behind an acceleration chain
+            changed["displacement"] = self._with_pivot_derivative(displacement, derivative)
         return replace(r, **changed)
 
 
