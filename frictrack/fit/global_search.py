@@ -2,6 +2,12 @@
 
 The misfit is the papers' sum of squared acceleration residuals (force domain), or chi-squared of the displacement.
 The result is reported as found, without hidden refinement; standard deviations come from the linearisation there.
+
+Compute the misfit of a whole population of parameter vectors, each evaluated along the measured motion.
+
+`PopulationMisfit` is over all unknowns, as in the papers. `ReducedPopulationMisfit` is over the non-linear parameters
+only and solves the coefficients for every individual. Friction levels of several runs are not searched: each has its
+least-squares value, with a penalty about one.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from frictrack.base.lazy import imported
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.effects.models import Model
 from frictrack.fit.cutting import noise_free_remark
-from frictrack.fit.free_run import FreeRun, free_errors
-from frictrack.fit.modelled_motion import collisions, law_branches
+from frictrack.fit.modelled_motion import FreeRun, collisions, free_errors, law_branches
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of

@@ -1,4 +1,7 @@
-"""The least-squares problem: simulate the motion of every piece, compare it with the measurement, and linearise it."""
+"""The least-squares problem: simulate the motion of every piece, compare it with the measurement, and linearise it.
+
+A model along pieces that are laid end to end: its acceleration, and the sensitivities of that to the unknowns.
+"""
 
 from __future__ import annotations
 

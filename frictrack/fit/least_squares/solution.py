@@ -7,10 +7,20 @@ angular least squares. Normal matrix, singular values and right singular vectors
 A model that lacks a force compensates with its own parameters. Its residual is therefore not the missing force but
 the trace of that force in the data minus its projection on the model's sensitivities.
 
+Compute the held-out error: the error of the model at frames that were not used to fit it.
+
+By run: the shared parameters come from the other runs. The run's own parameters (start, level, phases, event times)
+come from its kept frames, and its hidden frames are scored. Where the other runs cannot determine a shared parameter
+well enough, the kept frames of all runs are fitted and the hidden ones scored. The result states which was used.
+
+Everything is linear algebra about the fitted model: leaving out frames changes the parameters little, so one
+Gauss-Newton step suffices.
+
 References
 ----------
 Bjorck, A. (1996). Numerical Methods for Least Squares Problems, section 6.3. SIAM.
 Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, section 5.2. Johns Hopkins.
+Cook, R. D. & Weisberg, S. (1982). Residuals and Influence in Regression, ch. 5. Chapman & Hall.
 
 """
 

@@ -1,4 +1,16 @@
-"""The grid of scanned parameters of a candidate effect, its columns there, and their products."""
+"""The grid of scanned parameters of a candidate effect, its columns there, and their products.
+
+Compute the products of waves from those of few plain waves, by the sampling theorem.
+
+Along a run of length U, a slowly varying envelope times exp(2 pi i q u) is a sum of few plain waves whose frequencies
+are `OVERSAMPLING` times closer than 1/U (a Fourier frame; the sum need not be periodic in U). The map from columns to
+data is linear, so all products of the columns are the same sums. Effects share the plain waves of time.
+
+References
+----------
+Adcock, B. & Huybrechs, D. (2019). Frames and numerical approximation. SIAM Review 61, 443-473.
+
+"""
 
 from __future__ import annotations
 

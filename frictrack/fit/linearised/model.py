@@ -1,4 +1,26 @@
-"""The fitted model linearised along the measured motion, ready for the forces of candidate effects."""
+"""The fitted model linearised along the measured motion, ready for the forces of candidate effects.
+
+Linearise a model about the measured motion, where its own motion differs from it.
+
+A model that lacks a strong effect moves differently than the mass did. There a texture has another phase, and an
+effect is no longer linear. The measured motion is the model's motion plus its smoothed residual. If nothing is
+missing, it is the model's own motion, also near stops. One Newton step from it gives the model's motion to second
+order in the smoothed residual.
+
+Level times coefficient is not linear. The sensitivities are those at levels of one, where a deviation of the level is
+the relative deviation of the force, whatever the coefficient. Levels far from one, because an effect is missing, then
+do no harm.
+
+The pieces of a fitted model linearised along the measured motion: maps from forces to whitened data.
+
+Every piece keeps an orthonormal basis of its start and sensitivities. The rows of a candidate are split into their
+few coordinates in that basis and the remainder. Only the remainder has to be compared with the long data.
+
+References
+----------
+Eilers, P. H. C. (2003). A perfect smoother. Analytical Chemistry 75, 3631-3636.
+
+"""
 
 from __future__ import annotations
 

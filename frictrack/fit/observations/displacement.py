@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.free_run import FreeRun, free_errors, free_run
 from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms, white_noise_covariance
-from frictrack.fit.modelled_motion import band_summary, modelled_motion
+from frictrack.fit.modelled_motion import FreeRun, band_summary, free_errors, free_run, modelled_motion
 from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import rms

@@ -4,6 +4,12 @@ The model is compared with it along the measured motion: nothing is differentiat
 piece from its first frame to its last, because effects with memory (presliding, lag) need the history; only the moving
 frames are compared. Friction takes the place of the displacement, with unit mass and without a start. So everything
 that uses a `LeastSquaresProblem` works.
+
+The noise of friction at constant speeds: points (v, F) without order in time.
+
+Repeated speeds show it (pure error, Draper & Smith 1998, section 2.1). Without them it is what the force scatters about
+a smooth course over the logarithm of the speed: the residual variance of the most likely Gaussian process (Matern 5/2),
+one for each load, and one for each direction where these differ, about straight lines.
 """
 
 from __future__ import annotations

@@ -3,6 +3,11 @@
 Independent effects are evaluated alone, a modifier together with the effects that it modifies (`EffectGroup`). A
 sinusoid of one amplitude and one phase enters as two quadratures, which are linear. If the phase belongs to the runs,
 every run has its own pair, and their common amplitude is left to the refinement.
+
+Data along the measured motion, and the linear map from a force to the change that it makes in them.
+
+A block is one stretch of one run. Its data (m,) are what the forces (and measurement shifts) of a model must explain
+after `forward`, in units of the noise. Forces are rows (..., n), so that a population is mapped at once.
 """
 
 from __future__ import annotations

@@ -7,11 +7,15 @@ The model along the measured motion is linear in its coefficients c, given its n
 So c is solved for every p, and only p is searched (variable projection). A step needs only the Gram matrix of the
 columns. The friction levels are non-linear parameters here, with a penalty about one.
 
+Solve small quadratic problems within bounds, one at a time or for a population at once.
+
 References
 ----------
 Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 Kaufman, L. (1975). A variable projection method for solving separable nonlinear least squares problems. BIT 15,
 49-57.
+Portugal, L. F., Judice, J. J. & Vicente, L. N. (1994). A comparison of block pivoting and interior-point algorithms.
+Mathematics of Computation 63, 625-643.
 
 """
 

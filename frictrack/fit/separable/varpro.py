@@ -5,9 +5,17 @@ once, the best one is added, and all parameters are refined together before the 
 otherwise hidden in the leakage of a strong line that is still on the grid. At the end each effect in turn is removed
 and scanned again with all others. Every promising position is refined, and kept if the misfit falls.
 
+Scan an effect over a grid of its non-linear parameters, added to a solution: every gain in closed form, all at once.
+
+What is free of the solution, its coefficients and to first order its non-linear parameters, is projected out of the
+columns at the grid points. Where an effect of the solution moves to another grid point, its own columns come back by a
+low-rank update, so that one projection serves every move. A table of columns depends only on the motion: it serves
+every data set along it, and all instances of one effect.
+
 References
 ----------
 Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
+Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, sec. 2.1.4. Johns Hopkins University Press.
 
 """
 

@@ -2,6 +2,10 @@
 
 The whole model is fitted together with the effect, so strong and weak effects are judged alike. A trial takes
 milliseconds. Several positions of the scan are tried, because the best grid point need not lead to the best fit.
+
+Determine the order in which effects enter a fit from scratch, and the penalty that each must outweigh.
+
+Scan an effect added to a fitted model, and take start values from the best grid points, with their coefficients.
 """
 
 from __future__ import annotations

@@ -14,14 +14,16 @@ from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.estimates import (
     Estimate,
     Estimates,
+    Misfit,
     Parameters,
+    dispersion,
     estimate_parameters,
     linear_estimates,
+    misfit_of,
     stated_error_changes,
     with_misfit,
     with_stated_errors,
 )
-from frictrack.fit.uncertainty.misfit import Misfit, dispersion, misfit_of
 from frictrack.fit.uncertainty.parametric_bootstrap import Bootstrap, Progress, bootstrap
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.reported import (
