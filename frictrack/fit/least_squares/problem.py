@@ -17,7 +17,7 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
 from frictrack.effects.models import Model, Values
-from frictrack.fit.parameters import LEVEL, ParameterLayout
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, spans_of, split_motions
 from frictrack.fit.separable.model import DataBlock, displacement_block
 from frictrack.records import Array, Mask
@@ -39,8 +39,6 @@ class UnknownGroup:
         Names.
     linear : bool
         Whether it is a coefficient that no other parameter follows.
-    leads : bool
-        Whether other parameters follow it.
     slots : dict
         Run (None for all) to the position of the unknown.
 
@@ -49,7 +47,6 @@ class UnknownGroup:
     effect: str
     parameter: str
     linear: bool
-    leads: bool
     slots: Mapping[int | None, int]
 
     def slot_in(self, run: int) -> int | None:
@@ -64,8 +61,8 @@ def group_unknowns(layout: ParameterLayout) -> tuple[UnknownGroup, ...]:
         slots.setdefault((s.effect, s.parameter), {})[s.run] = i
     groups = []
     for (effect, parameter), own in slots.items():
-        leads, linear = any(i in layout.leaders for i in own.values()), layout.slots[next(iter(own.values()))].linear
-        groups.append(UnknownGroup(effect, parameter, linear and not leads, leads, own))
+        linear = layout.slots[next(iter(own.values()))].linear and layout.leaders.isdisjoint(own.values())
+        groups.append(UnknownGroup(effect, parameter, linear, own))
     return tuple(groups)
 
 
@@ -218,31 +215,16 @@ class JoinedLaw:
         self, group: UnknownGroup, motion: tuple[Array, Array, Array], columns: Mapping[str, Array]
     ) -> Array:
         """Change of the force per unit of a non-linear unknown, by a difference along a motion with these columns."""
-        values = self._inputs[0]
-        steps = np.array([self._step(group, piece.run) for piece in self.joined.pieces])
-        shifted = self._shifted(group, steps)
-        base = self.model.force_of(columns, values, np.zeros(len(motion[0])))
-        moved = self.model.force(self._path(*motion, *shifted), shifted[0])
-        return (moved - base) / self.joined.spread(np.where(steps > 0, steps, 1.0).tolist())
-
-    def _shifted(self, group: UnknownGroup, steps: Array) -> tuple[Values, list[float]]:
-        """Parameter values and levels after a step of one group of unknowns, (R,) by piece."""
-        values, levels = self._inputs
-        if group.leads:
-            p = self.p.copy()
-            for piece, step in zip(self.joined.pieces, steps, strict=True):
-                if (i := group.slot_in(piece.run)) is not None:
-                    p[i] = self.p[i] + step
-            return self._inputs_at(p)
-        if group.effect == LEVEL:
-            return values, [level + step for level, step in zip(levels, steps.tolist(), strict=True)]
-        moved = self._spread(group.effect, group.parameter, steps.tolist()) + values[group.effect][group.parameter]
-        return {**values, group.effect: {**values[group.effect], group.parameter: moved}}, levels
-
-    def _step(self, group: UnknownGroup, run: int) -> float:
-        """Step of the difference in the unknown of one run; 0 if it has none."""
-        i = group.slot_in(run)
-        return 0.0 if i is None else difference_step(self.p[i], self.layout.slots[i].bounds)
+        p, steps = self.p.copy(), []
+        for piece in self.joined.pieces:
+            i = group.slot_in(piece.run)
+            steps.append(1.0 if i is None else difference_step(self.p[i], self.layout.slots[i].bounds))
+            if i is not None:
+                p[i] = self.p[i] + steps[-1]
+        values, levels = self._inputs_at(p)
+        base = self.model.force_of(columns, self._inputs[0], np.zeros(len(motion[0])))
+        moved = self.model.force(self._path(*motion, values, levels), values)
+        return (moved - base) / self.joined.spread(steps)
 
 
 def difference_step(value: float, bounds: tuple[float, float]) -> float:
