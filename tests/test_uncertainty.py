@@ -317,7 +317,7 @@ def test_levels_are_drawn_anew_and_their_scatter_is_found_again():
 
 def test_failed_draws_are_counted_and_said(monkeypatch):
     fitted = fit("coulomb", [slide()])
-    module = sys.modules["frictrack.fit.uncertainty.parametric_bootstrap"]
+    module = sys.modules["frictrack.fit.uncertainty"]
     real, calls = module.fit_with_scatter, iter(range(1000))
 
     def sometimes(*args, **kwargs):

@@ -189,13 +189,12 @@ class _Absorption:
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
         self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
         self.rows = [coordinate_rows(law, block) for block in grid.blocks]
-        self._all = slice(0, series.profile.shape[1])
-        self._is_small = len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER
-        groups = dict.fromkeys(range(len(series.taus)), self._all) if self._is_small else dict(enumerate(series.groups))
+        groups = dict(enumerate(series.groups))
+        if len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER:
+            groups = dict.fromkeys(range(len(series.taus)), slice(0, series.profile.shape[1]))
         used = sorted((own.start, own.stop, t) for t, own in groups.items() if own.stop > own.start)  # measured first
         self._views = [(t, slice(start, stop)) for start, stop, t in used]
         self._projected = [series.projected(t)[:, columns] for t, columns in self._views]
-        self._at_own = np.hstack(self._projected)
         parts = [_block_parts(law, series, self.rows, t) for t, _ in self._views]
         self._left = [np.stack(own) for own in zip(*(left for left, _ in parts), strict=True)]
         self._shared = _padded([shared for _, shared in parts])
@@ -203,21 +202,13 @@ class _Absorption:
     def gains(self, parts: Sequence[ColumnProducts]) -> Array:
         """Gains (g, D) of the columns of all blocks at some grid points."""
         shape = len(parts[0].data), self._shared.shape[2]
-        at_own = np.zeros((shape[0], self._profile.shape[1]))
-        squares = [np.zeros(at_own.shape) if self._is_small else at_own[:, own] for _, own in self._views]
+        squares = [np.zeros((shape[0], own.shape[1])) for own in self._projected]
         across = [np.zeros((*shape, own.shape[1])) for own in self._projected]
         within, coupled = np.zeros((len(self._views), *shape, shape[1])), np.zeros(shape[0], dtype=bool)
         for own, rows, left in zip(parts, self.rows, self._left, strict=True):
             roots = whitener(own.schur(left), own.squares)
             shared = roots @ (own.coordinates @ self._shared[:, None, rows])  # T'w of the identity is shared' w
             here = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
-            spread = 2 * np.abs(roots - roots[0]).max(axis=(0, 2, 3)) - MAX_NEGLECTED_SHARE * np.abs(roots[0]).max(
-                axis=(1, 2)
-            )
-            if not self._is_small and not here.any() and np.all(spread <= 0):
-                for part, products in self._whitened(roots[0], own, self._all, self._at_own[rows]):
-                    at_own[:, part] += np.einsum("gkd,gkd->gd", products, products)
-                continue
             for i, (_, columns) in enumerate(self._views):
                 for part, products in self._whitened(roots[i], own, columns, self._projected[i][rows]):
                     squares[i][:, part] += np.einsum("gkd,gkd->gd", products, products)

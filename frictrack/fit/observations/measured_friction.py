@@ -73,7 +73,7 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     block = -(-solution.problem.n_frames // MAX_FRAMES)
     step = max(stride, block)
     sigma = noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step))
-    pieces = [(_thinned if stride >= block else _averaged)(r, step) for r in solution.responses]
+    pieces = [_fewer_frames(r, stride, block) for r in solution.responses]
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
@@ -168,26 +168,21 @@ def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Arr
     return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
 
 
-def _thinned(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """Every few of the frames of a piece; those between repeat them, and those at a reversal must stay."""
+def _fewer_frames(response: PieceResponse, stride: int, block: int) -> MeasuredFrictionPiece:
+    """Every few of the frames of a piece; of a long series one for every block of neighbours of one direction."""
     piece = response.piece
     assert isinstance(piece, MeasuredFrictionPiece)
-    return piece if step == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), step), step)
-
-
-def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual."""
+    if stride >= block:  # frames between repeat them, and those at a reversal must stay
+        return piece if stride == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), stride), stride)
     # The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
     # friction is averaged but its residual.
-    piece = response.piece
-    assert isinstance(piece, MeasuredFrictionPiece)
-    n = len(piece.t) // step * step
-    frames = piece.frames[:n].reshape(-1, step)
-    direction = piece.path.s[piece.at[:n]].reshape(-1, step)
-    kept = (np.ptp(frames, axis=1) == step - 1) & (np.ptp(direction, axis=1) == 0)
-    middle = (np.arange(len(frames)) * step + step // 2)[kept]
-    residual = (piece.y - response.model_y)[:n].reshape(-1, step)[kept].mean(axis=1)
-    return replace(piece.at_frames_kept(middle, step), y=response.model_y[middle] + residual)
+    n = len(piece.t) // block * block
+    frames = piece.frames[:n].reshape(-1, block)
+    direction = piece.path.s[piece.at[:n]].reshape(-1, block)
+    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(direction, axis=1) == 0)
+    middle = (np.arange(len(frames)) * block + block // 2)[kept]
+    residual = (piece.y - response.model_y)[:n].reshape(-1, block)[kept].mean(axis=1)
+    return replace(piece.at_frames_kept(middle, block), y=response.model_y[middle] + residual)
 
 
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:

@@ -8,7 +8,6 @@ from frictrack.fit.stepwise.growth import (
     refine_to_end,
     refit_until_stop,
     remove_effect,
-    reorder_effects,
     simulate_trial,
 )
 from frictrack.fit.stepwise.trial import (

@@ -103,7 +103,7 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
             with suppress(FrictrackError) if found else nullcontext():
                 first, later = entry_order(other)
                 problem = _problem_of(first, pieces, names, fps)
-                found.append(_with_ties_of(_one_after_the_other(problem, best_on_grid(problem), other, later), model))
+                found.append(_with_ties_of(_one_after_the_other(problem, _linear_guess(problem), other, later), model))
     return refit_until_stop(min(found, key=lambda s: s.objective))
 
 
@@ -250,6 +250,15 @@ def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
 # --- first values, by linear least squares along the smoothed motion
 
 
+def _linear_guess(problem: LeastSquaresProblem) -> Array:
+    """First coefficients (P,) of a model without scanned parameters, from the smoothed acceleration; levels are one."""
+    p = np.array([float(s.effect == LEVEL) for s in problem.layout.slots])
+    columns = np.concatenate([-_forces(problem, piece, p) / piece.mass for piece in problem.pieces])
+    right = np.concatenate([piece.a_hat - piece.known for piece in problem.pieces])
+    p[[s.linear for s in problem.layout.slots]] = np.linalg.lstsq(columns, right, rcond=1e-8)[0]
+    return p
+
+
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
     """Find start values (P,): the best grid point of the non-linear parameters, refined along the smoothed motion.
 
@@ -377,13 +386,13 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
     try:
         return _add_effect(solution, effect)
     except FrictrackError:
-        if not scanned or not solution.problem.simulates:
+        if not scanned:
             raise
     if not without_scan:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
     layout = replace(solution.problem.layout, model=Model(tuple(without_scan)), absent=frozenset())
     problem = solution.problem.rebuild(layout)
-    grown = fit_with_scatter(problem, best_on_grid(problem), problem.first_starts())
+    grown = fit_with_scatter(problem, _linear_guess(problem), problem.first_starts())
     for e in [effect, *scanned] if ties_are_resolved(effect, without_scan) else [*scanned, effect]:
         grown = _add_effect(grown, e)
     return reorder_effects(grown, Model((*solution.problem.model.effects, effect)))
