@@ -476,7 +476,7 @@ def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Sta
         return first.whitened(first.y - simulate(start(state(z)), frames))
 
     z = np.ones(len(directions))
-    return start(state(least_squares(residual, z, diff_step=[FIRST_STATE_STEP], ftol=1e-3, max_nfev=MAX_TRIALS).x))
+    return start(state(least_squares(residual, z, diff_step=FIRST_STATE_STEP, ftol=1e-3, max_nfev=MAX_TRIALS).x))
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
