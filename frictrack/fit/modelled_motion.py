@@ -39,7 +39,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.fft import dct
 from scipy.interpolate import make_interp_spline
-from scipy.optimize import least_squares
 from scipy.special import ndtri
 
 from frictrack.base.errors import FrictrackError
@@ -67,10 +66,11 @@ STEP_STD = 1e-4  # of the finite differences, standard deviations
 MIN_SPEED_SHARE = 1e-3  # slowest speed of a curve over the fastest one
 FIRST_FRAMES = (20, 200)  # frames of a driven record to which its first state is fitted: least, most
 FIRST_SHARE = 0.025  # share of the record, between these limits
-MAX_TRIALS = 16  # of a first state; the motion depends smoothly on it
+MAX_STEPS = 4  # Gauss-Newton steps; the motion depends smoothly on the first state
 FIRST_STATE_STEP = 1e-4  # of a first state, share of the travel and speed in the first frames
 RELATIVE_TOLERANCE = 5e-4  # accuracy of a free run, share of the rms displacement
 PATH_ARRAYS = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
+MIN_SINGULAR_VALUE = 1e-6  # relative; smaller ones are not determined
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
@@ -467,16 +467,25 @@ def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Sta
             own[name][0, k] = value
         return Start(float(theta[0]), float(theta[1]), own)
 
-    guess = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
+    def residual(theta: Array) -> Array:
+        return first.whitened(first.y - simulate(start(theta), frames))
 
-    def state(z: Array) -> Array:
-        return guess + (z - 1) @ directions  # from one on, because the steps of differences are relative to z
-
-    def residual(z: Array) -> Array:
-        return first.whitened(first.y - simulate(start(state(z)), frames))
-
-    z = np.ones(len(directions))
-    return start(state(least_squares(residual, z, diff_step=FIRST_STATE_STEP, ftol=1e-3, max_nfev=MAX_TRIALS).x))
+    theta = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
+    r = residual(theta)
+    for _ in range(MAX_STEPS):
+        changes = [(residual(theta + FIRST_STATE_STEP * d) - r) / FIRST_STATE_STEP for d in directions]
+        step = -np.linalg.lstsq(np.stack(changes, axis=1), r, rcond=MIN_SINGULAR_VALUE)[0] @ directions
+        for _ in range(MAX_STEPS):  # a step that does not help is halved
+            trial = residual(theta + step)
+            if trial @ trial <= r @ r:
+                break
+            step /= 2
+        gain, before = float(r @ r - trial @ trial), float(r @ r)
+        if gain > 0:
+            theta, r = theta + step, trial
+        if gain <= 1e-3 * before:
+            break
+    return start(theta)
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
