@@ -412,7 +412,9 @@ def test_levels_of_few_runs_are_free_about_a_mean_of_one(runs):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
     """Where scans take the levels as they stand, what these scatter by looks like an effect at a wrong place."""
-    monkeypatch.setattr(sys.modules["frictrack.fit.displacement"], "GOOD_CHI2_PER_FRAME", np.inf)  # the first way alone
+    monkeypatch.setattr(
+        sys.modules["frictrack.fit.stepwise.growth"], "GOOD_CHI2_PER_FRAME", np.inf
+    )  # the first way alone
     law, values = with_hidden(name)
     small = values | {name: {k: 0.3 * v if k in ("amplitude", "F") else v for k, v in values[name].items()}}
     made, _ = study(law, small, SIX[1:5], sigma=5e-6, scatter=0.1, rng=np.random.default_rng(seed))

@@ -14,8 +14,8 @@ from frictrack import samples
 from frictrack.effects import Path, direction_of_motion, get, models
 from frictrack.effects.library.presliding import bending
 from frictrack.fit import fit, reference_of
+from frictrack.fit.cutting import pieces_of
 from frictrack.fit.least_squares import LeastSquaresProblem
-from frictrack.fit.pieces import pieces_of
 from frictrack.records import Displacement, Motion, Run
 from frictrack.simulate import Conditions, simulate
 

@@ -13,7 +13,7 @@ import pytest
 from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack.base.errors import FrictrackError
-from frictrack.fit.parameters import SCATTER_BOUNDS
+from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
 from frictrack.present.report import markup, tables, verdict_text
 from frictrack.present.report import measurement_quality as of_measurement

@@ -210,6 +210,7 @@ class Session:
 
         """
         from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
+        from frictrack.measure.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from markupsafe import Markup, escape
 
 from frictrack.base.number_format import format_number, format_quantity, join_words
-from frictrack.fit.parameters import SCATTER_BOUNDS
+from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present.report.markup import mark_code, sentences
 from frictrack.results import ModelResults, Results
 from frictrack.results.candidates import candidate_rows

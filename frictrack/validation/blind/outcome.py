@@ -17,7 +17,8 @@ from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
-from frictrack.fit.parameters import ParameterLayout, penalty_residual
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.penalties import penalty_residual
 from frictrack.fit.stepwise import remove_effect, scan_effect, simulate_trial, try_effect
 from frictrack.flow import Session, open_study
 from frictrack.records import Array, Mask

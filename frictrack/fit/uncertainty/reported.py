@@ -1,28 +1,121 @@
-"""State what a reader must know of fitted parameters: confused ones, wrong signs, correlated noise, one odd run.
+"""Compute parameters as they are reported, and state what a reader must know of them.
+
+F_s is reported for F_s - F_c, x_0 as a length, newtons where the mass was fitted. Remarks name confused parameters,
+wrong signs, correlated noise, one odd run, and a body that may roll.
 
 Each run has its own friction level, because surfaces scatter. A wrong frame rate or scale of one run changes its
-accelerations by a factor, which the level absorbs exactly: the misfit does not show it, but the level does.
+accelerations by a factor, which the level absorbs exactly: the misfit does not show it, but the level does. A body with
+I = k m r^2 that rolls down without friction has a = g sin(incline) / (1 + k). Taken for one that slides, it seems to be
+held back by k / (1 + k) of the pull of gravity: a third for a disc.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.base.number_format import join_words, lower_first
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_length, format_number, join_words, lower_first
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
-from frictrack.fit.least_squares import Solution, inverse_normal_matrix
-from frictrack.fit.uncertainty.reported_values import reported_slots
-from frictrack.records import Array
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, inverse_normal_matrix
+from frictrack.fit.parameters import LEVEL, MASS, ParameterLayout, mass_ratio
+from frictrack.fit.routes import FittedRuns
+from frictrack.records import GRAVITY, ROLLING, Array, Run
 
+DIFFERENCE_SEPARATOR = " - "  # separates two addresses whose difference is meant
 MAX_INFLATION = 300.0  # ratio of standard deviations from which a model is called nearly unidentifiable
 MAX_NAMES_LISTED = 6  # parameters listed of one group
 NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
 MIN_OTHER_RUNS = 2  # that agree with each other
 MIN_RATIO = 1.3  # of friction levels; smaller differences are usual between repeats of a run
 MIN_SPREADS = 5.0  # of the other runs, and standard deviations of the difference
+MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction from that of a shape
+MIN_ROLLING_FRAMES, MIN_ROLLING_TURN = 16, 0.5  # frames, and rad, from which a turn is judged
+MIN_ROLLING_R2 = 0.98  # of the angle against the way
+
+
+def reported_slots(layout: ParameterLayout) -> list[int]:
+    """Return the positions of the A unknowns that are reported: all but the friction levels."""
+    return [i for i, s in enumerate(layout.slots) if s.effect != LEVEL]
+
+
+def reported_names(layout: ParameterLayout) -> list[str]:
+    """Return the addresses of the A unknowns that are reported."""
+    return [layout.names[i] for i in reported_slots(layout)]
+
+
+def reported_values(problem: LeastSquaresProblem, p: Array, addresses: Sequence[str]) -> Array:
+    """Compute the reported values (A,) of some parameters, fitted or tied, for unknowns p (P,)."""
+    layout = problem.layout
+    known = layout.reported_values(p) | {f"{MASS}.m": problem.pieces[0].mass / mass_ratio(layout, p)}
+    return np.array([known[address] for address in addresses])
+
+
+def reported_by_address(solution: Solution, p: Array) -> dict[str, float]:
+    """Return the reported parameters of unknowns p (P,) by address, without friction levels."""
+    names = reported_names(solution.problem.layout)
+    return dict(zip(names, map(float, reported_values(solution.problem, p, names)), strict=True))
+
+
+def reported_values_and_jacobian(
+    problem: LeastSquaresProblem, p: Array, addresses: Sequence[str] | None = None
+) -> tuple[Array, Array]:
+    """Compute reported parameters (A,), by default those of `reported_slots`, and their derivatives (A, P)."""
+    if addresses is None:
+        addresses = reported_names(problem.layout)
+    base = reported_values(problem, p, addresses)
+    jacobian = np.zeros((len(base), len(p)))
+    for j in range(len(p)):  # forward differences
+        moved = p.copy()
+        moved[j] += (step := 1e-6 * max(abs(p[j]), 1e-3))
+        jacobian[:, j] = (reported_values(problem, moved, addresses) - base) / step
+    return base, jacobian
+
+
+def standard_deviations(jacobian: Array, covariance: Array) -> Array:
+    """Propagate a covariance (P, P) of the unknowns to quantities with derivatives J (A, P): sqrt(diag(J C J'))."""
+    return np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", jacobian, covariance, jacobian), 0.0))
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One reported parameter, or the difference of two (`parts`); the first is the unknown `slot`."""
+
+    address: str
+    unit: str
+    slot: int
+    parts: tuple[str, ...]
+    is_unknown: bool = False  # whether it is known to be the unknown itself, reported as it was fitted
+
+    def value(self, problem: LeastSquaresProblem, p: Array) -> float:
+        """Compute its value for unknowns p (P,)."""
+        return float(p[self.slot] if self.is_unknown else self._signs @ reported_values(problem, p, self.parts))
+
+    def gradient(self, problem: LeastSquaresProblem, p: Array) -> Array:
+        """Compute its derivative with respect to the unknowns, (P,)."""
+        if self.is_unknown:
+            return np.asarray(np.arange(len(p)) == self.slot, dtype=float)
+        return np.asarray(self._signs @ reported_values_and_jacobian(problem, p, self.parts)[1])
+
+    @property
+    def _signs(self) -> Array:
+        return np.array([1.0, -1.0])[: len(self.parts)]
+
+
+def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
+    """Parse an address: ``"coulomb.F_c"``, ``"vibration.phase[v3]"`` or ``"stribeck.F_s - coulomb.F_c"``."""
+    names = reported_names(layout)
+    parts = tuple(part.strip() for part in address.split(DIFFERENCE_SEPARATOR))
+    unknown = [part for part in parts if part not in names]
+    if unknown or len(parts) > 2:
+        fixed = [f"{e}.{p}" for e, p in layout.fixed]
+        why = "which is fixed" if unknown and unknown[0] in fixed else f"but got {unknown[0] if unknown else address}"
+        raise FrictrackError(f"expected a free parameter of the law ({', '.join(names)}) {why}", usage=True)
+    slot = layout.names.index(parts[0])
+    return Quantity(address, layout.slots[slot].unit, slot, parts)
 
 
 def identifiability_remarks(
@@ -191,3 +284,35 @@ def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Arr
             f"(one that is {ratio**0.5:.3g} times too high does this), its scale ({ratio:.3g} times), its normal load "
             "and its surface"
         )
+
+
+def rolling_remarks(fitted: FittedRuns) -> Iterator[str]:
+    """Yield where friction may be the inertia of a body that rolls, which takes k/(1 + k) of the pull of gravity."""
+    level = fitted.solution.problem.layout.reported_values(fitted.solution.p).get("coulomb.F_c")
+    for run in fitted.runs:
+        if run.drive is not None or run.rolling or not run.mass:
+            continue
+        if turned := _turns_with_its_way(run):
+            yield f"{run.name}: {turned}"
+        share = (level or 0.0) / (run.mass * abs(GRAVITY * np.sin(run.incline)) or np.inf)
+        shape, k = min(ROLLING.items(), key=lambda one: abs(share - one[1] / (1 + one[1])))
+        if not turned and abs(share * (1 + k) / k - 1) < MAX_ROLLING_DEVIATION:
+            yield (
+                f"{run.name}: dry friction takes {format_number(share)} of the pull of gravity, as the inertia of a "
+                f'{shape} that rolls down without friction; if it rolls, give rolling = "{shape}"'
+            )
+
+
+def _turns_with_its_way(run: Run) -> str:
+    """Say that the target turns in proportion to its way, as a body that rolls; "" if it does not."""
+    x, angle = run.displacement.x, np.asarray(run.displacement.angle, dtype=float)
+    known = np.isfinite(x) & np.isfinite(angle)
+    if known.sum() < MIN_ROLLING_FRAMES or np.ptp(angle[known]) < MIN_ROLLING_TURN:
+        return ""
+    turn, correlation = np.polyfit(x[known], angle[known], 1)[0], np.corrcoef(x[known], angle[known])[0, 1]
+    if correlation**2 < MIN_ROLLING_R2:
+        return ""
+    return (
+        f"the target turns by one radian in {format_length(abs(1 / turn))}, as a body of that radius that rolls; if it "
+        f"rolls, give rolling = {' or '.join(ROLLING)}, since its inertia is no friction"
+    )

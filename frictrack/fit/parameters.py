@@ -1,22 +1,123 @@
-"""The layout of the parameter vector: which unknowns are shared, which belong to one run, and the friction levels."""
+"""The parameter vector of a fit: its layout, constraints, friction levels of the runs, and an unknown mass.
+
+The unknowns of a model over several runs form one vector p (P,). `ParameterLayout` maps it to the parameter values of
+every run. The internal value of a parameter may differ from the reported one: F_s is fitted as its rise over F_c. Users
+fix and tie reported values; here they are converted to internal ones.
+
+Where the drive is measured, the mass may be unknown: 1/m is one more linear coefficient. The equation of motion is
+written in units of a guessed mass m_ref:
+
+    m_ref x'' = q D - q F + m_ref g,     q = m_ref/m,     g the gravity along the track, independent of the mass
+
+So q - 1 multiplies the drive, and every force coefficient is fitted as q times itself. After the fit m_ref is set to
+the fitted mass: then q = 1, and all values are in kilograms and newtons.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from graphlib import TopologicalSorter
 from typing import Any
 
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
-from frictrack.effects import Effect, Parameter, Span, Tie
+from frictrack.effects import Effect, Nonlinear, Parameter, Path, Span, Tie
 from frictrack.effects.models import Model
-from frictrack.fit.parameters.constraints import MASS, Constraint, apply_constraints, constraints_of, reported_value
-from frictrack.records import Array, Mask
+from frictrack.records import Array, Mask, Run
 
+MASS = "mass"  # pseudo-effect; its parameter is the unit of mass over the mass, minus one
+Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; numbers, or arrays of a population
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
 MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
+MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One parameter that is not an unknown: its reported value, or the tie that it follows."""
+
+    effect: Effect
+    parameter: Parameter
+    value: float | Tie
+
+    @property
+    def is_reported_differently(self) -> bool:
+        """Whether the reported value differs from the internal one."""
+        return self.parameter.name in self.effect.quoted
+
+
+def constraints_of(model: Model) -> tuple[Constraint, ...]:
+    """Collect the constraints of a model; a parameter follows only parameters before it, without circles."""
+    found = []
+    for e in model.effects:
+        for p in e.parameters:
+            if p.tie is not None:
+                found.append(Constraint(e, p, Tie.read(p.tie)))
+            elif p.fixed is not None and (p.name in e.quoted or (MASS in model and _is_force_coefficient(e, p))):
+                found.append(Constraint(e, p, p.fixed))
+    same = {(c.effect.name, c.parameter.name): c for c in found if not c.is_reported_differently}
+    leaders = {key: [(c.value.effect, c.value.parameter)] for key, c in same.items() if isinstance(c.value, Tie)}
+    order = TopologicalSorter({key: [at for at in leaders.get(key, []) if at in same] for key in same}).static_order()
+    return (*(same[key] for key in order), *(c for c in found if c.is_reported_differently))
+
+
+def apply_constraints(model: Model, constraints: tuple[Constraint, ...], values: Values) -> None:
+    """Fill in the constrained values of one run, in place: internal ones, numbers or arrays (P,) of a population."""
+    q = mass_unit_ratio(values)
+    for c in constraints:
+        target: Any = c.value
+        if isinstance(target, Tie):
+            target = target.factor * reported_value(model, values, target.effect, target.parameter)
+        if c.is_reported_differently:
+            target = _internal_value(model, c, target, values)
+        values[c.effect.name][c.parameter.name] = target * q if _is_force_coefficient(c.effect, c.parameter) else target
+
+
+def reported_value(model: Model, values: Values, effect: str, parameter: str) -> Any:
+    """Compute the reported value of a parameter, in its unit, from the internal values of one run."""
+    found = next(e for e in model.effects if e.name == effect)
+    if parameter in found.quoted and found.quote is not None:
+        return found.quote(*_values_in_newtons(model, values, found))[parameter]
+    q = mass_unit_ratio(values) if _is_force_coefficient(found, found.parameter(parameter)) else 1.0
+    return values[effect][parameter] / q
+
+
+def mass_unit_ratio(values: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Compute q, the unit of mass over the mass. Forces are fitted as q times themselves; q is 1 for a known mass."""
+    return 1.0 + values[MASS]["m"] if "m" in values.get(MASS, {}) else 1.0
+
+
+def _values_in_newtons(model: Model, values: Values, effect: Effect) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Values of one effect by name and of all effects by address, forces in newtons."""
+    q = mass_unit_ratio(values)
+    known = {
+        (e.name, p.name): values[e.name][p.name] / (q if _is_force_coefficient(e, p) else 1.0)
+        for e in model.effects
+        for p in e.parameters
+        if p.name in values[e.name]
+    }
+    own = {name: value for (of, name), value in known.items() if of == effect.name}
+    return own, {f"{of}.{name}": value for (of, name), value in known.items()}
+
+
+def _is_force_coefficient(effect: Effect, p: Parameter) -> bool:
+    return p.linear and effect.acts_on == "force" and effect.name != MASS
+
+
+def _internal_value(model: Model, constraint: Constraint, target: Any, values: Values) -> Any:
+    """Internal value at which the parameter is reported as `target`. Reported values are linear or reciprocal in it."""
+    name, quote = constraint.parameter.name, constraint.effect.quote
+    assert quote is not None
+    own, known = _values_in_newtons(model, values, constraint.effect)
+    one, two, three = (
+        quote(own | {name: u}, known | {f"{constraint.effect.name}.{name}": u})[name] for u in (1.0, 2.0, 3.0)
+    )
+    if np.allclose(three - two, two - one, rtol=1e-9):
+        return 1.0 + (target - one) / (two - one)
+    return one / target
 
 
 @dataclass(frozen=True)
@@ -64,8 +165,6 @@ class ParameterLayout:
         Duration, places and speeds that each run covers.
     absent : frozenset of (str, int)
         Pairs (effect, run) of per-run events that a run does not show. Their coefficients are zero there.
-    levels_free : bool
-        Leave the friction levels without penalty, as for a run that the others predict.
     slots : tuple of Slot
         The P unknowns in order.
     fixed : dict
@@ -81,7 +180,6 @@ class ParameterLayout:
     run_names: tuple[str, ...]
     spans: tuple[Span, ...]
     absent: frozenset[tuple[str, int]] = frozenset()
-    levels_free: bool = False
     slots: tuple[Slot, ...] = field(init=False)
     fixed: dict[tuple[str, str], float] = field(init=False)
     constraints: tuple[Constraint, ...] = field(init=False)
@@ -151,6 +249,23 @@ class ParameterLayout:
     def names(self) -> list[str]:
         """Addresses of all unknowns, in order."""
         return [s.name(self.run_names) for s in self.slots]
+
+    def effect(self, name: str) -> Effect:
+        """Return an effect of the model by its name."""
+        return next(e for e in self.model.effects if e.name == name)
+
+    def by_address(self, p: Array) -> dict[str, float]:
+        """Return unknowns p (P,) by address; those of single runs also as their mean, by the address without a run."""
+        each: dict[str, list[float]] = {}
+        for s, value in zip(self.slots, p.tolist(), strict=True):
+            each.setdefault(f"{s.effect}.{s.parameter}", []).append(value)
+        means = {address: float(np.mean(values)) for address, values in each.items()}
+        return means | dict(zip(self.names, p.tolist(), strict=True))
+
+    def unknowns(self, known: Mapping[str, float], default: Array | float = 0.0) -> Array:
+        """Return unknowns (P,) with known values by address, with or without a run; `default` (P,) for the others."""
+        others = zip(self.names, np.broadcast_to(default, len(self.slots)), strict=True)
+        return np.array([known.get(name, known.get(name.partition("[")[0], other)) for name, other in others])
 
     @property
     def levels(self) -> list[int]:
@@ -258,8 +373,7 @@ class ParameterLayout:
         if p.tie is None:
             return p.per_run and p.fixed is None
         tie = Tie.read(p.tie)
-        leader = next(e for e in self.model.effects if e.name == tie.effect)
-        return self._has_run_values(leader.parameter(tie.parameter))
+        return self._has_run_values(self.effect(tie.effect).parameter(tie.parameter))
 
     @cached_property
     def priors(self) -> tuple[ReportedPrior, ...]:
@@ -372,7 +486,7 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     The motion does not change. Levels stay as they are where a coefficient already determines their scale.
     """
     levels = layout.levels
-    if not levels or layout.levels_free or layout.has_scale_constraint:
+    if not levels or layout.has_scale_constraint:
         return p
     too_few = len(levels) < MIN_RUNS_FOR_SCATTER
     factor = float(np.mean(p[levels])) if too_few else float(np.sum(p[levels] ** 2) / np.sum(p[levels]))
@@ -380,3 +494,85 @@ def normalise_levels(layout: ParameterLayout, p: Array) -> Array:
     p[levels] /= factor
     p[layout.loaded] *= factor
     return p
+
+
+def columns(path: Path, nonlinear: Nonlinear) -> Array:
+    """Return -D, shape (n, 1): N per unit of q - 1; zero without a drive."""
+    return -(np.zeros_like(path.t) if path.drive is None else path.drive)[:, None]
+
+
+MASS_EFFECT = Effect(
+    name=MASS,
+    acts_on="force",
+    equation="",
+    parameters=(Parameter("m", "kg", (MIN_MASS_RATIO - 1.0, np.inf), linear=True),),
+    columns=columns,
+    varies_with="",
+    what="The mass that slides, where it was not weighed but the drive was measured.",
+)
+
+
+def is_mass_unknown(runs: Sequence[Run]) -> bool:
+    """Return whether the mass of these runs is to be fitted.
+
+    Raises
+    ------
+    FrictrackError
+        If the mass cannot be fitted: no measured drive, or only some runs have a mass.
+
+    """
+    unknown = [r.name for r in runs if r.mass is None]
+    undriven = [r.name for r in runs if r.mass is None and r.drive is None]
+    if undriven:
+        raise FrictrackError(
+            f'run "{undriven[0]}": expected a mass for a fit of the displacement but got none, and without a measured '
+            "drive force and mass scale together: weigh the slider and give mass, or measure the drive"
+        )
+    if unknown and len(unknown) < len(runs):
+        raise FrictrackError(
+            f"expected one mass to be fitted for all runs but only {', '.join(unknown)} of {len(runs)} runs leave it "
+            "open; leave it open for all, or weigh these too"
+        )
+    return bool(unknown)
+
+
+def with_mass(model: Model) -> Model:
+    """Add the mass to the unknowns of a model.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) For bounds in newtons, which cannot be applied before the mass is known.
+
+    """
+    for effect in (e for e in model.effects if e.acts_on == "force"):
+        for p in effect.linear:
+            if any(np.isfinite(b) and b != 0 for b in p.bounds):
+                raise FrictrackError(
+                    f"expected no bounds of {effect.name}.{p.name} where the mass is fitted too: forces are known "
+                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it",
+                    usage=True,
+                )
+    return Model((*model.effects, MASS_EFFECT))
+
+
+def without_mass(model: Model) -> Model:
+    """Return the model without the mass among its effects."""
+    return Model(tuple(e for e in model.effects if e.name != MASS))
+
+
+def rescale_to_mass(layout: ParameterLayout, p: Array, q: float) -> Array:
+    """Convert unknowns p (P,) to a unit of mass that is q times smaller."""
+    out = np.array(p, dtype=float)
+    forces = {e.name for e in layout.model.effects if e.acts_on == "force"}
+    for i, s in enumerate(layout.slots):
+        if s.effect == MASS:
+            out[i] = (1.0 + p[i]) / q - 1.0
+        elif s.linear and s.effect in forces:
+            out[i] = p[i] / q
+    return out
+
+
+def with_fitted_mass(run: Run, mass: float) -> Run:
+    """Return the run with the fitted mass (kg) if it had none."""
+    return run if run.mass is not None or run.drive is None else replace(run, mass=mass)

@@ -1,4 +1,14 @@
-"""A piece: one part of a run that is fitted as one, with its measurement and what drives it; and pieces end to end."""
+"""Pieces: the parts of runs that are fitted as one, with their measurement, its noise and what drives them.
+
+The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
+correlation time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a
+frame of unknown size adds no information. The map is linear, so it also applies to sensitivities.
+
+References
+----------
+Kalman, R. E. (1960). A new approach to linear filtering and prediction problems. J. Basic Eng. 82, 35-45.
+
+"""
 
 from __future__ import annotations
 
@@ -11,15 +21,100 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+from scipy.linalg import solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
-from frictrack.fit.pieces.whitening import Whitening
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
 
 Rows = NDArray[np.int_]
-
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The linear map from errors (n, ...) to independent ones of standard deviation one.
+
+    With E the shift by one frame, it is D^-1 (I - P E)^-1 (I - C E): D holds the deviations of the innovations,
+    C the correlation of neighbouring frames, P what the prediction keeps of its predecessor.
+
+    Attributes
+    ----------
+    size : array of shape (n,)
+        The diagonal of D.
+    correlation, persistence : array of shape (n - 1,), optional
+        The diagonals of C and P; None where all noise is white.
+
+    """
+
+    size: Array
+    correlation: Array | None = None
+    persistence: Array | None = None
+
+    @classmethod
+    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...]) -> Whitening:
+        """For frames at t (n,), s, white noise sigma (n,) and a correlated part: rms, and correlation time in s.
+
+        Examples
+        --------
+        >>> w = Whitening.of(np.arange(3.0), np.full(3, 1e-9), (2.0, 1 / np.log(2.0)))
+        >>> w.whitened(np.array([2.0, 1.0, 0.5])).round(6)
+        array([1., 0., 0.])
+
+        """
+        rms, time = correlated
+        decay = np.exp(-np.diff(t) / time)
+        variance, share, before = np.empty(len(t)), np.empty(len(t)), rms**2
+        for i, white in enumerate(sigma**2):
+            variance[i] = before + white
+            share[i] = before / variance[i]
+            if i < len(decay):
+                before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
+        return cls(np.sqrt(variance), decay, decay * (1 - share[:-1]))
+
+    def whitened(self, errors: Array) -> Array:
+        """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
+        return _solved(self.persistence, _times(self.correlation, errors)) / _column(self.size, errors)
+
+    def coloured(self, white: Array) -> Array:
+        """Compute the errors (n, ...) that have these innovations."""
+        return _solved(self.correlation, _times(self.persistence, white * _column(self.size, white)))
+
+    def transposed(self, white: Array) -> Array:
+        """Apply the transposed map of `whitened`."""
+        return _times(self.correlation, _solved(self.persistence, white / _column(self.size, white), up=True), up=True)
+
+    def coloured_transposed(self, rows: Array) -> Array:
+        """Apply the transposed map of `coloured` to rows (n, ...)."""
+        return _times(self.persistence, _solved(self.correlation, rows, up=True), up=True) * _column(self.size, rows)
+
+
+def _times(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E) times a series (n, ...), or `up` the transposed matrix."""
+    if share is None:
+        return series
+    out, weight = series.copy(), _column(share, series)
+    if up:
+        out[:-1] -= weight * series[1:]
+    else:
+        out[1:] -= weight * series[:-1]
+    return out
+
+
+def _solved(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E)^-1 times a series (n, ...), or `up` that of the transposed matrix."""
+    if share is None:
+        return series
+    banded = np.ones((2, len(series)))
+    banded[(0, slice(1, None)) if up else (1, slice(-1))] = -share
+    flat = series.reshape(len(series), -1)
+    solution = solve_banded((0, 1) if up else (1, 0), banded, flat, check_finite=False)
+    return np.asarray(solution).reshape(series.shape)
+
+
+def _column(values: Array, like: Array) -> Array:
+    """Values (n,) reshaped to multiply an array (n, ...)."""
+    return values.reshape(-1, *[1] * (like.ndim - 1))
 
 
 @dataclass(frozen=True)
@@ -69,14 +164,6 @@ class Piece:
     def coloured(self, white: Array) -> Array:
         """Convert independent numbers (n, ...) of standard deviation one to errors, m: the inverse of `whitened`."""
         return self.whitening.coloured(white)
-
-    def whitened_transposed(self, white: Array) -> Array:
-        """Apply the transpose of `whitened`."""
-        return self.whitening.transposed(white)
-
-    def coloured_transposed(self, rows: Array) -> Array:
-        """Apply the transpose of `coloured`."""
-        return self.whitening.coloured_transposed(rows)
 
     @property
     def noise(self) -> Array:
@@ -175,10 +262,6 @@ class Piece:
         """Return the same piece with its equation of motion in units of another mass (kg)."""
         drive = 0.0 if self.path.drive is None else self.path.drive
         return replace(self, mass=mass, known=self.known - drive / self.mass + drive / mass)
-
-    def first(self, n: int) -> Piece:
-        """Return the first n frames of the piece."""
-        return self.part(0, n)
 
     def part(self, start: int, stop: int) -> Piece:
         """Return the frames from `start` up to `stop` as a piece."""
@@ -344,6 +427,13 @@ class JoinedPieces:
 def consecutive_slices(counts: Iterable[int]) -> list[slice]:
     """Return the slices of parts of given sizes that follow one another."""
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(np.cumsum([0, *counts]))]
+
+
+def column_norms(columns: Array) -> Array:
+    """Compute the norms (P,) of columns (N, P); one for a column of zeros, so that columns can be divided by them."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(norm)
 
 
 def split_motions(

@@ -1,4 +1,4 @@
-"""Smooth functions: Gaussian processes of the most likely size, interpolation, correlation time of a series.
+"""Smooth functions: Gaussian processes of the most likely size, interpolation; size and correlation time of a series.
 
 A Gaussian process in the residual of a model is a smooth force that the model lacks.
 
@@ -31,20 +31,6 @@ CORRELATION_WINDOW = 5.0  # correlation times; the sum ends at the first lag abo
 
 def matern_covariance(points: Array, length: float, smoothness: float = 2.5) -> Array:
     """Compute the covariance of a Matern process of unit variance.
-
-    Parameters
-    ----------
-    points : array of shape (K,)
-        Where it is evaluated.
-    length : float
-        Correlation length, in the unit of the points.
-    smoothness : float
-        5/2 for a process with two derivatives, 3/2 for one whose slope may jump.
-
-    Returns
-    -------
-    array of shape (K, K)
-        (1 + d + d^2/3) exp(-d) with d = sqrt(5) distance/length, or (1 + d) exp(-d) with d = sqrt(3) distance/length.
 
     Examples
     --------
@@ -86,24 +72,7 @@ class SmoothProcess:
 
 
 def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_trace: float = np.inf) -> SmoothProcess:
-    """Find the correlation length and size of the highest restricted likelihood.
-
-    Parameters
-    ----------
-    gram : array of shape (K, K)
-        Gram matrix T'T of the traces of unit coefficients, the model projected out.
-    data : array of shape (K,)
-        Their products T'r with the residual.
-    roots : sequence of array of shape (K, K)
-        Root of the covariance for every correlation length.
-    max_trace : float
-        Largest standard deviation of a trace of the process, in those of the noise.
-
-    Returns
-    -------
-    SmoothProcess
-
-    """
+    """Find the correlation length and size of the highest restricted likelihood."""
     found = [_most_likely_size(gram, data, root, max_trace) for root in roots]
     best = int(np.argmax([one.gain for one in found]))
     return replace(found[best], root=best)
@@ -124,6 +93,11 @@ def _most_likely_size(gram: Array, data: Array, root: Array, max_trace: float) -
     return SmoothProcess(float(gains[best]), 0, basis @ (shrunk * g), basis * np.sqrt(shrunk), basis * np.sqrt(size))
 
 
+def rms(values: Array) -> float:
+    """Compute the root mean square of some values."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _autocorrelation(r: Array) -> Array:
     """Autocorrelation of a series (n,) at the lags 0 to n/2 - 1."""
     n = len(r)
@@ -134,16 +108,6 @@ def _autocorrelation(r: Array) -> Array:
 
 def correlation_time_frames(r: Array) -> float:
     """Compute the integrated correlation time of a residual, summed over a growing window.
-
-    Parameters
-    ----------
-    r : array of shape (n,)
-        Residual.
-
-    Returns
-    -------
-    float
-        Correlation time in frames, at least 1.
 
     References
     ----------
@@ -183,18 +147,6 @@ def correlated_frames(r: Array) -> int:
 
 def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:
     """Compute the matrix of linear interpolation from knots to points, constant beyond the ends.
-
-    Parameters
-    ----------
-    axis : array of shape (n,)
-        Points.
-    knots : array of shape (K,)
-        Knots in rising order.
-
-    Returns
-    -------
-    array of shape (n, K)
-        Weights of the knots.
 
     Examples
     --------

@@ -24,8 +24,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from frictrack.fit.parameters.constraints import MASS
-from frictrack.fit.parameters.layout import MIN_RUNS_FOR_SCATTER, ParameterLayout, whitening_matrix
+from frictrack.fit.parameters import MASS, MIN_RUNS_FOR_SCATTER, ParameterLayout, whitening_matrix
+from frictrack.fit.pieces import column_norms
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-6, 0.5)  # range of the relative standard deviation of the levels
@@ -106,8 +106,7 @@ def jacobian_basis(jac: Array, levels: list[int], known: Array | None = None) ->
 
     `levels` are the columns of the friction levels, `known` (m, P) rows of the priors of parameters.
     """
-    norm = np.linalg.norm(jac, axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(jac)
     u, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
     keep = s > 1e-9 * s[0]
     back = vt[keep].T / s[keep] / norm[:, None]  # unknowns per unit of basis coordinate
@@ -142,7 +141,7 @@ def _level_jacobian(layout: ParameterLayout, tau: float) -> Array:
     """Rows (m, P) that hold the friction levels."""
     levels = layout.levels
     rows = np.eye(len(layout.slots))[levels]
-    if layout.levels_free or not levels:
+    if not levels:
         return rows[:0]
     return rows / tau if len(levels) >= MIN_RUNS_FOR_SCATTER else rows.mean(axis=0, keepdims=True) * MEAN_LEVEL_WEIGHT
 
