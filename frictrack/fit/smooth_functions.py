@@ -72,7 +72,24 @@ class SmoothProcess:
 
 
 def most_likely_process(gram: Array, data: Array, roots: Sequence[Array], max_trace: float = np.inf) -> SmoothProcess:
-    """Find the correlation length and size of the highest restricted likelihood."""
+    """Find the correlation length and size of the highest restricted likelihood.
+
+    Parameters
+    ----------
+    gram : array of shape (K, K)
+        Gram matrix T'T of the traces of unit coefficients, the model projected out.
+    data : array of shape (K,)
+        Their products T'r with the residual.
+    roots : sequence of array of shape (K, K)
+        Root of the covariance for every correlation length.
+    max_trace : float
+        Largest standard deviation of a trace of the process, in those of the noise.
+
+    Returns
+    -------
+    SmoothProcess
+
+    """
     found = [_most_likely_size(gram, data, root, max_trace) for root in roots]
     best = int(np.argmax([one.gain for one in found]))
     return replace(found[best], root=best)

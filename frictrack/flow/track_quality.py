@@ -154,7 +154,21 @@ def _timing_notes(faults: Sequence[Slip], n: int, *, clocked: bool) -> tuple[str
 
 
 def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
-    """Return numbers that describe how well one film was measured."""
+    """Return numbers that describe how well one film was measured.
+
+    Parameters
+    ----------
+    film, track, tracks
+        The recording, the track of the target and the other tracks.
+    pitch
+        Size of a pixel, m; None if it is unknown.
+
+    Returns
+    -------
+    dict
+        Keys of the JSON of `track`; None for what is unknown.
+
+    """
     track = track.measured
     found = track.found
     um = None if pitch is None else 1e6 * pitch

@@ -317,7 +317,21 @@ def _recorded_model(path: Path, group: str) -> RecordedModel:
 
 
 def repeat_models(session: Session, models: Sequence[RecordedModel]) -> None:
-    """Fit and diagnose the models of another copy of a study, in order, in one without results; then all the rest."""
+    """Fit and diagnose the models of another copy of the study, in order; then update all other results.
+
+    Parameters
+    ----------
+    session
+        The study, without results.
+    models
+        The models, from `recorded_models`.
+
+    Raises
+    ------
+    FrictrackError
+        If a run cannot be measured, or a model cannot be fitted.
+
+    """
     session.bring_up_to("friction")
     for model in models:
         session.models.append(model.request)

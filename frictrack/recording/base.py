@@ -59,7 +59,6 @@ class Recording(ABC):
     suffixes: ClassVar[tuple[str, ...]]
     reads_ranges: ClassVar[bool] = False  # it opens remote files that are read in parts
     direct: bool = False
-    interframe: bool = False  # its codec predicts pictures from one another: some frames are coded anew (key frames)
     _kept: NDArray[np.int64] | None = None  # frames of the file that are frames of the film (None: all)
 
     def __init__(self, path: str | Path | RangedFile, fps: float | None = None) -> None:

@@ -25,9 +25,6 @@ os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file|
 if "OPENCV_LOG_LEVEL" not in os.environ:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
-# Codecs that code every picture by itself.
-_INTRA = (b"MJPG", b"FFV1", b"png ", b"MPNG", b"HFYU", b"FFVH", b"Y800", b"DIB ", b"\0\0\0\0")
-
 # Pixel formats whose first plane is the luma itself: read as it was stored, without a turn through BGR.
 _LUMA_FIRST = {b"Y800": 8, b"I420": 8, b"Y42B": 8, b"Y1\x00\x10": 16}
 
@@ -41,7 +38,6 @@ class Video(Recording):
     def _open(self) -> Header:
         capture = self._capture()
         promised, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
-        self.interframe = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") not in _INTRA
         good, first = capture.read()
         if not good:
             raise FrictrackError(

@@ -50,7 +50,18 @@ MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> None:
-    """Measure frames with a large misfit again, in place, and mark those that cannot be trusted."""
+    """Measure frames with a large misfit again, and mark those that cannot be trusted.
+
+    Parameters
+    ----------
+    film : Recording
+        Film with random access.
+    raw_track : RawTrack
+        Track of the target; it is updated in place.
+    target_model : TargetModel
+        Learnt model of the target.
+
+    """
     limit = MAX_MISFIT_RATIO * max(target_model.typical_misfit, target_model.template.min_misfit)
     suspect = raw_track.found & ~((raw_track.fit.misfit < limit) & raw_track.fit.converged)
     if not suspect.any() or np.isnan(limit):

@@ -239,7 +239,21 @@ def model_images(fit: SubpixelFit, template: Template) -> Array:
 
 
 def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
-    """Weight pixels by their own standardised residual and by those of their neighbours, (n, h, w) from 0 to 1."""
+    """Weight pixels by their own residual and by those of their neighbours.
+
+    Parameters
+    ----------
+    standardised : array (n, h, w)
+        Residuals in standard deviations.
+    initial_share : array (n, h, w)
+        Share of their weight that pixels have at first.
+
+    Returns
+    -------
+    array (n, h, w)
+        1 for pixels that fit, 0 for outliers, linear in between.
+
+    """
     weights, (low, high) = np.empty_like(standardised), NEIGHBOUR_SHARES
     for k, picture in enumerate(standardised):
         local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third

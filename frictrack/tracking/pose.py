@@ -93,7 +93,19 @@ class RotatableTemplate:
         return np.array([(w - 1) / 2, (h - 1) / 2])
 
     def with_template(self, template: Template) -> RotatableTemplate:
-        """Replace the template and keep the obstacles."""
+        """Replace the template and keep the obstacles.
+
+        Parameters
+        ----------
+        template : Template
+            New template.
+
+        Returns
+        -------
+        RotatableTemplate
+            With its own tables.
+
+        """
         return replace(self, template=template)
 
     @property

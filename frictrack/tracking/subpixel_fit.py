@@ -108,7 +108,19 @@ class TemplateProducts:
     n_pixels: Array | int
 
     def subset(self, rows: Mask) -> TemplateProducts:
-        """Select some frames (n,)."""
+        """Select some frames.
+
+        Parameters
+        ----------
+        rows : array of bool (n,)
+            Frames to keep.
+
+        Returns
+        -------
+        TemplateProducts
+            Products of these frames.
+
+        """
         gram = self.gram if self.gram.ndim == 2 else self.gram[rows]
         count = self.n_pixels if np.ndim(self.n_pixels) == 0 else np.asarray(self.n_pixels)[rows]
         return TemplateProducts(self.moments[rows], self.power[rows], gram, count)

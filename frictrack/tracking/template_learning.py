@@ -408,7 +408,21 @@ class SmoothPath:
 
 
 def improves_positions(super_resolved: SubpixelFit, fit: SubpixelFit, axes: Mask) -> bool:
-    """Decide whether short waves make the positions more precise, or move them by more than noise would."""
+    """Decide whether short waves make the positions more precise, or move them by more than noise would.
+
+    Parameters
+    ----------
+    super_resolved, fit : SubpixelFit
+        Fits with and without short waves.
+    axes : array of bool (2,)
+        Axes (x, y) that have short waves.
+
+    Returns
+    -------
+    bool
+        True where the template with short waves should be kept.
+
+    """
     sigma_new, sigma_old = (float(np.median(np.hypot(*f.sigma[:, :2].T))) for f in (super_resolved, fit))
     moved = (super_resolved.position - fit.position)[:, axes] / fit.sigma[:, :2][:, axes]
     return (

@@ -210,8 +210,20 @@ def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solutio
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
     """Refit without the frames in which the model's own motion has stopped, or is within two frames of its stop.
 
-    The smoothed velocity changes sign too late at a stop; the simulated one does not. Only the `free` unknowns (P,) may
-    change; by default all, with the scatter of the levels.
+    The smoothed velocity changes sign too late at a stop; the simulated one does not.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all, with the scatter of the levels.
+
+    Returns
+    -------
+    Solution
+        The fit to the shorter pieces; the given one if the motion cannot be integrated along these.
+
     """
     for _ in range(2 if solution.problem.simulates else 0):
         kept = [_frames_before_stop(r) for r in solution.responses]
@@ -260,10 +272,21 @@ def _linear_guess(problem: LeastSquaresProblem) -> Array:
 
 
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
-    """Find start values (P,): the best grid point of the non-linear parameters, refined along the smoothed motion.
+    """Find the best grid point of the non-linear parameters, refined along the smoothed motion.
 
     A force that depends on position, such as a spring, turns position errors into slow errors after two integrations.
     Stretches are therefore compared whole and in windows, at the length at which the model explains most.
+
+    Parameters
+    ----------
+    problem : LeastSquaresProblem
+        The problem.
+
+    Returns
+    -------
+    array of shape (P,)
+        Start values.
+
     """
     layout = problem.layout
     scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != LEVEL]

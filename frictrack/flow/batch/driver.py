@@ -319,7 +319,19 @@ def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state:
 
 
 def find_studies(patterns: Sequence[str]) -> list[Path]:
-    """Find study files, each once, with numbers in names in numerical order (``run_9`` before ``run_10``)."""
+    """Find study files, each once, with numbers in names in numerical order (``run_9`` before ``run_10``).
+
+    Parameters
+    ----------
+    patterns
+        Study files, folders (searched with their subfolders) and globs.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a pattern matches no study file.
+
+    """
     found: dict[Path, None] = {}
     for pattern in patterns:
         matches = glob.glob(pattern, recursive=True) or [pattern]

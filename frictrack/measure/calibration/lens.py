@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -339,18 +340,13 @@ def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
     if np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
         return None
 
-    def place(values: Array, points: Array) -> Array:
-        fx, fy, cx, cy = values[:4]
-        lens = Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), values[4:N_INTRINSICS])
-        return _on_plane(lens.rays(points), values[N_INTRINSICS:])
-
     depth = float(poses[0, 5])
     used = (
         f"scale by a {board.kind} in {len(views)} pictures, {sum(len(v.points) for v in views)} corners, reprojected "
         f"to {rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
         f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target changes lengths by {0.1 / depth:.2g} %"
     )
-    return PlaneMap(values, covariance, place, used=used, notes=_reprojection_note(rms))
+    return PlaneMap(values, covariance, _by_camera, used=used, notes=_reprojection_note(rms))
 
 
 def _calibrated(views: list[BoardView]) -> tuple[Lens, Array, float] | None:
@@ -431,11 +427,17 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"
     )
+    return PlaneMap(pose, covariance, partial(_by_pose, lens), used=used, notes=_reprojection_note(rms))
 
-    def place(pose: Array, points: Array) -> Array:
-        return _on_plane(lens.rays(points), pose)
 
-    return PlaneMap(pose, covariance, place, used=used, notes=_reprojection_note(rms))
+def _by_pose(lens: Lens, pose: Array, points: Array) -> Array:
+    return _on_plane(lens.rays(points), pose)
+
+
+def _by_camera(values: Array, points: Array) -> Array:
+    fx, fy, cx, cy = values[:4]
+    lens = Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), values[4:N_INTRINSICS])
+    return _on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
 def _reprojection_note(rms: float) -> tuple[str, ...]:

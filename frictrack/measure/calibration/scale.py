@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -135,10 +136,7 @@ class PlaneMap:
         k = len(self.values)
         covariance = np.zeros((k + 1, k + 1))
         covariance[:k, :k], covariance[k, k] = self.covariance, relative**2
-
-        def place(values: Array, points: Array) -> Array:
-            return np.asarray(values[-1] * self.place(values[:-1], points))
-
+        place = partial(_times_last_value, self.place)
         return replace(self, values=np.append(self.values, 1.0), covariance=covariance, place=place)
 
     def read_at(self, points: Array, zero: tuple[float, float] | None = None) -> PlaneMap:
@@ -302,11 +300,22 @@ def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
 
     """
     value, std = _parse_number(scale)
+    return PlaneMap(np.array([value]), np.array([[std**2]]), partial(_scaled, straight))
 
-    def place(values: Array, points: Array) -> Array:
-        return np.asarray(values[0] * straight(points))
 
-    return PlaneMap(np.array([value]), np.array([[std**2]]), place)
+# Maps are partial functions of these, not closures, so that results can be pickled.
+
+
+def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
+    return np.asarray(values[-1] * place(values[:-1], points))
+
+
+def _scaled(straight: Straight, values: Array, points: Array) -> Array:
+    return np.asarray(values[0] * straight(points))
+
+
+def _by_length(straight: Straight, values: Array, points: Array) -> Array:
+    return np.asarray(values[0] / _distance(straight(values[1:].reshape(2, 2))) * straight(points))
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
@@ -338,12 +347,8 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
 
 def map_from_length(length: tuple[float, float], ends: Array, click: float, straight: Straight) -> PlaneMap:
     """Create the map of a length (m, and its deviation) between two picture points (2, 2) px known to `click` px."""
-
-    def place(values: Array, points: Array) -> Array:
-        return np.asarray(values[0] / _distance(straight(values[1:].reshape(2, 2))) * straight(points))
-
     covariance = np.diag([length[1] ** 2] + 4 * [click**2])
-    return PlaneMap(np.array([length[0], *ends.ravel()]), covariance, place)
+    return PlaneMap(np.array([length[0], *ends.ravel()]), covariance, partial(_by_length, straight))
 
 
 def _picture_points(raw: Any, min_count: int) -> Array:
@@ -560,18 +565,26 @@ def fit_view(
         at = at if lens is None else _distort(float(values[N_PARAMETERS]), at, lens)
         return np.nan_to_num(((at - seen) / sigma[:, None]).T.ravel(), nan=1e6)
 
-    def place(values: Array, at: Array) -> Array:
-        straightened = straight(at) if lens is None else _undistort(float(values[N_PARAMETERS]), at, lens)
-        return plane.restore(project(_inverse(values), picture(straightened)))
-
     start = np.append(_linear(flat, picture(straightened)), [0.0] * (lens is not None))
     found = scipy.optimize.least_squares(residual, start, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
-    fitted = PlaneMap(found.x, _covariance(np.asarray(found.jac, dtype=np.float64)), place).read_at(
-        points, zero=(0.0, 0.0)
-    )
+    place = partial(_by_homography, plane, picture, straight, lens)
+    covariance = _covariance(np.asarray(found.jac, dtype=np.float64))
+    fitted = PlaneMap(found.x, covariance, place).read_at(points, zero=(0.0, 0.0))
     misfit = found.fun.reshape(2, -1)
     rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
     return Homography(fitted, rms, float(np.sum(misfit**2)), misfit.size - len(found.x))
+
+
+def _by_homography(
+    plane: Normalisation,
+    picture: Normalisation,
+    straight: Straight,
+    lens: Normalisation | None,
+    values: Array,
+    points: Array,
+) -> Array:
+    straightened = straight(points) if lens is None else _undistort(float(values[N_PARAMETERS]), points, lens)
+    return plane.restore(project(_inverse(values), picture(straightened)))
 
 
 def _covariance(slopes: Array) -> Array:

@@ -53,7 +53,26 @@ def run() -> None:
 
 
 def contents(path: Path) -> dict[str, Any]:
-    """Return the arrays of a file."""
+    """Return the arrays of a file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Of DeepLabCut "names" (k, levels), "frames" (n,) and "values" (n, k); of others "program", "source" (the program
+        that tracked), "names" (m, 2) of individual and keypoint, "at" (n,), "in_seconds", "x", "y" and "confidence",
+        (m, n), NaN where not known. Of MATLAB the numeric variables by their names.
+
+    Raises
+    ------
+    ValueError
+        If it is of another kind.
+
+    """
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         return dict(_matlab_variables(path))
     with h5py.File(path, "r", locking=False) as file:

@@ -32,7 +32,23 @@ class TargetPositions:
 
 
 def table_of_tracks(program: str, tracks: Sequence[TargetPositions], clock: str) -> TableFile:
-    """Return the table of some tracks; headers hold the name of the track if there are several."""
+    """Return the table of some tracks; headers hold the name of the track if there are several.
+
+    Parameters
+    ----------
+    program
+        The program that wrote them.
+    tracks
+        The tracks; those without any position are left out.
+    clock
+        `SECONDS` or `FRAMES`: what `TargetPositions.at` counts.
+
+    Raises
+    ------
+    ValueError
+        If no track has a position, or there are too many.
+
+    """
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     seen = [track for track in tracks if np.any(np.isfinite(track.x))]

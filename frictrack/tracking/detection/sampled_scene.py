@@ -232,7 +232,23 @@ def _middle_of_known(stack: Picture) -> Picture:
 
 
 def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
-    """Compute the background from the frames in which a body, its corners (k, 2) reduced px, is elsewhere."""
+    """Compute the background from the frames in which a body is elsewhere.
+
+    Parameters
+    ----------
+    scene : SampledScene
+        Sampled frames.
+    box : tuple of int
+        x, y, w, h of the body, reduced px.
+    corner : array (k, 2)
+        Corner of the body in all samples, reduced px.
+
+    Returns
+    -------
+    array (h, w)
+        DN; that of all frames where the body always covers it.
+
+    """
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
     rows = np.unique(usable[np.linspace(0, len(usable) - 1, MAX_REGISTERED_FRAMES).astype(int)])
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
