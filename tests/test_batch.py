@@ -24,12 +24,11 @@ from scipy import stats
 
 from frictrack.base import workers
 from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.cli.batch_progress import progress_table
+from frictrack.cli.progress_bars import progress_table
 from frictrack.flow import Session
 from frictrack.flow.batch import BatchState, batch, cluster, find_studies
-from frictrack.flow.batch.driver import Journal, write_table
+from frictrack.flow.batch.driver import Journal, find_trends, fit_slope, write_table
 from frictrack.flow.batch.tasks import Scheduler, StudyOutcome
-from frictrack.flow.batch.trends import find_trends, fit_slope
 
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
 

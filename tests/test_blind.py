@@ -22,7 +22,6 @@ from frictrack.records import Array
 from frictrack.simulate import Trajectory, simulate
 from frictrack.validation.blind import benchmark, make, score
 from frictrack.validation.blind import truth_sampling as drawing
-from frictrack.validation.blind.equivalents import NOTHING, equivalent_effects, solution_at_truth
 from frictrack.validation.blind.ideal_detector import (
     IdealDetector,
     degrees_of_freedom,
@@ -31,7 +30,14 @@ from frictrack.validation.blind.ideal_detector import (
     limits_over_ideal,
     noncentrality_limit,
 )
-from frictrack.validation.blind.outcome import Outcome, overlap, parameter_deviations
+from frictrack.validation.blind.outcome import (
+    NOTHING,
+    Outcome,
+    equivalent_effects,
+    overlap,
+    parameter_deviations,
+    solution_at_truth,
+)
 from frictrack.validation.blind.study_files import SEAL_FILE, open_seal, run_table, write_study
 from frictrack.validation.blind.tally import tally, wilson
 from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory

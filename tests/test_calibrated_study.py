@@ -16,7 +16,7 @@ from test_plots import results
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import run_pipeline
 from frictrack.present import report
-from frictrack.present.report import fit_text, provenance, tables
+from frictrack.present.report import fit_text, measurement_quality, tables
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -171,7 +171,9 @@ def test_measured_friction_does_not_go_with_the_scale():
 def test_the_record_says_how_the_scale_was_given(scale, said):
     found = results(film=True)
     runs = tuple(replace(r, settings=r.settings | {"scale": scale}) for r in found.runs)
-    assert said in [str(cell) for row in provenance.settings_table(replace(found, runs=runs)).rows for cell in row]
+    assert said in [
+        str(cell) for row in measurement_quality.settings_table(replace(found, runs=runs)).rows for cell in row
+    ]
 
 
 # ---- the whole way

@@ -228,7 +228,7 @@ def test_runs_in_both_directions_share_the_axis_of_the_track():
 
 
 def test_the_angle_of_the_track_is_as_sure_as_stated():
-    from frictrack.measure.calibration.course_direction import fit_path  # noqa: PLC0415
+    from frictrack.measure.calibration.displacement import fit_path  # noqa: PLC0415
 
     z = []
     for seed in range(200):

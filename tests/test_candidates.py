@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from test_plots import bars, candidate, diagnosis
 
-from frictrack.cli.diagnosis_output import verdict
+from frictrack.cli.output import verdict
 from frictrack.present import plots
 from frictrack.present.report import tables
 from frictrack.results.candidates import candidate_rows, find_row, not_passing

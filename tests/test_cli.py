@@ -23,7 +23,7 @@ from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
-from frictrack.cli import fit_output, main, measurement_output
+from frictrack.cli import main, tables
 from frictrack.flow import Session
 from frictrack.measure import calibration
 
@@ -416,7 +416,7 @@ NUMBERS = {"rms_displacement_um": 12.58, "heldout_rms_um": 12.64, "free_run_rms_
 @pytest.mark.parametrize("name", ["2_tustin+texture", "4_tustin+texture+viscous_modulation+decaying_vibration"])
 def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None:
     out = Console(width=80, file=io.StringIO())
-    fit_output.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
+    tables.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
     lines = out.file.getvalue().splitlines()
     assert all(len(line.rstrip()) <= 80 for line in lines)
     first = [line.split()[0] for line in lines if "_" in line or "+" in line]
@@ -430,6 +430,6 @@ def test_a_table_of_films_breaks_no_name_at_80_columns(capsys: pytest.CaptureFix
     result = answer(capsys, "track", "film.toml")
     result["runs"][0]["run"] = "double_mass_2"
     out = Console(width=80, file=io.StringIO())
-    measurement_output.track(out, result)
+    tables.track(out, result)
     (line,) = (line for line in out.file.getvalue().splitlines() if line.startswith("double_mass_2  60"))
     assert "60/60" in line

@@ -13,7 +13,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import expected_separation
 from frictrack.effects import LIBRARY, Path, Span, models
 from frictrack.fit import bootstrap, fit, predict_run, reference_of, restore, state
-from frictrack.fit.pieces import pieces_of
+from frictrack.fit.cutting import pieces_of
 from frictrack.flow.plausibility_checks import withhold_verdict
 from frictrack.measure.plausibility import Finding
 from frictrack.simulate import Conditions, Start, simulate, simulate_displacement
@@ -53,10 +53,9 @@ def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
     assert again.parameters["clock_rate.rate[r2]"].value == pytest.approx(own.value, rel=1e-9)
 
 
-@pytest.mark.parametrize("scratch", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs(scratch):
+def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs():
     found = fit("coulomb,viscous,clock_rate", recorded({2: 1.05}, sigma=1e-5))
-    drawn = bootstrap(found, draws=24, scratch=scratch).summary()["parameters"]["clock_rate.rate[r2]"]
+    drawn = bootstrap(found, draws=24).summary()["parameters"]["clock_rate.rate[r2]"]
     assert drawn["std"] == pytest.approx(found.parameters["clock_rate.rate[r2]"].std, rel=0.5)  # 15 % by chance
 
 

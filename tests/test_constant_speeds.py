@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 import frictrack as ft
 from frictrack import effects
 from frictrack.cli import main
-from frictrack.fit.observations.constant_speeds import SpeedPoints
+from frictrack.fit.observations.load_cell import SpeedPoints
 from frictrack.study import guess_points
 
 SPEEDS = np.array([0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3, 0.4, 0.6, 0.8, 1.0])

@@ -17,9 +17,12 @@ MODULES = {
     for path in sorted((ROOT / "frictrack").rglob("*.py"))
 }
 PACKAGES = {name for name, path in MODULES.items() if path.name == "__init__.py"}
-INTERFACES = PACKAGES | {"frictrack.effects.models"}
+INTERFACES = PACKAGES | {"frictrack.effects.models", "frictrack.simulate.scene"}
 # Rooms of modules that have nothing in common but their layer; each is imported by its name.
-OPEN = {"frictrack", "frictrack.base", "frictrack.measure", "frictrack.results", "frictrack.settings"}
+OPEN = {
+    *("frictrack", "frictrack.base", "frictrack.fit", "frictrack.fit.separable", "frictrack.measure"),
+    *("frictrack.results", "frictrack.settings"),
+}
 
 
 @cache

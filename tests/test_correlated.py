@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from frictrack.diagnose import diagnose
 from frictrack.fit import fit
-from frictrack.fit.pieces.whitening import Whitening
+from frictrack.fit.pieces import Whitening
 from frictrack.measure.motion import NoiseStretch, correlated_noise
 
 FPS = 4000.0

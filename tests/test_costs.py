@@ -15,7 +15,7 @@ from test_next_experiment import AMBIGUOUS, LAW, explained, law_with, runs_with,
 
 from frictrack import effects, study
 from frictrack.base.errors import FrictrackError
-from frictrack.cli import diagnosis_output
+from frictrack.cli import output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.experiments import choose_runs, default_setup, next_run, selection
 from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
@@ -24,7 +24,7 @@ from frictrack.diagnose.experiments.proposals import RatedExperiment, _rank
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.fit import fit
-from frictrack.flow.diagnosis_records import Predictions, resolve_prediction
+from frictrack.flow.command_history import Predictions, resolve_prediction
 from frictrack.results.verdicts import describe_predictions
 from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 
@@ -230,7 +230,7 @@ def test_the_text_names_the_run_its_cost_and_its_evidence(ambiguous):
     named = next_run(made, found, Costs(film=5, camera=math.inf))
     out = io.StringIO()
     shown = {"next": named, "next_reason": None, "assumed": [], "done": [], "runs": [], "pairs_before": 0}
-    diagnosis_output.plan(
+    output.plan(
         Console(file=out, width=200), {**shown, "left": [], "unseen": [], "not_planned": {}, "detection_limits": {}}
     )
     text = out.getvalue()

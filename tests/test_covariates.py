@@ -8,8 +8,8 @@ import pytest
 import frictrack as ft
 from frictrack.base.errors import FrictrackError
 from frictrack.flow.batch import batch
+from frictrack.flow.batch.driver import condition_trends, read_condition
 from frictrack.flow.batch.tasks import StudyOutcome
-from frictrack.flow.batch.trends import condition_trends, read_condition
 from frictrack.study import load
 
 NAMES, UNITS = ("coulomb.F_c", "viscous.F_v"), ("N", "N s/m")

@@ -28,10 +28,9 @@ from frictrack.base.files import CACHE_VARIABLE
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, store, stored_values
 from frictrack.flow.crate import CrateOptions, payload, reproduce_crate, write_crate
-from frictrack.flow.crate.metadata import UNIT_CODES, read_authorship
-from frictrack.flow.crate.payload import safe_place, unpack
-from frictrack.flow.crate.reading import Crate, CrateFile, find_inputs, read_crate
-from frictrack.flow.crate.reproducing import compare_files, tolerance_of
+from frictrack.flow.crate.payload import UNIT_CODES, safe_place, unpack
+from frictrack.flow.crate.reproducing import Crate, CrateFile, compare_files, find_inputs, read_crate, tolerance_of
+from frictrack.flow.crate.writing import read_authorship
 from frictrack.flow.store import GroupContent
 from frictrack.records import Friction
 

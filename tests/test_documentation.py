@@ -57,11 +57,7 @@ def _error_name():
 
 def test_every_figure_and_every_member_of_a_public_module_has_a_page():
     figures = python_api.full_names(next(g for g in python_api.GROUPS if g.title == "Figures"))
-    drawn = {
-        f"frictrack.present.plots.{n}"
-        for n in plots.__all__
-        if inspect.signature(getattr(plots, n)).return_annotation == "Figure"
-    }
+    drawn = {f"frictrack.present.plots.{n}" for n, found in vars(plots).items() if python_api.returns_figure(found)}
     assert drawn <= set(figures)
     assert {f"frictrack.effects.models.{n}" for n in ("tustin", "atm1", "of")} <= python_api.pages_of(
         "frictrack.effects.models"
@@ -69,7 +65,7 @@ def test_every_figure_and_every_member_of_a_public_module_has_a_page():
 
 
 def test_the_pages_of_figures_show_the_code_that_draws_them():
-    assert sorted(figure_pictures.CALLS.keys() - set(plots.__all__)) == []
+    assert sorted(figure_pictures.CALLS.keys() - set(vars(plots))) == []
     page = python_api.pages_of("frictrack.present.plots.fit")["frictrack.present.plots.fit"]
     assert "plots.fit(fit, runs)\n```" in page
     assert "pictures/fit.png" in page

@@ -12,7 +12,7 @@ import pytest
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
-from frictrack.flow.run_summaries import run_summaries
+from frictrack.flow.stored_results import run_summaries
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.sensors import Alignment, SensorRecord, align_drive
 from frictrack.records import Array, Displacement

@@ -14,7 +14,7 @@ from film import Film, block_film, expose, speckle
 
 from frictrack.base.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
-from frictrack.tracking.detection.moving_bodies import locate_target
+from frictrack.tracking.detection.targets import locate_target
 
 
 def error(result, x):

@@ -412,7 +412,9 @@ def test_levels_of_few_runs_are_free_about_a_mean_of_one(runs):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
     """Where scans take the levels as they stand, what these scatter by looks like an effect at a wrong place."""
-    monkeypatch.setattr(sys.modules["frictrack.fit.displacement"], "GOOD_CHI2_PER_FRAME", np.inf)  # the first way alone
+    monkeypatch.setattr(
+        sys.modules["frictrack.fit.stepwise.growth"], "GOOD_CHI2_PER_FRAME", np.inf
+    )  # the first way alone
     law, values = with_hidden(name)
     small = values | {name: {k: 0.3 * v if k in ("amplitude", "F") else v for k, v in values[name].items()}}
     made, _ = study(law, small, SIX[1:5], sigma=5e-6, scatter=0.1, rng=np.random.default_rng(seed))
@@ -424,12 +426,12 @@ def test_scatter_of_the_levels_hides_no_effect(name, seed, monkeypatch):
 
 def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     """A strong swing that the law lacks, down to a slow end: the best static law of it runs away at first."""
-    from frictrack.validation.reproduce import laws, printed, recordings  # noqa: PLC0415
+    from frictrack.validation.reproduce import laws, papers_method  # noqa: PLC0415
 
-    known = laws.to_effects(laws.atm1(2), laws.read_printed(printed.ATM1["low"], "sample"))
+    known = laws.to_effects(laws.atm1(2), laws.read_printed(laws.ATM1["low"], "sample"))
     t = np.arange(468) / FPS
     slide = simulate(*known, Conditions(2.0), t, (0.0, 3.0))
-    run = measured(t, slide.x, sigma=recordings.TRACKING_NOISE, mass=2.0)
+    run = measured(t, slide.x, sigma=papers_method.TRACKING_NOISE, mass=2.0)
     plain_law, one_line, whole = (fit(law, [run]).solution for law in ("tustin", "atm1:1", "atm1:2"))
     assert whole.chi2 < 1.15 * whole.problem.n_frames
     assert one_line.chi2 < plain_law.chi2

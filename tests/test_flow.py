@@ -175,13 +175,13 @@ def test_a_damaged_result_is_said(study_file: Path) -> None:
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The models that were searched for, in order."""
     names: list[str] = []
-    original = tried_models.TriedModels._fit
+    original = tried_models.TriedModels._fitted
 
-    def spy(models: Any, request: FitRequest) -> Any:
+    def spy(models: Any, request: FitRequest, **how: Any) -> Any:
         names.append("+".join(request.model(models.study.effects).names))
-        return original(models, request)
+        return original(models, request, **how)
 
-    monkeypatch.setattr(tried_models.TriedModels, "_fit", spy)
+    monkeypatch.setattr(tried_models.TriedModels, "_fitted", spy)
     return names
 
 

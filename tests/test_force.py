@@ -11,10 +11,11 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
-from frictrack.fit import fit, global_search, restore, state, unfitted_problem
-from frictrack.fit.global_search import population_misfit, search_bounds, search_parameters
-from frictrack.fit.pieces.acceleration_chain import acceleration_chain
-from frictrack.fit.separable import PopulationMisfit, displacement_block
+from frictrack.fit import fit, global_search, restore, state
+from frictrack.fit.global_search import PopulationMisfit, population_misfit, search_bounds, search_parameters
+from frictrack.fit.least_squares import LeastSquaresProblem
+from frictrack.fit.observations.acceleration import acceleration_chain
+from frictrack.fit.separable.model import displacement_block
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.settings.filters import FilterChoice
 from frictrack.simulate import Conditions, simulate
@@ -141,7 +142,7 @@ class TestSearch:
                         specs=(Spec(4.0), Spec(-4.0)), sigma=NOISE)  # fmt: skip
         pieces = fit("tustin", made).solution.problem.pieces
         law = models.atm1(1) + "load_modulation"
-        problem = unfitted_problem(law, pieces, ("r0", "r1"), FPS)
+        problem = LeastSquaresProblem.of(law, pieces, ("r0", "r1"), FPS)
         blocks = [displacement_block(p) for p in problem.pieces]
         misfit = PopulationMisfit(problem.layout, blocks, tau=1e-9)
         box = search_bounds(misfit)
@@ -158,10 +159,8 @@ class TestSearch:
     @pytest.mark.parametrize("domain", ["force", "displacement"])
     def test_misfit_along_the_measured_motion_is_that_of_the_simulated_one(self, domain):
         result = fit("tustin", [one_slide()], domain=domain)
-        problem = result.solution.problem
         seen = result.found.force or result.solution
-        chains = seen.problem.chains if domain == "force" else None
-        misfit = population_misfit(problem, chains)
+        misfit = population_misfit(seen.problem)
         assert misfit(seen.p[None])[0] == pytest.approx(seen.chi2 * misfit.unit, rel=0.01)
 
     @pytest.mark.slow
@@ -170,7 +169,7 @@ class TestSearch:
         # Binary codes stick in the valley of F_c, F_s, v_s and F_v now and then, as the papers' Table 7 says they do;
         # the chain of fourth order leaves so little noise that the same distance from the best counts for more.
         best = fit("tustin", [one_slide()], domain="force").found.force
-        misfit = population_misfit(best.problem, best.problem.chains)
+        misfit = population_misfit(best.problem)
         at_best = misfit(best.p[None])[0]
         rngs = [np.random.default_rng(seed) for seed in range(15)]
         found = [search_parameters(misfit, search, rng).costs[0] / at_best for rng in rngs]
@@ -188,7 +187,7 @@ class TestSearch:
         run = one_slide(base=BASE | ATM1, model=models.atm1(2))
         without = fit("tustin", [run], domain="force").found.force
         best = fit("atm1:2", [run], domain="force").found.force
-        misfit = population_misfit(best.problem, best.problem.chains)
+        misfit = population_misfit(best.problem)
 
         def found(search):
             return (

@@ -11,8 +11,7 @@ import pytest
 from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.base.units import is_coherent
-from frictrack.cli.diagnosis_output import unexplained
-from frictrack.cli.output import Console
+from frictrack.cli.output import Console, unexplained
 from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
 from frictrack.diagnose.formulas.probability import (
     CREDIBLE_PROBABILITY,

@@ -24,7 +24,7 @@ from frictrack.diagnose.preparation import MAX_PIECES, subsample_pieces
 from frictrack.diagnose.unexplained import _log_prior_odds, _probability
 from frictrack.fit import add_effect, cut_into_pieces, fit
 from frictrack.fit.least_squares import fit_with_scatter
-from frictrack.fit.parameters import jacobian_basis
+from frictrack.fit.penalties import jacobian_basis
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import linear_estimates
 from frictrack.settings.costs import Costs

@@ -18,8 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
 from frictrack.study import Study
 from frictrack.workbench import jobs
-from frictrack.workbench.job_launcher import WarmLauncher
-from frictrack.workbench.jobs import Job, JobSpec
+from frictrack.workbench.jobs import Job, JobSpec, WarmLauncher
 
 
 def ended(job: Job) -> str:

@@ -15,6 +15,7 @@ from runs import BASE, FPS, HIDDEN, Spec, measured, study
 from frictrack import effects, samples
 from frictrack.effects import models
 from frictrack.fit import add_effect, fit, reference_of, refine
+from frictrack.fit.cutting import pieces_of
 from frictrack.fit.least_squares import heldout_rms
 from frictrack.fit.linearised import (
     candidate_grids,
@@ -24,8 +25,7 @@ from frictrack.fit.linearised import (
     scan_candidate,
 )
 from frictrack.fit.linearised.scan import _inverse_root
-from frictrack.fit.parameters import jacobian_basis
-from frictrack.fit.pieces import pieces_of
+from frictrack.fit.penalties import jacobian_basis
 from frictrack.fit.stepwise import (
     baseline_misfit,
     deepen_trials,

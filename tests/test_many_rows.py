@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from frictrack.measure.motion import smoother as equations
+from frictrack.measure.motion.banded_equations import LineParameters, NoiseColour, SmootherData
+from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.grid import stencils
-from frictrack.measure.motion.posterior_deviations import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother
-from frictrack.measure.motion.smoother_data import LineParameters, NoiseColour, SmootherData
 
 N, PART = 1300, 300
 RNG = np.random.default_rng(0)

@@ -9,8 +9,8 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from frictrack.measure.motion import CorrelatedNoise, Smoother, cutoff_tradeoff, differentiate, low_pass
+from frictrack.measure.motion.banded_equations import LineParameters, NoiseColour, SmootherData
 from frictrack.measure.motion.smoother import FactoredSmoother, variances_of
-from frictrack.measure.motion.smoother_data import LineParameters, NoiseColour, SmootherData
 from frictrack.records import Displacement
 
 FPS, MASS, NOISE = 4000.0, 0.35, 2e-5

@@ -18,8 +18,7 @@ EFFECT = '''"""Magnet: a magnet below the course pulls the mass toward one place
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import DirectCheck
+from frictrack.effects.definition import DirectCheck, Parameter, TestDraw
 
 COMPASS_STD = 0.1  # N
 
@@ -33,30 +32,24 @@ def describe(effect):
     return f"a pull of {effect.value('F'):.2f} N toward x = {effect.value('x_m'):.3f} m"
 
 
-magnet = Effect(
-    name="magnet",
-    acts_on="force",
-    equation="F z exp(-z^2/2), z = (x - x_m)/width",
-    parameters=(
-        Parameter("F", "N", linear=True),
-        Parameter("x_m", "m", scan=lambda span: np.linspace(span.x_min, span.x_max, 41), signed=True),
-        Parameter("width", "m", scan=lambda span: np.geomspace(0.02, 0.1, 5) * (span.x_max - span.x_min)),
-    ),
-    columns=columns,
-    what="A magnet below the course.",
-    looks_like="a pull forth and back round one place, in either direction of motion",
-    mistaken_for="a patch, in one direction",
-    confirm="Hold a compass to the course.",
-    source="a test",
-    invariant="a magnet keeps its place and pulls in either direction of motion",
-    direct_check=DirectCheck("compass", "Move a compass along the course", lambda e: (e.rms("F") / COMPASS_STD) ** 2),
-    describe=describe,
-    test_draw=TestDraw(positive=True),
+equation = "F z exp(-z^2/2), z = (x - x_m)/width"
+parameters = (
+    Parameter("F", "N", linear=True),
+    Parameter("x_m", "m", scan=lambda span: np.linspace(span.x_min, span.x_max, 41), signed=True),
+    Parameter("width", "m", scan=lambda span: np.geomspace(0.02, 0.1, 5) * (span.x_max - span.x_min)),
 )
+what = "A magnet below the course."
+looks_like = "a pull forth and back round one place, in either direction of motion"
+mistaken_for = "a patch, in one direction"
+confirm = "Hold a compass to the course."
+source = "a test"
+invariant = "a magnet keeps its place and pulls in either direction of motion"
+direct_check = DirectCheck("compass", "Move a compass along the course", lambda e: (e.rms("F") / COMPASS_STD) ** 2)
+test_draw = TestDraw(positive=True)
 '''
 
 # What else may be missing, and may be mistaken for it: with all effects this takes half a minute more.
-FEW = ("coulomb", "stribeck", "viscous", "drag", "texture", "patch", "spring", "slope")
+FEW = ("coulomb", "stribeck", "viscous", "drag", "vibration", "texture", "patch", "spring", "slope")
 
 # Run in the temporary package; prints what every part of the program says about the effect.
 SCRIPT = """

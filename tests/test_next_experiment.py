@@ -16,7 +16,7 @@ from rich.console import Console
 from runs import BASE, FPS, MASS, PITCH, Spec, measured, study
 
 from frictrack import effects
-from frictrack.cli import diagnosis_output
+from frictrack.cli import output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.experiments import candidate_runs, fitted_setup
@@ -46,7 +46,7 @@ from frictrack.diagnose.experiments.virtual_runs import (
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects import models
-from frictrack.effects.in_study import ACCELEROMETER_STD, LEVEL_STD_RAD
+from frictrack.effects.definition import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.present import plots
@@ -370,7 +370,7 @@ STEPS = [
 
 def test_terminal_and_report_say_the_same():
     out = io.StringIO()
-    diagnosis_output.next_experiment(Console(file=out, width=200), STEPS)
+    output.next_experiment(Console(file=out, width=200), STEPS)
     said = out.getvalue()
     assert "1. Film a run with half the mass: why" in said
     assert "separates vibration from camera_shake or load_modulation; expected delta BIC 41" in said

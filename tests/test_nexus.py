@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from frictrack.flow import Session, open_study, store
-from frictrack.flow.store import GroupContent, nexus
+from frictrack.flow.store import GroupContent, encoding
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +75,11 @@ def test_default_of_a_study_leads_to_the_current_model(results: Path) -> None:
 
 def test_marks_are_not_content(results: Path) -> None:
     """They are in no dictionary, and a study whose files lack them is up to date."""
-    assert not nexus.ATTRIBUTES & {
+    assert not encoding.ATTRIBUTES & {
         *store.read(results / "slow.h5", "friction"),
         *store.read(results / "study.h5", "models"),
     }
-    assert not nexus.ATTRIBUTES & {*store.attributes(results / "study.h5", "models/2_coulomb")}
+    assert not encoding.ATTRIBUTES & {*store.attributes(results / "study.h5", "models/2_coulomb")}
     content = {"default": 3, "signal": "x", "axes": [1]}
     path = results / "other.h5"
     store.write(path, {"a": GroupContent(content)})
@@ -116,6 +116,6 @@ def test_links_are_not_followed(results: Path, tmp_path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["models/9"] = h5py.ExternalLink("other.h5", "/models/2_coulomb")
         file["displacement"] = h5py.ExternalLink("other.h5", "/models/2_coulomb/curves/000_slow")
-        nexus.mark_default(file)
+        encoding.mark_default(file)
         assert {name: str(value) for name, value in file.attrs.items()} == {"NX_class": "NXroot"}
     assert other.read_bytes() == (results / "study.h5").read_bytes()

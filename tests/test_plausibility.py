@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
-from frictrack.cli.diagnosis_output import verdict
+from frictrack.cli.output import verdict
 from frictrack.flow import Session, open_study, read_results
 from frictrack.flow.new_study import propose_study
 from frictrack.measure.motion import differentiate, low_pass
@@ -421,40 +421,19 @@ def family(viscous: float, typed: dict[str, float] | None = None, **known) -> li
 
 
 @pytest.mark.parametrize(("wrong", "right"), [(3.5, "0.35"), (0.035, "0.35"), (350.0, "0.35")])
-def test_one_mass_that_is_a_power_of_ten_off_is_named(wrong, right):
+def test_one_mass_that_is_a_power_of_ten_off_is_questioned(wrong, right):
     (finding,) = implausible_masses(family(0.4, {"quick": wrong}))
     assert finding.run == "quick"
     assert finding.correction == f'mass = "{right} kg"'
-    assert "friction that depends on the speed slows it as it would slow 0.35" in finding.words
-    assert finding.grade == ERROR
-    assert finding.contradicts
+    assert "the decimal point elsewhere" in finding.words
+    assert finding.grade == "warning"
 
 
-def test_a_mass_that_is_a_power_of_ten_off_is_named_among_runs_of_several_masses():
+def test_runs_of_several_masses_are_not_doubted():
     heavy = run_of(*struck(0.2, 2.5, 0.4, mass=0.7), name="heavy", mass=0.7)
-    light = run_of(*struck(0.2, 2.2, 0.4, mass=0.15), name="light", mass=1.5)
     assert implausible_masses([*family(0.4), heavy]) == ()
     (finding,) = implausible_masses([*family(0.4, {"slow": 0.035}), heavy])
-    assert (finding.run, finding.correction, finding.grade) == ("slow", 'mass = "0.35 kg"', ERROR)
-    (finding,) = implausible_masses([*family(0.4), heavy, light])
-    assert (finding.run, finding.correction, finding.grade) == ("light", 'mass = "0.15 kg"', "warning")
-
-
-def test_drag_tells_a_mass_although_its_share_differs_with_the_speed():
-    def dragged(v0: float, mass: float = 0.35) -> tuple[Array, Array]:
-        return moved(lambda t, x, v: -0.2 * GRAVITY - 0.3 / mass * v * abs(v), 0.0, v0, 0.5 / v0)
-
-    speeds = (1.5, 2.5, 4.0, 2.5)
-    runs = [run_of(*dragged(v0), name=f"r{i}", seed=i, noise=1e-6) for i, v0 in enumerate(speeds)]
-    assert implausible_masses(runs) == ()
-    (finding,) = implausible_masses([*runs[:3], replace(runs[3], mass=3.5)])
-    assert (finding.run, finding.correction, finding.grade) == ("r3", 'mass = "0.35 kg"', ERROR)
-
-
-def test_a_mass_that_is_ten_times_as_large_is_right_where_the_motion_says_so():
-    runs = family(0.4)
-    heavy = run_of(*struck(0.2, 2.5, 0.4, mass=3.5), name="heavy", mass=3.5)
-    assert implausible_masses([*runs, heavy]) == ()
+    assert (finding.run, finding.correction) == ("slow", 'mass = "0.35 kg"')
 
 
 def test_friction_that_goes_with_the_weight_cannot_tell_a_mass():

@@ -8,7 +8,7 @@ from film import moved, speckle
 
 from frictrack.records import Track
 from frictrack.tracking import align_track
-from frictrack.tracking.shared_target import target_offset
+from frictrack.tracking.driver import target_offset
 
 TEXTURE = 128 + speckle((100, 140), np.random.default_rng(0))
 H, W = 53, 83

@@ -25,16 +25,22 @@ from frictrack.validation.reproduce import (
     Reproduction,
     ResultTable,
     Section,
+    first_paper,
     laws,
     papers_method,
-    printed,
-    recordings,
     search_trials,
-    tustin_model,
     write_reproduction,
 )
-from frictrack.validation.reproduce.page import SectionStore, as_text, format_cell, render_page
-from frictrack.validation.reproduce.sections import FAILS, HOLDS, OPEN, claim
+from frictrack.validation.reproduce.sections import (
+    FAILS,
+    HOLDS,
+    OPEN,
+    SectionStore,
+    as_text,
+    claim,
+    format_cell,
+    render_page,
+)
 
 Array = np.ndarray
 
@@ -49,19 +55,19 @@ def rng(seed: int = 0) -> np.random.Generator:
 def test_the_printed_change_of_table_5() -> None:
     """The paper says -12.64 %; its own two figures give -12.54 %."""
     assert pytest.approx(-0.1254, abs=5e-5) == 29.86 / 34.14 - 1
-    assert printed.TABLE_5["MGA"][0] / printed.TABLE_5["GA"][0] == pytest.approx(29.86 / 34.14)
+    assert laws.TABLE_5["MGA"][0] / laws.TABLE_5["GA"][0] == pytest.approx(29.86 / 34.14)
 
 
 def test_printed_errors_and_shares() -> None:
-    assert [printed.ATM1[g].error for g in ("low", "high")] == [4220.0, 806.0]
-    assert [printed.ATM2[g].error for g in ("low", "high")] == [1370.0, 342.0]
-    assert (printed.TABLE_7["GA"][2], printed.TABLE_7["MGA"][2]) == (0.30, 0.06)
-    assert printed.WITHOUT_FILTER.values == (10.0, 17.8104, 5.0, 0.2512)
+    assert [laws.ATM1[g].error for g in ("low", "high")] == [4220.0, 806.0]
+    assert [laws.ATM2[g].error for g in ("low", "high")] == [1370.0, 342.0]
+    assert (laws.TABLE_7["GA"][2], laws.TABLE_7["MGA"][2]) == (0.30, 0.06)
+    assert laws.WITHOUT_FILTER.values == (10.0, 17.8104, 5.0, 0.2512)
 
 
 def test_adaptive_time_of_table_6_means_12_3_bits() -> None:
     """Two fixed lengths fix seconds per bit; the third time is then a mean length."""
-    (_, ten), (_, twenty), (_, adaptive) = (printed.TABLE_6[k] for k in ("10 bits", "20 bits", "adaptive"))
+    (_, ten), (_, twenty), (_, adaptive) = (laws.TABLE_6[k] for k in ("10 bits", "20 bits", "adaptive"))
     assert 10 + 10 * (adaptive - ten) / (twenty - ten) == pytest.approx(12.3, abs=0.05)
 
 
@@ -70,10 +76,10 @@ def test_adaptive_time_of_table_6_means_12_3_bits() -> None:
 
 def test_frequencies_are_read_in_their_unit() -> None:
     """0.0548 per sample at 4 kHz is 35 Hz, 2.1302 per millisecond 339 Hz (notes 3)."""
-    low = laws.read_printed(printed.ATM1["low"], "sample")
+    low = laws.read_printed(laws.ATM1["low"], "sample")
     assert low[8] == pytest.approx(0.0548 * 4000 / (2 * np.pi))
     assert round(low[8]) == 35
-    assert round(laws.read_printed(printed.ATM2["low"], "millisecond")[4]) == 339
+    assert round(laws.read_printed(laws.ATM2["low"], "millisecond")[4]) == 339
     np.testing.assert_array_equal(low[[0, 4, 6]], [29.9773, 38.2913, -0.4921])  # nothing else is touched
 
 
@@ -92,8 +98,8 @@ def test_laws_by_hand() -> None:
     assert laws.atm2(1).force(p, v, t)[0, 0] == pytest.approx(atm2)
 
 
-@pytest.mark.parametrize("source", [*printed.ATM1.values(), *printed.ATM2.values(), *printed.TM.values()])
-def test_the_simulator_obeys_the_papers_law(source: printed.PrintedLaw) -> None:
+@pytest.mark.parametrize("source", [*laws.ATM1.values(), *laws.ATM2.values(), *laws.TM.values()])
+def test_the_simulator_obeys_the_papers_law(source: laws.PrintedLaw) -> None:
     """The library's effects and the plain functions say the same force."""
     law, p = laws.law_by_name(source.law), laws.read_printed(source, "millisecond")
     t = np.linspace(0, 0.05, 40)
@@ -104,8 +110,8 @@ def test_the_simulator_obeys_the_papers_law(source: printed.PrintedLaw) -> None:
     )
 
 
-@pytest.mark.parametrize("source", printed.ATM2.values())
-def test_equation_4_as_printed_by_hand_and_in_the_simulator(source: printed.PrintedLaw) -> None:
+@pytest.mark.parametrize("source", laws.ATM2.values())
+def test_equation_4_as_printed_by_hand_and_in_the_simulator(source: laws.PrintedLaw) -> None:
     """No t in the exponential's and the viscous sum: sin(omega + phi) of the printed numbers, t in milliseconds."""
     f_c, f_s, f_v, v_s, *pairs = source.values
     (w1, p1, w2, p2), (W1, P1, W2, P2) = pairs[:4], pairs[4:]
@@ -140,8 +146,8 @@ def test_unknown_law_says_what_was_expected() -> None:
 
 
 def test_a_recording_moves_as_an_independent_integrator_says() -> None:
-    source = printed.TM["low"]
-    made = recordings.record_printed(source, "sample", recordings.BEAM, rng())
+    source = laws.TM["low"]
+    made = papers_method.record_printed(source, "sample", papers_method.BEAM, rng())
     F_c, F_s, F_v, v_s = source.values
     solved = solve_ivp(
         lambda t, z: [z[1], -(F_c + (F_s - F_c) * np.exp(-z[1] / v_s) + F_v * z[1]) / 2.0],
@@ -157,22 +163,23 @@ def test_a_recording_moves_as_an_independent_integrator_says() -> None:
 
 
 def test_the_time_unit_decides_what_curves_look_like() -> None:
-    seen = {u: recordings.describe_curve(printed.ATM1["low"], u, recordings.BEAM) for u in laws.UNITS}
+    seen = {u: papers_method.describe_curve(laws.ATM1["low"], u, papers_method.BEAM) for u in laws.UNITS}
     assert [bool(seen[u]["described"]) for u in ("second", "millisecond", "sample")] == [False, False, True]
     braked = [
-        recordings.describe_curve(printed.ATM2["high"], u, recordings.BEAM)["braked"] for u in ("millisecond", "sample")
+        papers_method.describe_curve(laws.ATM2["high"], u, papers_method.BEAM)["braked"]
+        for u in ("millisecond", "sample")
     ]
     assert max(braked) < 0.05  # sums of sines have no mean: nothing brakes the mass
 
 
 @pytest.fixture(scope="module")
-def low() -> tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries]:
-    made = recordings.record_printed(printed.ATM1["low"], "sample", recordings.BEAM, rng(1))
+def low() -> tuple[papers_method.SyntheticRecording, papers_method.AccelerationSeries]:
+    made = papers_method.record_printed(laws.ATM1["low"], "sample", papers_method.BEAM, rng(1))
     return made, papers_method.measure_series([made.run])
 
 
 def test_the_chain_gives_the_true_acceleration(
-    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+    low: tuple[papers_method.SyntheticRecording, papers_method.AccelerationSeries],
 ) -> None:
     made, data = low
     a = np.interp(data.t, made.truth.t, made.truth.a)
@@ -181,23 +188,23 @@ def test_the_chain_gives_the_true_acceleration(
 
 
 def test_single_precision_misfit_is_the_error(
-    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+    low: tuple[papers_method.SyntheticRecording, papers_method.AccelerationSeries],
 ) -> None:
     _, data = low
     law = laws.atm1(2)
     box = papers_method.search_bounds(law)
     p = box[:, 0] + rng(2).random((5, len(box))) * (box[:, 1] - box[:, 0])
-    p[0] = laws.read_printed(printed.ATM1["low"], "sample")
+    p[0] = laws.read_printed(laws.ATM1["low"], "sample")
     exact = [papers_method.squared_error(law, q, data) for q in p]
     np.testing.assert_allclose(papers_method.misfit(law, data)(p), exact, rtol=1e-3)
 
 
 def test_the_lowest_error_is_no_higher_than_the_truths(
-    low: tuple[recordings.SyntheticRecording, papers_method.AccelerationSeries],
+    low: tuple[papers_method.SyntheticRecording, papers_method.AccelerationSeries],
 ) -> None:
     """Found from nothing: the sines of Table 1 come back, and the truth itself is no better."""
     _, data = low
-    law, truth = laws.atm1(2), laws.read_printed(printed.ATM1["low"], "sample")
+    law, truth = laws.atm1(2), laws.read_printed(laws.ATM1["low"], "sample")
     best = papers_method.lowest_error_parameters(law, data, [], rng(), 9000)
     assert papers_method.squared_error(law, best, data) <= papers_method.squared_error(law, truth, data)
     lines = best[4:].reshape(-1, 3)
@@ -208,8 +215,8 @@ def test_the_lowest_error_is_no_higher_than_the_truths(
 
 def test_straightness() -> None:
     v = np.linspace(0, 8, 500)
-    assert tustin_model.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
-    assert tustin_model.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
+    assert first_paper.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
+    assert first_paper.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
 
 
 # ---- statistics
@@ -360,8 +367,8 @@ def test_page_needs_nothing_else(made: tuple[Path, dict]) -> None:
 def test_printed_values_stand_beside_ours(made: tuple[Path, dict]) -> None:
     _, result = made
     tables = {t["name"]: t for part in result["parts"] for t in part["tables"]}
-    assert [row[1] for row in tables["table1"]["rows"]] == list(printed.ATM1["low"].values)
-    assert [row[1] for row in tables["table4"]["rows"]] == list(printed.ATM2["high"].values)
+    assert [row[1] for row in tables["table1"]["rows"]] == list(laws.ATM1["low"].values)
+    assert [row[1] for row in tables["table4"]["rows"]] == list(laws.ATM2["high"].values)
     assert [row[1] for row in tables["second_tables_1_2"]["rows"]] == [10.0, 17.8104, 5.0, 0.2512]
     assert tables["table5"]["rows"][0][1] == 34.14
     assert tables["table7"]["rows"][2][1] == pytest.approx(6.0)
@@ -393,7 +400,7 @@ def test_ours_recovers_table_1(made: tuple[Path, dict]) -> None:
     """Displacement domain: the printed sines come back to a per mille where the papers' route guesses."""
     tables = {t["name"]: t for part in made[1]["parts"] for t in part["tables"]}
     ours = {row[0]: float(row[4].split(" ")[0]) for row in tables["table1"]["rows"] if "±" in row[4]}
-    truth = laws.read_printed(printed.ATM1["low"], "sample")
+    truth = laws.read_printed(laws.ATM1["low"], "sample")
     for name in ("F_1", "f_1", "F_2", "f_2"):
         assert ours[name] == pytest.approx(truth[laws.atm1(2).names.index(name)], rel=2e-3)
 

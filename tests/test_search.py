@@ -23,14 +23,15 @@ from frictrack.search import (
     minimise,
     search_method,
 )
-from frictrack.search.evaluator import distinct_optima
-from frictrack.search.mga import crossover_probability, mutation_as_printed, mutation_probability
-from frictrack.search.operators import (
+from frictrack.search.genetic import (
+    crossover_probability,
     decode,
     encode,
     flip_bits,
     geometric_cooling,
     metropolis,
+    mutation_as_printed,
+    mutation_probability,
     one_point_crossover,
     random_genes,
     rank_fitness,
@@ -38,6 +39,7 @@ from frictrack.search.operators import (
     tournament,
     universal_sampling,
 )
+from frictrack.search.method import distinct_optima
 
 Array = np.ndarray
 

@@ -9,20 +9,12 @@ from scipy.optimize import least_squares
 from frictrack import effects
 from frictrack.effects import Path, Span, models
 from frictrack.fit import ParameterLayout, fit
+from frictrack.fit.global_search import PopulationMisfit, ReducedPopulationMisfit
 from frictrack.fit.linearised import linearise
-from frictrack.fit.separable import (
-    PopulationMisfit,
-    ProjectedProblem,
-    ReducedPopulationMisfit,
-    SeparableModel,
-    VariableProjection,
-    displacement_block,
-    force_block,
-    variable_projection,
-)
-from frictrack.fit.separable.blocks import double_integral, tiled_path
-from frictrack.fit.separable.bounded import bounded_coefficients
-from frictrack.fit.separable.scan import ScanTable
+from frictrack.fit.separable.common_amplitudes import variable_projection
+from frictrack.fit.separable.model import DataBlock, SeparableModel, displacement_block, double_integral, tiled_path
+from frictrack.fit.separable.projected import ProjectedProblem, bounded_coefficients
+from frictrack.fit.separable.varpro import ScanTable, VariableProjection
 from frictrack.simulate import Conditions, simulate
 from tests.runs import BASE, MASS, Spec, measured, study
 
@@ -32,6 +24,12 @@ V = 0.05 + 5.35 * (1 - T / T[-1]) ** 1.2
 X = np.concatenate([[0.0], np.cumsum((V[1:] + V[:-1]) / 2 / FPS)])
 PATH = Path(t=T, x=X, v=V, s=np.ones(N))
 SPAN = Span(duration=T[-1], x_min=0.0, x_max=X[-1], v_min=0.05, v_max=5.4, fps=FPS)
+
+
+def force_block(run, path, friction, sigma):
+    """A measured friction series (n,) of known noise, N, as data; forces map to it directly."""
+    weight = 1.0 / np.broadcast_to(sigma, friction.shape)
+    return DataBlock(run, path, friction * weight, lambda rows: rows * weight, np.zeros_like, friction / path.load)
 
 
 def tustin(fc, fs, fv, vs):

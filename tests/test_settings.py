@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import catalogue, models, settings
 from frictrack.fit import restore, state
 from frictrack.flow import Session, open_study, user_effects
-from frictrack.study.writing import EFFECT
 
 WIDER = 0.02  # as far as a stated deviation is wider than a known noise would make it
 TWO = (Spec(4.0), Spec(5.0))
@@ -473,7 +473,9 @@ def test_a_study_files_own_effects_are_listed_and_its_model_is_read_alone(study_
 
 def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
     """Each key of the commented example by itself: together they would contradict each other."""
-    lines = [line for line in EFFECT.splitlines() if re.match(r"\[\[effect|\w+ = ", line)]
+    text = files("frictrack").joinpath("study", "optional_keys.toml").read_text(encoding="utf-8")
+    said = text[text.index("# Settings of an effect") :].replace("# ", "").splitlines()
+    lines = [line for line in said if re.match(r"\[\[effect|\w+ = ", line)]
     cut = [i for i, line in enumerate(lines) if line == "[[effect]]"]
     bare = study_file.read_text()
     keys = [re.split(r"\s{3,}", line)[0] for line in lines]

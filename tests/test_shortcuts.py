@@ -20,7 +20,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.linearised import candidate_grids, linearise
 from frictrack.fit.observations import keep_compared_frames, weight_by_noise
-from frictrack.simulate.dynamics.linear_response import _invert_3x3
+from frictrack.simulate.dynamics.collocation import _invert_3x3
 
 MEMORYLESS = [e for e in effects.LIBRARY.values() if e.acts_on == "force" and not e.memory and not e.modifies]
 

@@ -10,7 +10,7 @@ import pytest
 from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
 from frictrack.flow import Session, SignificanceBudget, open_study
-from frictrack.flow.diagnosis_records import (
+from frictrack.flow.command_history import (
     ALPHA_FIRST,
     CompletenessTest,
     alpha_spent,
@@ -125,4 +125,4 @@ class TestStudy:
         for text in ("{", '[{"key": 1}]', "[1]", '[{"key": 1, "data": "", "model": [], "sequence": 1, "alpha": 1}]'):
             budget.path.write_text(text)
             with pytest.raises(FrictrackError, match=r"tests\.json is damaged; delete it"):
-                _ = budget.tests
+                _ = budget.rows

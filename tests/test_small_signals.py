@@ -17,7 +17,7 @@ from frictrack.effects import LIBRARY
 from frictrack.fit import add_effect
 from frictrack.present.plots import passes
 from frictrack.records import Displacement, Run
-from frictrack.validation.blind.equivalents import replacements, solution_at_truth
+from frictrack.validation.blind.outcome import replacements, solution_at_truth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 

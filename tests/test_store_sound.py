@@ -27,7 +27,7 @@ from frictrack import study
 from frictrack.base.errors import FrictrackError
 from frictrack.base.version import __version__
 from frictrack.flow import Session, open_study, store
-from frictrack.flow.store import GroupContent, Provenance, file_header, sandbox
+from frictrack.flow.store import GroupContent, Provenance, file_header
 from frictrack.flow.store.checksums import array_checksum, wrong_checksums
 from frictrack.flow.store.file_header import header_of
 
@@ -182,7 +182,7 @@ def _compare(path: Path, whole: dict[str, Any]) -> None:
 
 def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sealed again by who means harm: in this heap of strings a few of the bytes let HDF5 2.0 search without end."""
-    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(file_header, "MIN_TIMEOUT_S", 0.4)
     content, path = sound.read_bytes(), sound.with_name("harm.h5")
     text = content.index(b'{"mass": 0.35}')
     for at in range(text - 8, text + 30):
@@ -196,9 +196,9 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
 
 @pytest.mark.parametrize("child", ["os.abort()", "time.sleep(60)", "print('no JSON')"])
 def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest.MonkeyPatch, child: str) -> None:
-    monkeypatch.setattr(sandbox, "MIN_TIMEOUT_S", 0.4)
-    monkeypatch.setattr(sandbox, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
-    monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
+    monkeypatch.setattr(file_header, "MIN_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(file_header, "_CHILD", f"import os, time; print('ready', flush=True); input(); {child}")
+    monkeypatch.setattr(file_header, "_SANDBOX", file_header._Sandbox())
     path = sound.with_name("strange.h5")
     path.write_bytes(sealed(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     for _ in range(2):  # the answer is kept
@@ -210,10 +210,10 @@ def test_a_process_that_fails_on_a_file_says_so(sound: Path, monkeypatch: pytest
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGALRM")
 def test_a_process_that_hangs_ends_also_when_nobody_waits(sound: Path) -> None:
     code = """
-from frictrack.flow.store import sandbox
+from frictrack.flow.store import file_header
 import ctypes
-sandbox.MIN_TIMEOUT_S = 0.3
-sandbox.run_sandbox_process(lambda path: ctypes.CDLL(None).sleep(60))
+file_header.MIN_TIMEOUT_S = 0.3
+file_header.run_sandbox_process(lambda path: ctypes.CDLL(None).sleep(60))
 """
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as asked:
         assert asked.stdin is not None
@@ -223,8 +223,8 @@ sandbox.run_sandbox_process(lambda path: ctypes.CDLL(None).sleep(60))
 
 
 def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sandbox, "_CHILD", "import nothing_of_the_kind")
-    monkeypatch.setattr(sandbox, "_SANDBOX", sandbox._Sandbox())
+    monkeypatch.setattr(file_header, "_CHILD", "import nothing_of_the_kind")
+    monkeypatch.setattr(file_header, "_SANDBOX", file_header._Sandbox())
     path = sound.with_name("unknown.h5")
     path.write_bytes(sealed(sound.read_bytes()[store.HEADER_BYTES :], __version__))
     with pytest.raises(FrictrackError, match=r"but .*python.* starts none"):
@@ -234,7 +234,7 @@ def test_where_no_process_begins_no_file_is_called_damaged(sound: Path, monkeypa
 def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = Path(shutil.copy(sound, sound.with_name("theirs.h5")))
     asked: list[Path] = []
-    monkeypatch.setattr(sandbox, "check_in_sandbox", lambda path: asked.append(path) or [])
+    monkeypatch.setattr(file_header, "check_in_sandbox", lambda path: asked.append(path) or [])
     assert store.names(path)
     assert asked == []
     for secret in (b"of somebody else", b""):  # also where there is no home to keep it

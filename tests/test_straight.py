@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.measure.calibration import calibrate
-from frictrack.measure.calibration.course_direction import follow_straight_point
+from frictrack.measure.calibration.displacement import follow_straight_point
 from frictrack.records import Track
 
 N, NOISE, TURN_NOISE = 300, 0.01, 1e-4

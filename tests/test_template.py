@@ -17,7 +17,7 @@ from frictrack.tracking.measure import (
     systematic_covariance,
 )
 from frictrack.tracking.subpixel_fit import refine_positions, template_products
-from frictrack.tracking.template import PatternSums, fit_fixed_pattern
+from frictrack.tracking.template import fit_fixed_pattern, pattern_sums
 from frictrack.tracking.template_learning import learn_template, template_from_frame
 
 SHAPE = (40, 56)
@@ -154,10 +154,11 @@ def test_pixels_that_come_and_go_count_little():
 def pass_by(change, n=300):
     """Sums over frames of a random scene that passes each pixel, and the picture's `change` of it."""
     rng = np.random.default_rng(2)
-    sums, noise = PatternSums((30, 50)), 1.5
+    noise = 1.5
     model = 40 * rng.standard_normal((n, 30, 50)).astype(np.float32)
     seen = change(model) + noise * rng.standard_normal(model.shape)
-    sums.add(np.zeros((n, 2), np.int64), model, (seen - model).astype(np.float32), np.ones((30, 50)))
+    difference = (seen - model).astype(np.float32)
+    sums = pattern_sums((30, 50), np.zeros((n, 2), np.int64), model, difference, np.ones((30, 50)))
     return fit_fixed_pattern(sums, noise**2)
 
 

@@ -19,7 +19,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.flow import hash_path, open_study, run_pipeline, survey_recording
 from frictrack.flow.new_study import expand_folders
 from frictrack.study import find_recordings, open_table, read_table, table_headers
-from frictrack.study import table_cells as xml_limits
+from frictrack.study import table_layout as xml_limits
 
 DATA = Path(__file__).parent / "data" / "tracks"
 N = np.arange(24)

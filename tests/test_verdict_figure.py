@@ -151,7 +151,7 @@ def test_a_diagnosis_draws_its_verdict(patched):
     later = data_of_diagnosis(found, better)
     assert later.errors[-1] == HeldOutError("Coulomb + viscous + patch", better.errors["heldout_rms_um"])
     assert later.after.rms == pytest.approx(1e6 * np.std(found.figures["residual"]["after"]), rel=0.05)
-    assert np.max(later.after.force) == pytest.approx(PATCH["F"], rel=0.1)
+    assert np.max(later.after.rows["force"]) == pytest.approx(PATCH["F"], rel=0.1)
 
 
 # ---- the table of candidates

@@ -13,7 +13,7 @@ from browser import Server
 from conftest import Clients
 from page_client import wait_for
 
-from frictrack.workbench.live_study import JobFollower
+from frictrack.workbench.jobs import JobFollower
 
 # --- jobs and the end of the server
 

@@ -11,7 +11,7 @@ from gallery_runs import Example, SimulatedRun, Values, simulate_example
 import frictrack as ft
 from frictrack.diagnose.examination import list_candidates
 from frictrack.effects import Effect
-from frictrack.effects.plausibility import oscillates
+from frictrack.effects.ranges import oscillates
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution, refine
 from frictrack.fit.linearised import (

@@ -13,7 +13,7 @@ from page_text import code, plain, prose, table, write_page
 
 from frictrack import samples
 from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod
-from frictrack.simulate.scene.scene_file import RUN_KEYS, SCENE_KEYS, TARGET_KEYS
+from frictrack.simulate.scene import RUN_KEYS, SCENE_KEYS, TARGET_KEYS
 
 # Keys that no dataclass describes: meaning, unit and default.
 TOP = {

@@ -101,16 +101,6 @@ T = TypeVar("T")
 def accepts_seed(function: Callable[P, T]) -> Callable[P, T]:
     """Let a function with the keyword `rng` also accept the older keyword `seed`, with a deprecation warning.
 
-    Parameters
-    ----------
-    function
-        A function with the keyword argument `rng`.
-
-    Returns
-    -------
-    callable
-        The same function; it raises TypeError if both keywords are given.
-
     References
     ----------
     SPEC 7, Seeding pseudo-random number generation, https://scientific-python.org/specs/spec-0007

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 MAX_MESSAGE_LENGTH = 8000  # characters
 FULL_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)  # no space, quota, limit of a file
@@ -35,25 +37,13 @@ class FrictrackError(ValueError):
 
 
 class DiskFullError(FrictrackError):
-    """A file cannot be written because the disk is full: another machine may have space.
+    """A file cannot be written because the disk is full: another machine may have space."""
 
-    Attributes
-    ----------
-    worker
-        Address of the worker of a cluster on which it happened; empty elsewhere.
-
-    """
-
-    worker: str = ""
+    worker: str = ""  # address of the worker of a cluster on which it happened; empty elsewhere
 
 
 def is_disk_full(e: BaseException | None) -> bool:
     """Return whether an error, or one that caused it, says that the disk, a quota or a limit of file size is full.
-
-    Parameters
-    ----------
-    e
-        The error.
 
     Examples
     --------
@@ -95,3 +85,12 @@ def raise_faults(faults: list[str], what: str) -> None:
     """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
+
+
+@contextmanager
+def os_errors_as(what: str) -> Iterator[None]:
+    """Raise an error of the operating system as a `FrictrackError` that says what could not be done, and why."""
+    try:
+        yield
+    except OSError as e:
+        raise FrictrackError(f"{what}: {e.strerror or e}") from e

@@ -24,7 +24,7 @@ import psutil
 from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 
 MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
@@ -33,17 +33,11 @@ _HOST = re.sub(r"\W", "", platform.node()) or "here"
 _TEMPORARY = re.compile(r"\..+_([^\W_]\w*)-(\d+)_[^.]+\.part(?:\.\w+)?")  # of `atomic_write`
 DAY_S = 86400.0
 INTERNAL_FOLDER = ".frictrack"  # in a folder of results: what only frictrack reads
-_FORMER_LOCKS = (".lock", ".work")  # of earlier versions, among the results
 LOCK_TIMEOUT_S = 60.0  # that a writer waits for another one; each takes a fraction of a second
 
 
 def is_file_name(name: str) -> bool:
     """Return whether a name can be a file name on every operating system, and cannot lead out of the folder.
-
-    Parameters
-    ----------
-    name
-        The name, without suffix.
 
     Examples
     --------
@@ -122,8 +116,6 @@ def is_busy(folder: Path) -> bool:
 def make_internal_folder(folder: Path) -> Path:
     """Create the hidden folder in a folder of results, for locks, logs and jobs; return its path.
 
-    Locks that earlier versions left among the results are removed.
-
     Parameters
     ----------
     folder
@@ -135,12 +127,7 @@ def make_internal_folder(folder: Path) -> Path:
         If it cannot be created, or there is a link of its name.
 
     """
-    inside = make_subfolder(folder, INTERNAL_FOLDER)
-    for name in _FORMER_LOCKS:
-        with suppress(OSError):
-            if (folder / name).is_file() and not (folder / name).is_symlink():
-                (folder / name).unlink()
-    return inside
+    return make_subfolder(folder, INTERNAL_FOLDER)
 
 
 def _is_held(path: Path) -> bool:
@@ -174,10 +161,8 @@ def make_subfolder(folder: Path, name: str) -> Path:
     path = folder / name
     if path.is_symlink():
         raise FrictrackError(f"expected a folder {path} but it is a link to another place; remove the link")
-    try:
+    with os_errors_as(f"cannot write results into {path}"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise FrictrackError(f"cannot write results into {path}: {e.strerror or e}") from e
     return path
 
 
@@ -269,6 +254,20 @@ def write_at(file: RawIOBase, start: int, content: Any) -> None:
         rest = rest[file.write(rest) or 0 :]
 
 
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a log, safe on the disk when this returns; what a power cut left of a line is cut off."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab+") as file:
+        if file.seek(0, os.SEEK_END):
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                file.seek(0)
+                file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line.encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
 def replace_text(path: Path, text: str) -> Path:
     """Write a text in UTF-8 as a whole, with its line ends as they are; return the path.
 
@@ -297,23 +296,6 @@ MIN_AGE_S = 2.0  # of a file's last change: within the resolution of a clock, it
 
 def hash_file(path: Path, *, reread: bool = False) -> str:
     """Return the SHA-256 of all bytes of a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    reread
-        Read it even if the hash of its present state is known.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
 
     Examples
     --------

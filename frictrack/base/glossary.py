@@ -14,22 +14,11 @@ MAX_NEAR = 5  # words that are offered for an unknown one
 
 @dataclass(frozen=True)
 class GlossaryEntry:
-    """One line of the glossary.
+    """One line of the glossary."""
 
-    Attributes
-    ----------
-    words : tuple of str
-        The word, then other names of the same.
-    meaning : str
-        What it means, in one sentence.
-    on_hover : bool
-        Whether the page and the report explain it where it stands; bold in the glossary.
-
-    """
-
-    words: tuple[str, ...]
-    meaning: str
-    on_hover: bool
+    words: tuple[str, ...]  # the word, then other names of the same
+    meaning: str  # what it means, in one sentence
+    on_hover: bool  # whether the page and the report explain it where it stands; bold in the glossary
 
 
 @cache

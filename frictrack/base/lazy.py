@@ -15,11 +15,6 @@ def imported(path: str) -> Any:
     Records offer methods that compute with packages of higher layers, such as `Run.from_arrays`. They import them here
     when they are called, so that no layer depends on a higher one.
 
-    Parameters
-    ----------
-    path
-        Module and name.
-
     Examples
     --------
     >>> imported("math:hypot")(3, 4)

@@ -25,20 +25,6 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def format_number(value: float | None, digits: int = 3, missing: str = DASH) -> str:
     """Format a number with a fixed count of significant digits.
 
-    Parameters
-    ----------
-    value : float or None
-        The number.
-    digits : int
-        Significant digits.
-    missing : str
-        Text for None, NaN and infinity.
-
-    Returns
-    -------
-    str
-        Thousands are separated by a thin space. A power of ten is written outside 1e-3 to 1e6.
-
     Examples
     --------
     >>> format_number(0.012345), format_number(None), format_number(5.0, 1)
@@ -106,20 +92,6 @@ def format_change(value: float) -> str:
 
 def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     """Format a value with its standard deviation and unit.
-
-    Parameters
-    ----------
-    value : float or None
-        The value; None gives "not determined".
-    std : float or None
-        The standard deviation, in the same unit. None, 0 and infinity are left out.
-    unit : str
-        The SI unit, such as ``"N s/m"``; ``"1"`` for a pure number.
-
-    Returns
-    -------
-    str
-        Lengths, times, forces and impulses below 0.1 are given in thousandths or millionths.
 
     Examples
     --------
@@ -194,16 +166,21 @@ def format_length(metres: float) -> str:
     return f"{format_number(1e3 * metres)} mm" if size >= 1e-4 else f"{format_number(1e6 * metres)} µm"
 
 
-def format_interval(ends: Sequence[float] | None, factor: float = 1.0) -> str:
-    """Format both ends of an interval, multiplied by `factor`; a dash for no interval.
+def format_interval(ends: Sequence[float | None] | None, factor: float = 1.0, digits: int = 3) -> str:
+    """Format both ends of an interval, multiplied by `factor`; a dash for no interval; None for an open end.
 
     Examples
     --------
-    >>> format_interval((0.031, 0.0382), 1e3)
-    '31.0 to 38.2'
+    >>> format_interval((0.031, 0.0382), 1e3), format_interval((None, 2.0)), format_interval((None, None))
+    ('31.0 to 38.2', 'below 2.00', 'any')
 
     """
-    return " to ".join(format_number(factor * end) for end in ends) if ends else DASH
+    if not ends:
+        return DASH
+    low, high = (None if end is None else format_number(factor * end, digits) for end in ends)
+    if low is None or high is None:
+        return f"above {low}" if low else f"below {high}" if high else "any"
+    return f"{low} to {high}"
 
 
 def format_range(values: Sequence[float]) -> str:
@@ -275,6 +252,19 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else "".join(words)
 
 
+def first_words(words: Sequence[str], most: int) -> str:
+    """List the first of many words, and how many others there are.
+
+    Examples
+    --------
+    >>> first_words(["a", "b"], 2), first_words(["a", "b", "c", "d"], 2)
+    ('a, b', 'a, b and 2 more')
+
+    """
+    more = len(words) - most
+    return ", ".join(words[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def lower_first(sentence: str) -> str:
     """Turn a sentence into a clause: lower-case first letter, no full stop.
 
@@ -285,6 +275,11 @@ def lower_first(sentence: str) -> str:
 
     """
     return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def upper_first(sentence: str) -> str:
+    """Write the first letter of a sentence in upper case."""
+    return sentence[:1].upper() + sentence[1:]
 
 
 def describe_change(before: float | None, after: float | None, unit: str = "") -> str:

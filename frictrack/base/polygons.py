@@ -18,21 +18,6 @@ Polygon = tuple[tuple[float, float], ...]  # corners (x, y) px, in order
 def polygon(raw: Any) -> Polygon:
     """Read a polygon from corners or a rectangle.
 
-    Parameters
-    ----------
-    raw : list, tuple or array
-        Corners [[x, y], ...] or a rectangle [x, y, width, height], px.
-
-    Returns
-    -------
-    tuple of tuple of float
-        Corners (x, y), px; those of a rectangle are the outer edges of its pixels.
-
-    Raises
-    ------
-    FrictrackError
-        For fewer than three corners, values that are no positions in a picture, crossing sides, or corners on one line.
-
     Examples
     --------
     >>> polygon([[0, 0], [4, 0], [0, 4]])
@@ -41,9 +26,9 @@ def polygon(raw: Any) -> Polygon:
     ((9.5, 19.5), (13.5, 19.5), (13.5, 21.5), (9.5, 21.5))
 
     """
-    if _are_numbers(raw, 4):
+    if are_coordinates(raw, 4):
         return _rectangle(*(float(v) for v in raw))
-    if not isinstance(raw, list | tuple | np.ndarray) or not all(_are_numbers(corner, 2) for corner in raw):
+    if not isinstance(raw, list | tuple | np.ndarray) or not all(are_coordinates(corner, 2) for corner in raw):
         raise FrictrackError(f"expected a polygon [[x, y], [x, y], [x, y], ...] in px but got {_shown(raw)}")
     if not MIN_CORNERS <= len(raw) <= MAX_CORNERS:
         raise FrictrackError(f"expected a polygon of {MIN_CORNERS} to {MAX_CORNERS} corners but got {len(raw)}")
@@ -77,7 +62,7 @@ def polygons(raw: Any) -> tuple[Polygon, ...]:
         As `polygon`, and for a single rectangle.
 
     """
-    if not isinstance(raw, list | tuple) or _are_numbers(raw, 4):
+    if not isinstance(raw, list | tuple) or are_coordinates(raw, 4):
         raise FrictrackError(f"expected a list of polygons [[[x, y], [x, y], [x, y]], ...] in px but got {_shown(raw)}")
     return tuple(polygon(one) for one in raw)
 
@@ -86,20 +71,6 @@ def inside(corners: Polygon, shape: tuple[int, ...], origin: tuple[int, int] = (
     """Mark the pixels whose centres lie inside a polygon.
 
     A ray from each pixel crosses the outline an odd number of times (Shimrat 1962, Commun. ACM 5:434).
-
-    Parameters
-    ----------
-    corners : sequence of tuple of float
-        Polygon, px.
-    shape : tuple of int
-        Height and width of the mask, px.
-    origin : tuple of int
-        Upper left pixel (x, y) of the mask in the picture.
-
-    Returns
-    -------
-    array of bool (h, w)
-        True inside.
 
     Examples
     --------
@@ -149,15 +120,11 @@ def _rectangle(x: float, y: float, w: float, h: float) -> Polygon:
     return tuple((x - 0.5 + i * w, y - 0.5 + j * h) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
 
 
-def _are_numbers(raw: Any, count: int) -> bool:
-    """Whether these are `count` numbers within any picture."""
+def are_coordinates(raw: Any, count: int) -> bool:
+    """Return whether these are `count` numbers that can be pixel coordinates."""
     listed = isinstance(raw, list | tuple | np.ndarray) and len(raw) == count
-    return listed and all(_is_place(v) for v in raw)
-
-
-def _is_place(value: Any) -> bool:
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return bool(number and abs(value) < MAX_PX)
+    numbers = listed and all(isinstance(v, int | float | np.number) and not isinstance(v, bool) for v in raw)
+    return bool(numbers and all(abs(v) < MAX_PX for v in raw))
 
 
 def _shown(raw: Any) -> str:

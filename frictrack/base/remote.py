@@ -70,23 +70,6 @@ def only_listed(files: Collection[str]) -> Iterator[None]:
 def locate(text: str, folder: Path = Path()) -> Path | RemoteFile:
     """Return the file that a text names. Every path and address from outside passes here or through `RemoteFile`.
 
-    Parameters
-    ----------
-    text
-        A path, or an address of one of `PROTOCOLS`.
-    folder
-        Folder to which a path is relative.
-
-    Returns
-    -------
-    Path or RemoteFile
-        A path need not exist.
-
-    Raises
-    ------
-    FrictrackError
-        If the address has another protocol, or the file is not one of `only_listed`.
-
     Examples
     --------
     >>> locate("s3://lab/v3.cine").name
@@ -122,11 +105,6 @@ def _check_address(text: str) -> None:
 class RemoteFile:
     """The address of a remote file.
 
-    Attributes
-    ----------
-    url
-        The address.
-
     Examples
     --------
     >>> file = RemoteFile("s3://lab/course_a/v3.cine")
@@ -135,7 +113,7 @@ class RemoteFile:
 
     """
 
-    url: str
+    url: str  # the address
 
     def __post_init__(self) -> None:
         _check_address(self.url)

@@ -228,11 +228,6 @@ UNIT_PATTERN = re.compile(rf"{_UNIT_POWER}(?:[ */]{_UNIT_POWER}){{0,6}}")
 def is_coherent(unit: str) -> bool:
     """Return whether a unit is an SI unit without prefix, so that numbers in it need no factor.
 
-    Parameters
-    ----------
-    unit
-        A unit such as ``"N s/m"``.
-
     Examples
     --------
     >>> is_coherent("N s/m"), is_coherent("N s^0.5/m^0.5"), is_coherent("mm")

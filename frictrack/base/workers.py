@@ -140,13 +140,6 @@ def limit_memory(size: int) -> None:
 def max_parallel(free: float, taken: float, need: float) -> int:
     """Return how many tasks fit into memory at the same time, at least one.
 
-    Parameters
-    ----------
-    free, taken
-        Memory that is free, and memory that the running tasks hold, bytes.
-    need
-        Memory of one task, bytes.
-
     Examples
     --------
     >>> max_parallel(free=3e9, taken=1e9, need=1.5e9)
@@ -375,18 +368,6 @@ def one_thread() -> Iterator[None]:
 
 def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:
     """Apply a function to every item, in as many threads as there are free processors.
-
-    Parameters
-    ----------
-    of
-        The function; it must release the interpreter lock most of the time.
-    items
-        The items.
-
-    Returns
-    -------
-    list
-        The results, in the order of the items.
 
     Examples
     --------

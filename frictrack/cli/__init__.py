@@ -18,12 +18,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line and exit.
 
     Exit codes: 0 success, 1 the work failed, 2 the command or the study file is wrong.
-
-    Parameters
-    ----------
-    argv
-        Arguments of the command line; those of the process if None.
-
     """
     from frictrack.cli import study_commands, utility_commands  # noqa: F401, PLC0415 - keeps this import fast
     from frictrack.cli.common import app  # noqa: PLC0415

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -11,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.cli.examples import EXAMPLES, WHOLE_PROGRAM, format_examples
-from frictrack.cli.progress_bars import ProgressDisplay, progress_bars
+from frictrack.cli.progress_bars import progress_bars
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Identify a friction law from films of a sliding mass, and find the physical effect that the law lacks.",
     no_args_is_help=True,
-    epilog=format_examples(WHOLE_PROGRAM),
+    epilog="""\b
+Examples:
+  frictrack demo                              the whole analysis on a sample
+  frictrack init films                        a study file for your own films""",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -44,20 +47,12 @@ Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 
 def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes a function a command, with its examples at the end of the help.
-
-    Parameters
-    ----------
-    name
-        Name of the command; that of the function if None.
-    group
-        The commands to which it belongs.
-
-    """
+    """Return a decorator that makes a function a command; the examples of its docstring end the help."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        examples = format_examples(EXAMPLES[name or function.__name__])
-        return group.command(name, epilog=examples)(function)
+        said, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples\n--------\n")
+        epilog = "\n  ".join(("\b\nExamples:", *examples.splitlines()))  # after \b, the line ends stay
+        return group.command(name, help=said, epilog=epilog)(function)
 
     return register
 
@@ -81,14 +76,7 @@ def options(
 
 @contextmanager
 def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
-    """Open a study for work; progress is shown on stderr."""
-    with open_with_progress(study, workers) as (session, _):
-        yield session
-
-
-@contextmanager
-def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session, ProgressDisplay]]:
-    """Open a study for work; yield also the display of its progress, which is cleared before something is printed."""
+    """Open a study for work; its progress is a `ProgressDisplay` on stderr."""
     with progress_bars() as progress, _film_workers(workers) as pool:
         progress(0, 0, f"reading {study}")
         from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
@@ -96,7 +84,7 @@ def open_with_progress(study: Path, workers: int = 1) -> Iterator[tuple[Session,
         opened = open_study(study)
         count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
         progress(0, 0, f"study {opened.name}, {count}")
-        yield Session(opened, progress, author="cli", pool=pool), progress
+        yield Session(opened, progress, author="cli", pool=pool)
 
 
 @contextmanager
@@ -111,55 +99,35 @@ def _film_workers(workers: int) -> Iterator[WorkerPool | None]:
         yield pool
 
 
-def print_verdict(progress: ProgressDisplay, as_json: bool, show: str) -> Callable[[Mapping[str, Any]], None] | None:
-    """Return a function that prints the verdict while the rest is being computed; None for JSON, which is one document.
+class VerdictPrinter:
+    """Print a verdict while the rest is being computed; not for JSON, which is one document."""
 
-    Parameters
-    ----------
-    progress
-        Display of the progress.
-    as_json
-        Whether the command prints JSON.
-    show
-        Name of the function in `frictrack.cli.output` that prints it.
+    def __init__(self, session: Session, as_json: bool, show: str) -> None:
+        self._progress: Any = session.progress
+        self._as_json, self._show = as_json, show
+        self.has_printed = False
 
-    """
-
-    def show_verdict(result: Mapping[str, Any]) -> None:
-        progress.clear()
-        print_result(result, False, show)
-        sys.stdout.flush()
-
-    return None if as_json else show_verdict
+    def __call__(self, result: Mapping[str, Any]) -> None:
+        """Print what is known so far."""
+        if not self._as_json:
+            self._progress.clear()
+            print_result(result, False, self._show)
+            sys.stdout.flush()
+            self.has_printed = True
 
 
 def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "", look: str = "") -> None:
-    """Print the result of a command, as JSON or as tables, and where the files are.
-
-    Parameters
-    ----------
-    result
-        The JSON of the command.
-    as_json
-        Print JSON.
-    show
-        Name of the function in `frictrack.cli.output` that prints the tables; empty for none.
-    where
-        The path that is printed last.
-    look
-        What to look at, printed before it.
-
-    """
+    """Print the result of a command, as JSON or as tables, and where the files are."""
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return
     from rich.console import Console  # noqa: PLC0415
 
-    from frictrack.cli import output  # noqa: PLC0415
+    from frictrack.cli import output, tables  # noqa: PLC0415
 
     out = Console(highlight=False)
     if show:
-        getattr(output, show)(out, result)
+        getattr(output if hasattr(output, show) else tables, show)(out, result)
     if look:
         out.print(f"look at: {look}", markup=False)
     if where:

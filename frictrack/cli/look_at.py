@@ -28,31 +28,13 @@ _TEXTS = {
 
 
 def look_at(command: str, **places: Any) -> str:
-    """Return what to look at after a command.
-
-    Parameters
-    ----------
-    command
-        Name of the command.
-    **places
-        Paths that the text names: study, output.
-
-    """
+    """Return what to look at after a command."""
     typed = {name: shlex.quote(str(places[name])) for name in ("study", "crate") if name in places}
     return _TEXTS[command].format(**places | typed)
 
 
 def after_fit(fit: Mapping[str, Any], study: Any) -> str:
-    """Return what a fit leaves, and what to do next.
-
-    Parameters
-    ----------
-    fit
-        JSON of `frictrack fit`.
-    study
-        Path of the study file.
-
-    """
+    """Return what a fit leaves, and what to do next."""
     chi2 = fit.get("errors", {}).get("reduced_chi2")
     if chi2 is None:  # one fit per group
         return f"the parameters by group. frictrack compare {shlex.quote(str(study))} compares models"
@@ -63,16 +45,7 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
 
 
 def after_edit(result: Mapping[str, Any], study: Any) -> str:
-    """Return what an added or removed effect makes of the held-out error.
-
-    Parameters
-    ----------
-    result
-        JSON of `frictrack add` or `remove`.
-    study
-        Path of the study file.
-
-    """
+    """Return what an added or removed effect makes of the held-out error."""
     from frictrack.results.error_rows import held_out_error  # noqa: PLC0415 - `--help` does without it
 
     (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
@@ -82,30 +55,12 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
 
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after a diagnosis; it depends on the verdict.
-
-    Parameters
-    ----------
-    diagnosis
-        JSON of `frictrack diagnose`.
-    study
-        Path of the study file.
-
-    """
+    """Return what to look at after a diagnosis; it depends on the verdict."""
     return f"the verdict above. {_next_step(diagnosis, study)}"
 
 
 def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after the whole analysis; it depends on the verdict.
-
-    Parameters
-    ----------
-    diagnosis
-        JSON of `frictrack diagnose`.
-    study
-        Path of the study file.
-
-    """
+    """Return what to look at after the whole analysis; it depends on the verdict."""
     return f"the first screen of the report; --details prints more here. {_next_step(diagnosis, study)}"
 
 

@@ -1,25 +1,29 @@
-"""Print the results of the commands as tables; the dictionaries are those that `--json` prints."""
+"""Print the results of the commands; the dictionaries are those that `--json` prints."""
 
 from __future__ import annotations
 
 import shlex
+import textwrap
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from frictrack.base.number_format import format_plain, format_plus_minus
-from frictrack.cli.diagnosis_output import diagnose, diagnosis_rest, evidence_of, plan, verdict  # noqa: F401
-from frictrack.cli.fit_output import compare, edit, fit, history, parameters, sentences  # noqa: F401 - `print_result` looks the function up here
-from frictrack.cli.measurement_output import stages, track  # noqa: F401
-from frictrack.cli.tables import cell, table
-from frictrack.results.candidates import candidate_rows
+from frictrack.cli import tables
+from frictrack.results import verdicts
+from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
 from frictrack.results.error_rows import error_rows
-from frictrack.results.verdicts import CHECK_FIRST, describe_verdict, force_without_effect
+from frictrack.results.motion_axes import AXES
 
+MAX_EXAMPLES = 2  # pairs that are named for a run
+MAX_FINDINGS = 8  # that the terminal shows
 MAX_NAMED, MAX_PARAMETERS = 3, 6  # that `frictrack run` prints without --details
+MAX_DIFFERENCES = 5  # printed of one group
+MAX_STUDIES = 100  # in the table of a batch; the page shows all
 BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
+NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
 SHARES = (  # words, and where they stand
     ("one hidden: named first", ("one", "named_first")),
     ("one hidden: first, or in its group", ("one", "in_group")),
@@ -35,194 +39,167 @@ SHARES = (  # words, and where they stand
     ("after: truth within the 99 % intervals", ("after", "parameters")),
 )
 
+# --- the diagnosis
 
-def blind(out: Console, result: dict[str, Any]) -> None:
-    """Print the shares of hits with intervals, detection limits and confusions.
 
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack blind score`.
+def diagnose(out: Console, result: dict[str, Any]) -> None:
+    """Print the verdict, the candidates, and the next experiment."""
+    verdict(out, result)
+    diagnosis_rest(out, result)
 
-    """
-    out.print(_shares(result))
-    one, where, time = result["one"], result["where"], result["seconds"]
+
+def verdict(out: Console, result: dict[str, Any]) -> None:
+    """Print the verdict and the candidates."""
+    for found in result.get("warnings") or []:
+        out.print(f"[bold]{verdicts.CHECK_FIRST}[/bold] {escape(found['words'])}")
+    out.print(f"[bold]{escape(verdicts.describe_verdict(result))}[/bold]")
+    chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
+    key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
+    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
+    if rests := result.get("rests_on_repairs"):
+        out.print(f"[bold]{escape(rests)}[/bold]")
+    findings = result.get("findings") or []
+    for one in findings[:MAX_FINDINGS]:
+        out.print(escape(f"{one['run']}: {one['words']}"))
+    if (more := len(findings) - MAX_FINDINGS) > 0:
+        out.print(f"and {more} more findings in the records; the report lists them")
+    for gap in result.get("undetermined") or []:
+        advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
+        out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
+    rows = candidate_rows(result)
+    for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
+        out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
+        for line in textwrap.wrap(_evidence_of(row), out.width - 2):
+            out.print(f"  {escape(line)}")
+    if others := not_passing(rows):
+        out.print(others)
+
+
+def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
+    """Print what follows from the verdict: where the model fails, how much each effect explains, what to film next."""
+    for one in result.get("evidence") or []:
+        out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
+    for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
+        out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
+    tables.fails_at(out, result.get("fails_at") or [])
+    words = [result["repeats_words"]] if result.get("repeats_words") else []
+    tables.sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
+    unexplained(out, verdicts.force_without_effect(result))
+    tables.sentences(out, {"words": result.get("remarks", [])})
+    next_experiment(out, result.get("next_experiment") or [])
+    if not result.get("complete", True):
+        out.print(verdicts.VERDICT_ONLY)
+
+
+def _evidence_of(row: CandidateRow) -> str:
+    """Return parameters, evidence and held-out error of a candidate in one line."""
+    error = f"held-out error {row.held_out}" if row.held_out else ""
+    return "; ".join(filter(None, (", ".join(row.parameters), row.evidence, error)))
+
+
+def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
+    """Print the variable on which the misfit depends, formulas for it, and text for the study file."""
+    if not left:
+        return
+    out.print(escape(left.get("words") or f"the misfit that no effect explains depends on {AXES[left['axis']].name}"))
+    for k, f in enumerate(left["formulas"], 1):
+        others = f" with {', '.join(f['beside'])}" if f.get("beside") else ""
+        share = f"{100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g}"
+        evidence = "; ".join([share, *verdicts.describe_formula(f)[: 1 if k > 1 else None]])
+        out.print(escape(f"  {k}. {f['formula']}{others}  ({evidence})"))
+    if unnamed := verdicts.describe_unnamed(left):
+        out.print(unnamed)
+    if left["formulas"] and left["formulas"][0].get("toml"):
+        out.print("to use the first formula, add it with `frictrack add STUDY formula:1`, which writes this table:")
+        out.print(escape(left["formulas"][0]["toml"]), highlight=False, soft_wrap=True)
+
+
+def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
+    """Print the next experiments, best first, with the expected evidence."""
+    if steps:
+        out.print("[bold]Next experiment[/bold]")
+    for k, step in enumerate(steps, 1):
+        out.print(f"  {k}. {escape(step['what'])}", soft_wrap=True)
+        if step["separates"]:
+            out.print(f"     {_separates(step)}", soft_wrap=True, style="dim")
+
+
+def _separates(step: dict[str, Any]) -> str:
+    """Describe which effects an experiment distinguishes, and how well."""
+    groups = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
+    cost = "" if step.get("cost") in (None, 1.0) else f"; cost {format_plain(step['cost'], 3)}"
+    return f"separates {groups}; expected delta BIC {_expected(step)}{cost}"
+
+
+def _expected(step: dict[str, Any]) -> str:
+    """Expected evidence with its 95 % interval, if that is known."""
+    expected = format_plain(step.get("expected_delta_bic"), 2)
+    low, high = step.get("expected_interval") or (None, None)
+    if low is None:
+        return expected
+    above = f"at least {format_plain(low, 2)}" if high is None else f"{format_plain(low, 2)} to {format_plain(high, 2)}"
+    return f"{expected} (95 %: {above})"
+
+
+def plan(out: Console, result: dict[str, Any]) -> None:
+    """Print the runs in order with what each adds, the pairs that remain, and what cannot be detected."""
+    _film_now(out, result)
+    for line in result["assumed"]:
+        out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
+    if result["done"]:
+        out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
+    rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
+    for k, run in enumerate(result["runs"], 1):
+        some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
+        example = "\n".join(" from ".join(pair) for pair in some)
+        numbers = (format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]))
+        rows.add_row(str(k), escape(run["what"]), *numbers, example)
+    none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
+    out.print(rows if result["runs"] else none)
+    left = [(" and ".join(one["effects"]), "separated", one) for one in result["left"]]
+    for what, done, one in (*left, *((one["effect"], "detected", one) for one in result["unseen"])):
+        why = f"{escape(one['why'])}; {escape(one['settle'])}"
+        out.print(f"[bold]{what}[/bold] cannot be {done}: {why}", soft_wrap=True)
+    for name, why in result["not_planned"].items():
+        out.print(f"{name} was not planned for: it {escape(why)}", style="dim", soft_wrap=True)
+    rows = tables.table("effect", "detection limit", "at")
+    for name, limit in result["detection_limits"].items():
+        unit = "" if limit["unit"] == "1" else limit["unit"]
+        size = limit["reason"] if limit["value"] is None else f"{format_plain(limit['value'], 2)} {unit}".rstrip()
+        rows.add_row(name, size, limit["at_words"])
+    out.print(rows)
+
+
+def _film_now(out: Console, result: dict[str, Any]) -> None:
+    """Print the run to film now with its settings, cost and expected evidence, or why there is none."""
+    named = result.get("next")
+    if named is None:
+        if result.get("next_reason"):
+            out.print(f"[bold]Next run[/bold]: no run; {escape(result['next_reason'])}", soft_wrap=True)
+        return
+    own = named["settings"]
+    out.print(f"[bold]Next run[/bold]: {escape(named['what'])}", soft_wrap=True)
     out.print(
-        f"median group {format_plain(one['median_group'])}, "
-        f"of indistinguishable effects {format_plain(one['median_set'])}"
+        f"  speed {own['speed']:.3g} m/s, mass {own['mass']:.3g} kg, incline {own['incline_deg']:.2g} degrees, "
+        f"{own['fps']:.4g} frames/s; cost {format_plain(named['cost'], 3)}",
+        soft_wrap=True,
     )
-    out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
-    out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")
-    if result["limits"]:
-        out.print(_limits(result["limits"]))
-    if result["confusion"]:
-        out.print(_confusion(result["confusion"]))
-    for one in result["failed"]:
-        out.print(f"{one['study']} failed: {escape(one['reason'])}")
+    about = ", ".join(named["separates"])
+    out.print(f"  about {about}; expected delta BIC {_expected(named)}", soft_wrap=True, style="dim")
 
 
-def _shares(result: dict[str, Any]) -> Table:
-    rows = table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
-    for words, (group, key) in SHARES:
-        one = result[group][key]
-        if one["of"]:
-            low, high = (100 * q for q in one["interval"])
-            rows.add_row(
-                words, str(one["hits"]), str(one["of"]), format_plain(100 * one["share"], 3), f"{low:.1f}-{high:.1f}"
-            )
-    return rows
-
-
-def _limits(limits: dict[str, dict[str, float]]) -> Table:
-    rows = table("detection limit over the ideal detector's", "median", "largest", "studies")
-    for name, one in limits.items():
-        rows.add_row(name, format_plain(one["median"], 3), format_plain(one["largest"], 3), str(one["of"]))
-    return rows
-
-
-def _confusion(confusion: dict[str, dict[str, int]]) -> Table:
-    rows = table("hidden", "named first")
-    for name, counts in confusion.items():
-        ordered = sorted(counts.items(), key=lambda pair: -pair[1])
-        rows.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
-    return rows
-
-
-MAX_DIFFERENCES = 5  # printed of one group
-NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
-
-
-def crate(out: Console, result: dict[str, Any]) -> None:
-    """Print size and content of a crate, and what is missing in it.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack export --to crate`.
-
-    """
-    out.print(f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB")
-    if result["by_hash"]:
-        rows = table("not included, only its hash", "MB", "SHA-256")
-        for one in result["by_hash"]:
-            rows.add_row(escape(one["file"]), f"{one['bytes'] / 1e6:.1f}", one["sha256"][:12])
-        out.print(rows)
-        out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
-    for name in result["not_given"]:
-        out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
-
-
-def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
-    """Print the comparison group by group, and which versions differ.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack reproduce CRATE`.
-
-    """
-    rows = table("group", "numbers", "largest difference", "equal")
-    for group in result["groups"]:
-        largest = group["largest_difference"]
-        size = "infinite" if largest is None else f"{largest:.1e}" if largest else "0"
-        equal = "yes" if group["equal"] else f"[bold]NO[/bold], {group['n_differences']}"
-        rows.add_row(escape(f"{group['file']}:/{group['group']}"), str(group["numbers"]), size, equal)
-    out.print(rows)
-    for group in result["groups"]:
-        for one in group["differences"][:MAX_DIFFERENCES]:
-            where = f"{one['file']}:/{one['group']} {one['value']}".rstrip()
-            out.print(f"{where}: {one['stored']} in the crate, {one['computed']} here", markup=False, soft_wrap=True)
-    for place in result["altered"]:
-        out.print(f"altered since the crate was written: {place}", markup=False, soft_wrap=True)
-    for one in result["versions"]:
-        out.print(f"{one['name']}: {one['stored']} in the crate, {one['computed']} here", markup=False, soft_wrap=True)
-    if not result["equal"]:
-        same = "are the same" if result["same_conclusions"] else "differ, too"
-        out.print(f"models, verdicts, parameters and errors {same}")
-    how = f"to a relative {result['tolerance']:g}, as versions differ" if result["versions"] else "bit for bit"
-    out.print(f"{result['numbers']} numbers compared {how}, in {result['seconds']:.0f} s", markup=False)
-
-
-MAX_STUDIES = 100  # in the table of a batch; the page shows all
-
-
-def init(out: Console, result: dict[str, Any]) -> None:
-    """Print what was found in a folder, what was left out, and what the user must give.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack init`.
-
-    """
-    rows = table("found", "")
-    for one in result["found"]:
-        rows.add_row(escape(one["file"]), escape(one["words"]))
-    out.print(rows)
-    if result["skipped"]:
-        rows = table("left out", "")
-        for one in result["skipped"]:
-            rows.add_row(escape(one["file"]), escape(one["reason"]))
-        out.print(rows)
-    path = result["study"]
-    needed = (
-        f"fill in {', '.join(result['fill_in'])} (marked FILL IN), then" if result["fill_in"] else "look it over, then"
-    )
-    out.print(f"next: open {path}, {needed} `frictrack run {shlex.quote(path)}`", markup=False)
-
-
-def prior(out: Console, result: dict[str, Any]) -> None:
-    """Print the parameters of a prior file, and what was left out.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack export --to prior`.
-
-    """
-    rows = table("parameter", "value", "unit", "scales with")
-    for name, one in result["parameters"].items():
-        scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
-        rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
-    out.print(rows)
-    for name, reason in result["left_out"].items():
-        out.print(f"left out: {escape(name)}, {escape(reason)}")
-
-
-def export(out: Console, result: dict[str, Any]) -> None:
-    """Print what the format could not hold.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack export`.
-
-    """
-    for what in result["lost"]:
-        out.print(f"not in these files: {what}", soft_wrap=True, markup=False)
+# --- the whole analysis
 
 
 def run(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the diagnosis."""
-    fit(out, result["fit"], motion=False)
-    diagnose(out, result["diagnose"])
+    run_verdict(out, result)
+    run_rest(out, result)
 
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    fit(out, result["fit"], motion=False)
+    tables.fit(out, result["fit"], motion=False)
     verdict(out, result["diagnose"])
 
 
@@ -235,11 +212,11 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    errors = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
-    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in errors)
+    found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
+    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
     shared = [(name, one) for name, one in fitted["parameters"].items() if "[" not in name][:MAX_PARAMETERS]
-    out.print(parameters(dict(shared)))
+    out.print(tables.parameters(dict(shared)))
     if left_out := _more(len(fitted["parameters"]) - len(shared), "parameter"):
         out.print(left_out.strip())
     if fitted.get("misfit"):
@@ -248,15 +225,15 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     """Print the most important warning, the verdict, and the effects that it names with their evidence."""
-    warnings = [f"{CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
+    warnings = [f"{verdicts.CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
     warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
     warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
     for line in warnings[:1]:
         out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
-    out.print(f"[bold]{escape(describe_verdict(found))}[/bold]")
+    out.print(f"[bold]{escape(verdicts.describe_verdict(found))}[/bold]")
     for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
-        out.print(escape(f"{row.effect}: {evidence_of(row)}"))
-    if (left := force_without_effect(found)) and left.get("words"):
+        out.print(escape(f"{row.effect}: {_evidence_of(row)}"))
+    if (left := verdicts.force_without_effect(found)) and left.get("words"):
         out.print(escape(left["words"]))
 
 
@@ -270,22 +247,106 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
         out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
-        edit(out, result["add"])
+        tables.edit(out, result["add"])
     out.print("Every model tried:")
-    history(out, result["history"])
+    tables.history(out, result["history"])
+
+
+# --- the other commands
+
+
+def blind(out: Console, result: dict[str, Any]) -> None:
+    """Print the shares of hits with intervals, detection limits and confusions."""
+    rows = tables.table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
+    for words, (group, key) in SHARES:
+        if (hits := result[group][key])["of"]:
+            low, high = (100 * q for q in hits["interval"])
+            share = (format_plain(100 * hits["share"], 3), f"{low:.1f}-{high:.1f}")
+            rows.add_row(words, str(hits["hits"]), str(hits["of"]), *share)
+    out.print(rows)
+    one, where, time = result["one"], result["where"], result["seconds"]
+    out.print(
+        f"median group {format_plain(one['median_group'])}, "
+        f"of indistinguishable effects {format_plain(one['median_set'])}"
+    )
+    out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
+    out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")
+    if result["limits"]:
+        rows = tables.table("detection limit over the ideal detector's", "median", "largest", "studies")
+        for name, limit in result["limits"].items():
+            rows.add_row(name, *(format_plain(limit[key], 3) for key in ("median", "largest")), str(limit["of"]))
+        out.print(rows)
+    if result["confusion"]:
+        rows = tables.table("hidden", "named first")
+        for name, counts in result["confusion"].items():
+            ordered = sorted(counts.items(), key=lambda pair: -pair[1])
+            rows.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
+        out.print(rows)
+    for failed in result["failed"]:
+        out.print(f"{failed['study']} failed: {escape(failed['reason'])}")
+
+
+def crate(out: Console, result: dict[str, Any]) -> None:
+    """Print size and content of a crate, and what is missing in it."""
+    out.print(f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB")
+    if result["by_hash"]:
+        files = ((escape(f["file"]), f"{f['bytes'] / 1e6:.1f}", f["sha256"][:12]) for f in result["by_hash"])
+        out.print(tables.table("not included, only its hash", "MB", "SHA-256", rows=files))
+        out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
+    for name in result["not_given"]:
+        out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
+
+
+def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
+    """Print the comparison group by group, and which versions differ."""
+    rows = tables.table("group", "numbers", "largest difference", "equal")
+    for group in result["groups"]:
+        largest = group["largest_difference"]
+        size = "infinite" if largest is None else f"{largest:.1e}" if largest else "0"
+        equal = "yes" if group["equal"] else f"[bold]NO[/bold], {group['n_differences']}"
+        rows.add_row(escape(f"{group['file']}:/{group['group']}"), str(group["numbers"]), size, equal)
+    out.print(rows)
+    differ = [one for group in result["groups"] for one in group["differences"][:MAX_DIFFERENCES]]
+    places = [(f"{one['file']}:/{one['group']} {one['value']}".rstrip(), one) for one in differ]
+    versions = [(one["name"], one) for one in result["versions"]]
+    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
+    tables.lines(out, result["altered"], "altered since the crate was written: ")
+    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in versions))
+    if not result["equal"]:
+        same = "are the same" if result["same_conclusions"] else "differ, too"
+        out.print(f"models, verdicts, parameters and errors {same}")
+    how = f"to a relative {result['tolerance']:g}, as versions differ" if result["versions"] else "bit for bit"
+    out.print(f"{result['numbers']} numbers compared {how}, in {result['seconds']:.0f} s", markup=False)
+
+
+def init(out: Console, result: dict[str, Any]) -> None:
+    """Print what was found in a folder, what was left out, and what the user must give."""
+    out.print(tables.table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
+    if skipped := result["skipped"]:
+        out.print(tables.table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
+    path = result["study"]
+    needed = f"fill in {', '.join(result['fill_in'])} (marked FILL IN)" if result["fill_in"] else "look it over"
+    out.print(f"next: open {path}, {needed}, then `frictrack run {shlex.quote(path)}`", markup=False)
+
+
+def prior(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters of a prior file, and what was left out."""
+    rows = tables.table("parameter", "value", "unit", "scales with")
+    for name, one in result["parameters"].items():
+        scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
+        rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
+    out.print(rows)
+    for name, reason in result["left_out"].items():
+        out.print(f"left out: {escape(name)}, {escape(reason)}")
+
+
+def export(out: Console, result: dict[str, Any]) -> None:
+    """Print what the format could not hold."""
+    tables.lines(out, result["lost"], "not in these files: ")
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
-    """Print every claim of the papers with its verdict.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack reproduce`.
-
-    """
+    """Print every claim of the papers with its verdict."""
     for part in result["parts"]:
         out.print(f"[bold]{escape(part['title'])}[/bold]")
         for c in part["claims"]:
@@ -298,22 +359,12 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:
-    """Print one line per effect.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack effects`.
-
-    """
-    rows = table("effect", "what it is")
+    """Print one line per effect."""
+    named = ((escape(e["name"]), escape(e["what"])) for e in result["effects"])
+    rows = tables.table("effect", "what it is", rows=named)
     longest = max(len(e["name"]) for e in result["effects"])
     rows.columns[1].no_wrap, rows.columns[1].overflow = True, "ellipsis"
     rows.columns[1].max_width = out.width - longest - 1
-    for e in result["effects"]:
-        rows.add_row(escape(e["name"]), escape(e["what"]))
     out.print(rows)
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
 
@@ -333,41 +384,24 @@ def described_effects(out: Console, result: dict[str, Any]) -> None:
     """Print what each effect adds, looks like, and is confused with."""
     for e in result["effects"]:
         units = [f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"]]
-        lines = {
-            "equation": e["equation"],
-            "parameters": "; ".join(units),
-            "needs": "; ".join(e["needs"]),
-            "looks like": e["looks_like"],
-            "mistaken for": e["mistaken_for"],
-            "confirm": e["confirm"],
-            "source": e["source"],
-        }
+        said = e | {"parameters": "; ".join(units), "needs": "; ".join(e["needs"])}
         out.print(f"[bold]{escape(e['name'])}[/bold]: {escape(e['what'])}")
-        for head, text in lines.items():
-            if text:
-                out.print(f"  {head}: {escape(text)}")
+        for key in ("equation", "parameters", "needs", "looks_like", "mistaken_for", "confirm", "source"):
+            if said[key]:
+                out.print(f"  {key.replace('_', ' ')}: {escape(said[key])}")
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
-    """Print one row per study, and trends over the series.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack batch`.
-
-    """
-    rows = table("study", "runs", "verdict", "missing", "failed because")
+    """Print one row per study, and trends over the series."""
+    rows = tables.table("study", "runs", "verdict", "missing", "failed because")
     rows.columns[0].no_wrap = False  # a path may be longer than the terminal
     for row in result["studies"][:MAX_STUDIES]:
-        rows.add_row(*(cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
+        rows.add_row(*(tables.cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(rows)
     if (more := len(result["studies"]) - MAX_STUDIES) > 0:
         out.print(f"and {more} more")
-    for run in (one for one in result["failed"] if one["run"]):
-        out.print(f"left out of {run['study']}: {run['reason']}", markup=False)
+    for failed in (one for one in result["failed"] if one["run"]):
+        out.print(f"left out of {failed['study']}: {failed['reason']}", markup=False)
     for trend in (one for one in result["trends"] if one["holds"]):
         change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
@@ -377,24 +411,13 @@ def batch(out: Console, result: dict[str, Any]) -> None:
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:
-    """Print one line per fault, then what was verified.
-
-    Parameters
-    ----------
-    out
-        The terminal.
-    result
-        JSON of `frictrack verify`.
-
-    """
-    for fault in result["faults"]:
-        out.print(f"{fault['kind']}: {fault['words']}", soft_wrap=True, markup=False)
+    """Print one line per fault, then what was verified."""
+    tables.lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     if old := result["partly_hashed"]:
         words = "identify their film by the hash of 3 MB of it; to have all of it hashed, delete them and run again"
         out.print(f"{len(old)} results of an earlier version {words}")
-    for folder in result["at_work"]:
-        out.print(f"another frictrack process is writing in {folder}", soft_wrap=True, markup=False)
+    tables.lines(out, result["at_work"], "another frictrack process is writing in ")
     if result["sound"]:
         out.print(f"{result['files']} result files are sound")

@@ -20,13 +20,13 @@ from frictrack.cli.common import (
     Search,
     Seed,
     Study,
+    VerdictPrinter,
     command,
     open_session,
-    open_with_progress,
     print_result,
-    print_verdict,
 )
 from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
+from frictrack.cli.progress_bars import progress_bars
 from frictrack.present.export import FORMATS, export_results
 
 PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     FormatName = str
 else:
     FormatName = Literal[*FORMATS, PRIOR, CRATE]
-
-Announce = Callable[[Mapping[str, Any]], None]
 
 
 @command()
@@ -65,15 +63,19 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     Reads a study file and its recordings. With recordings instead of a study file, it first writes study.toml in the
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
+
+    Examples
+    --------
+    frictrack run study.toml
+    frictrack run a.avi b.avi --mass 0.35kg --scale 0.5mm/px --fps 4000
+
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
-    with open_with_progress(path, workers) as (session, progress):
-        result, shown = _streamed(
-            lambda announce: session.run(seed, on_verdict=announce),
-            print_verdict(progress, as_json, "run_verdict" if details else "run_brief"),
-        )
+    with open_session(path, workers) as session:
+        printer = VerdictPrinter(session, as_json, "run_verdict" if details else "run_brief")
+        result = session.run(seed, on_verdict=printer)
     rest, whole = ("run_rest", "run") if details else ("", "run_brief")
-    show, look = rest if shown else whole, after_run(result["diagnose"], path)
+    show, look = rest if printer.has_printed else whole, after_run(result["diagnose"], path)
     print_result(result, as_json, show, session.study.output / "report.html", look)
 
 
@@ -125,6 +127,12 @@ def init(
 
     Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
     into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
+
+    Examples
+    --------
+    frictrack init films
+    frictrack init films --mass 350g --scale 0.5mm/px --fps 4000
+
     """
     from frictrack.flow import check_entered, propose_study  # noqa: PLC0415
 
@@ -134,11 +142,12 @@ def init(
     print_result(result, as_json, "init", result["study"])
 
 
-def _measure(stage: str, study: Path, as_json: bool) -> None:
-    with open_session(study) as session:
-        result = session.measure(stage)
-    look = look_at(stage, study=study)
-    print_result(result, as_json, "stages", session.study.output, look)
+def _measure(stage: str, study: Path, as_json: bool, workers: int = 1, *, overlay: bool = False) -> None:
+    """Bring every run up to "track", "motion" or "friction"."""
+    with open_session(study, workers) as session:
+        result = session.measure(stage, overlay=overlay)
+    output, show = session.study.output, "track" if stage == "track" else "stages"
+    print_result(result, as_json, show, output, look_at(stage, study=study, output=output))
 
 
 @command()
@@ -154,11 +163,14 @@ def track(
 
     Reads the films. Writes the tracks into the run's .h5 file, and a contact sheet per film that shows whether the
     tracking went well.
+
+    Examples
+    --------
+    frictrack track study.toml
+    frictrack track study.toml --overlay --workers 4
+
     """
-    with open_session(study, workers) as session:
-        result = session.measure("track", overlay=overlay)
-    look = look_at("track", study=study, output=session.study.output)
-    print_result(result, as_json, "track", session.study.output, look)
+    _measure("track", study, as_json, workers, overlay=overlay)
 
 
 @command()
@@ -166,6 +178,12 @@ def motion(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute displacement, velocity and acceleration of every run.
 
     Reads the films or tables. Writes the motion into the run's .h5 file.
+
+    Examples
+    --------
+    frictrack motion study.toml
+    frictrack motion study.toml --json > motion.json
+
     """
     _measure("motion", study, as_json)
 
@@ -175,6 +193,12 @@ def friction(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """Compute the friction force and the free section of every run.
 
     Reads the films or tables, and the drive. Writes the force into the run's .h5 file.
+
+    Examples
+    --------
+    frictrack friction study.toml
+    frictrack friction study.toml --json > friction.json
+
     """
     _measure("friction", study, as_json)
 
@@ -211,6 +235,12 @@ def fit(  # noqa: PLR0913, PLR0917 - one argument per option
 
     Reads the measured runs; missing stages are computed first. Writes the model into study.h5. Ctrl-C ends a global
     search: the best values so far are kept.
+
+    Examples
+    --------
+    frictrack fit study.toml --model tustin,texture
+    frictrack fit study.toml --search mga --set generations=500
+
     """
     with open_session(study) as session:
         how: dict[str, Any] = {"search": search, "over": over, "domain": domain, "per": per, "seed": seed}
@@ -244,6 +274,12 @@ def compare(
     """Compare the errors of all models tried, or one parameter between groups of runs.
 
     Shows where the current model fails. Reads the models in study.h5. Writes the comparison into study.h5.
+
+    Examples
+    --------
+    frictrack compare study.toml
+    frictrack compare study.toml --parameter viscous.F_v
+
     """
     with open_session(study) as session:
         result = session.compare() if parameter is None else session.compare_groups(parameter)
@@ -264,28 +300,18 @@ def diagnose(
 
     Prints the verdict as soon as it is known, then where the model fails and what to film next. Reads the runs and the
     current model. Writes the diagnosis into study.h5; the verdict is kept if the command is interrupted afterwards.
+
+    Examples
+    --------
+    frictrack diagnose study.toml
+    frictrack diagnose study.toml --quick
+
     """
-    with open_with_progress(study) as (session, progress):
-        result, shown = _streamed(
-            lambda announce: session.diagnose(seed, quick=quick, on_verdict=announce),
-            None if quick else print_verdict(progress, as_json, "verdict"),
-        )
-    show = "diagnosis_rest" if shown else "diagnose"
+    with open_session(study) as session:
+        printer = VerdictPrinter(session, as_json, "verdict")
+        result = session.diagnose(seed, quick=quick, on_verdict=None if quick else printer)
+    show = "diagnosis_rest" if printer.has_printed else "diagnose"
     print_result(result, as_json, show, session.path, after_diagnosis(result, study))
-
-
-def _streamed(
-    work: Callable[[Announce | None], Mapping[str, Any]], announce: Announce | None
-) -> tuple[Mapping[str, Any], bool]:
-    """Return the result of work that announces its verdict, and whether it did."""
-    shown: list[Mapping[str, Any]] = []
-
-    def show(result: Mapping[str, Any]) -> None:
-        if announce is not None:
-            announce(result)
-            shown.append(result)
-
-    return work(show if announce else None), bool(shown)
 
 
 def _edit(how: Callable[[Session, str], Mapping[str, Any]], study: Path, effect: str | None, as_json: bool) -> None:
@@ -303,6 +329,12 @@ def add(study: Study, effect: EffectOrFormula = None, seed: Seed = 0, as_json: J
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5. A
     formula of the last diagnosis is written into the study file first.
+
+    Examples
+    --------
+    frictrack add study.toml texture
+    frictrack add study.toml formula:1
+
     """
     _edit(lambda session, name: session.add(name, seed), study, effect, as_json)
 
@@ -312,6 +344,12 @@ def remove(study: Study, effect: Effect = None, seed: Seed = 0, as_json: Json = 
     """Remove one effect from the current model and fit again.
 
     Shows the error before and after. Reads the runs and the current model. Writes the new model into study.h5.
+
+    Examples
+    --------
+    frictrack remove study.toml texture
+    frictrack remove study.toml viscous
+
     """
     _edit(lambda session, name: session.remove(name, seed), study, effect, as_json)
 
@@ -321,6 +359,12 @@ def history(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """List every model tried, in order, with its errors.
 
     Reads study.h5; outdated models are fitted again and stored.
+
+    Examples
+    --------
+    frictrack history study.toml
+    frictrack history study.toml --json > history.json
+
     """
     with open_session(study) as session:
         result = session.history()
@@ -333,8 +377,13 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
     plan.html.
+
+    Examples
+    --------
+    frictrack plan study.toml
+    frictrack plan study.toml --json > plan.json
+
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import open_study  # noqa: PLC0415
     from frictrack.flow import plan as make  # noqa: PLC0415
 
@@ -352,6 +401,12 @@ def report(
     """Write one page with all results.
 
     Reads all results; missing ones are computed first. Writes report.html.
+
+    Examples
+    --------
+    frictrack report study.toml
+    frictrack report study.toml --pdf
+
     """
     with open_session(study) as session:
         path = session.report()
@@ -394,17 +449,28 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     a prior file with the values and covariance of the parameters that carry over to another set-up, or an RO-Crate with
     study file, recordings, results and report, which `frictrack reproduce` computes again. Shows what the format cannot
     hold.
+
+    Examples
+    --------
+    frictrack export study.toml --to netcdf
+    frictrack export study.toml --to crate --license CC-BY-4.0
+
     """
     if to == CRATE:
-        options = {"include_recordings": recordings, "authors": author or (), "licence": licence}
-        _export_crate(study, output, options, as_json)
+        from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+        with open_session(study) as session:
+            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
+        print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
         return
     if recordings or author or licence is not None:
         raise FrictrackError(
             f"expected --include-recordings, --author and --license only with --to {CRATE}", usage=True
         )
     if to == PRIOR:
-        _export_prior(study, output, as_json)
+        with open_session(study) as session:
+            result = session.export_prior(output)
+        print_result(result, as_json, "prior", result["file"], look_at("prior"))
         return
     if output is not None:
         raise FrictrackError(
@@ -416,19 +482,3 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     where = files[0].parent if len(files) > 1 else files[0]
     result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
     print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
-
-
-def _export_crate(study: Path, output: Path | None, options: dict[str, Any], as_json: bool) -> None:
-    """Write a study with all results as a research object."""
-    from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
-
-    with open_session(study) as session:
-        result = write_crate(session, output, CrateOptions(**options))
-    print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
-
-
-def _export_prior(study: Path, output: Path | None, as_json: bool) -> None:
-    """Write the current model of a study as a prior file."""
-    with open_session(study) as session:
-        result = session.export_prior(output)
-    print_result(result, as_json, "prior", result["file"], look_at("prior"))

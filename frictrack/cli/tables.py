@@ -1,52 +1,262 @@
-"""Make the tables that are printed to the terminal."""
+"""Print what was measured and fitted: tracks, motion, friction, parameters, errors of models."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.base.number_format import format_plain
+from frictrack.base.number_format import format_plain, format_plus_minus, format_share
+from frictrack.results.error_rows import error_rows
+from frictrack.results.verdicts import describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
+MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
+MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
+NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
 
 
-def table(*headers: str, **style: Any) -> Table:
-    """Return an empty table, without a box by default; names in the first column and words of the heads stay whole.
-
-    Parameters
-    ----------
-    *headers
-        Heads of the columns.
-    **style
-        For `rich.table.Table`.
-
-    """
-    new = Table(**{"box": None, "pad_edge": False, "header_style": "dim"} | style)
+def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
+    """Return a table without a box; names in the first column and words of the heads stay whole."""
+    new = Table(box=None, pad_edge=False, header_style="dim")
     for i, header in enumerate(headers):
         new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=max(map(len, header.split()), default=None))
+    for row in rows:
+        new.add_row(*row)
     return new
 
 
-def filled_columns(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Return a table of the columns in which any row has a value; others are left out, for the width of the terminal.
+def cell(value: Any) -> str:
+    """Format a value of a dictionary for a table."""
+    if isinstance(value, float):
+        return format_plain(value)
+    if isinstance(value, list):
+        return escape(", ".join(str(v) for v in value))
+    return "" if value is None else escape(str(value))
 
-    Parameters
-    ----------
-    headers
-        Heads of the columns.
-    rows
-        Cells of the rows; empty or "-" without a value.
+
+def lines(out: Console, texts: Iterable[str], indent: str = "") -> None:
+    """Print texts, one a line; long ones are broken by the terminal alone, so that they can be copied."""
+    for text in texts:
+        out.print(f"{indent}{escape(text)}", soft_wrap=True)
+
+
+# --- measurements
+
+
+def stages(out: Console, result: dict[str, Any]) -> None:
+    """Print one row per run, then the notes and the error budgets."""
+    runs = result["runs"]
+    keys = [k for k, value in runs[0].items() if k not in NOT_IN_TABLE and not isinstance(value, dict | list)]
+    heads = (k.replace("_", " ") for k in keys)
+    out.print(table(*heads, rows=([cell(row.get(k)) for k in keys] for row in runs)))
+    for row in runs:
+        notes = [*filter(None, [row.get("reason"), row.get("smoothing")]), *_happened(row), *row["notes"]]
+        lines(out, notes, f"{row['run']}: ")
+    for row in runs:
+        if row.get("budget"):
+            _budget(out, row)
+
+
+def _happened(row: dict[str, Any]) -> list[str]:
+    """What happened in a run, and what a plain low-pass would have cost."""
+    events = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
+    found = [", ".join(events)] if events else []
+    if cutoff := row.get("cutoff"):
+        plain = format_plain(math.hypot(cutoff["noise"], cutoff["lost"]), 2)
+        error = f"error of {format_plain(cutoff['followed_apart'], 2)} {cutoff['unit']}"
+        found.append(f"{error}; a plain low-pass at {format_plain(cutoff['chosen_Hz'])} Hz would have {plain}")
+        found += cutoff["warnings"]
+    return found
+
+
+def _budget(out: Console, row: dict[str, Any]) -> None:
+    """Print the error budget of one run's friction force, the total last, and what would make it smaller."""
+    rows = table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
+    for part in row["budget"]:
+        unknown = part["source"] != "total" and part["size"] is None
+        size = "not known" if unknown else f"{format_plain(part['size'], 2)} {part['unit']}" if part["unit"] else ""
+        rows.add_row(part["source"], size, *(format_plain(part[key], 2) for key in ("mean_N", "frame_N")))
+    out.print(rows)
+    lines(out, row["budget_says"], "  ")
+
+
+def track(out: Console, result: dict[str, Any]) -> None:
+    """Print how well each film was measured: a table in px, then details of each film."""
+    if not result["runs"]:
+        out.print("no films in this study: its runs are tables")
+        return
+    heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
+             "blur / px")  # fmt: skip
+    rows = [_measured(row) for row in result["runs"]]
+    filled = [i for i in range(len(heads)) if i == 0 or any(row[i] not in ("", "-") for row in rows)]
+    out.print(table(*(heads[i] for i in filled), rows=([row[i] for i in filled] for row in rows)))
+    out.print(
+        "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
+        "fixed: noise of the fixed reference",
+        style="dim",
+    )
+    for row in result["runs"]:
+        out.print(f"[bold]{escape(row['run'])}[/bold]  {escape(row['target'])}", soft_wrap=True)
+        lines(out, _details(row), "  ")
+
+
+def _measured(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return the cells of one film."""
+    locking, std = row["peak_locking_px"], row["peak_locking_std_px"]
+    is_locked = locking is not None and locking > MIN_SIGMAS_LOCKING * std
+    return (
+        escape(row["run"]),
+        f"{row['found']}/{row['frames']}",
+        *(format_plain(row[key], 2) for key in ("sigma_px", "sigma_um")),
+        format_plain(row["score"], 3),
+        f"{locking:.1g} ± {std:.1g}" if is_locked else "-" if locking is None else "none",
+        *(format_plain(row[key], 2) for key in ("forward_backward_px", "noise_floor_px")),
+        "none" if row["shake_px"] == 0 else format_plain(row["shake_px"], 2),
+        format_plain(row["blur_px"], 2),
+    )
+
+
+def _details(row: dict[str, Any]) -> list[str]:
+    """Return the details of one film: time base, lost frames, notes, pictures."""
+    audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
+    lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
+    pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
+    look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
+    found = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *look_at, *row["notes"], pictures]
+    return [line for line in found if line]
+
+
+# --- fits
+
+
+def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
+    """Print the parameters with standard deviations and units, then the errors; `motion`: of the model, too."""
+    out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
+    if "equation" in result:
+        out.print(escape(result["equation"]))
+    out.print(parameters(result["parameters"]))
+    if prior := result.get("prior"):
+        _prior(out, prior)
+    if result.get("misfit"):
+        out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
+    sentences(out, {"words": result.get("remarks", [])})
+    if result.get("scale_error"):
+        out.print(
+            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
+            "runs of a camera and included in every ±"
+        )
+    if motion:
+        _own_motion(out, result)
+    out.print(errors([("", result["errors"])]))
+
+
+def _prior(out: Console, prior: dict[str, Any]) -> None:
+    """Print how well the data agree with the prior; of several groups, group by group."""
+    for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
+        said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
+        text = f"disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}"
+        out.print(f"{escape(group)}: {text}" if group else text)
+
+
+def _own_motion(out: Console, result: dict[str, Any]) -> None:
+    """Print how precisely the model gives the motion of each run, and the collisions."""
+    for row in result["per_run"]:
+        if motion := row.get("motion"):
+            model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
+            text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
+            out.print(f"{escape(row['run'])}: {text}")
+            for note in motion["notes"]:
+                out.print(f"  {escape(note)}")
+    for c in result.get("collisions", []):
+        share = None if c["relative_std"] is None else 100 * c["relative_std"]
+        impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
+        out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
+
+
+def parameters(values: dict[str, Any]) -> Table:
+    """Return a table with one row per parameter: value ± standard deviation, unit, remark.
+
+    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them.
+    """
+    extra: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {  # key of a parameter -> head and cell
+        "std_misfit": ("† ± with misfit", lambda p: format_plain(p.get("std_misfit"), 2)),
+        "unit": ("unit", lambda p: str(p["unit"])),
+        "interval": ("95 % interval", interval),
+        "from_prior": ("from the prior", lambda p: f"{100 * p['from_prior']:.0f} %" if "from_prior" in p else ""),
+    }
+    shown = [pair for key, pair in extra.items() if key == "unit" or any(key in p for p in values.values())]
+    rows = table("parameter", "value", *(head for head, _ in shown), "")
+    for name, p in values.items():
+        remark = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
+        value = format_plus_minus(p["value"], p["std"])
+        rows.add_row(escape(name), value, *(write(p) for _, write in shown), escape(remark))
+    return rows
+
+
+def interval(p: dict[str, Any]) -> str:
+    """Format a 95 % interval; either end may be open.
+
+    Examples
+    --------
+    >>> interval({"interval": [1.0, None]})
+    'above 1'
 
     """
-    filled = [i for i in range(len(headers)) if i == 0 or any(row[i] not in ("", "-") for row in rows)]
-    new = table(*(headers[i] for i in filled))
-    for row in rows:
-        new.add_row(*(row[i] for i in filled))
-    return new
+    low, high = p.get("interval") or (None, None)
+    if low is None and high is None:
+        return "any" if "interval" in p else ""
+    if low is None:
+        return f"below {format_plain(high)}"
+    return f"above {format_plain(low)}" if high is None else f"{format_plain(low)} to {format_plain(high)}"
+
+
+def _mu(p: dict[str, Any]) -> str:
+    """Format the coefficient of friction, if the normal load is known."""
+    mu = p.get("mu")
+    return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
+
+
+def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
+    """Return a table with one row per error and one column per model."""
+    titles, models = zip(*columns, strict=True)
+    found = (row for row in error_rows(models) if row.short)
+    return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
+
+
+def compare(out: Console, result: dict[str, Any]) -> None:
+    """Print the errors of every model, and where the current one fails."""
+    history(out, result)
+    fails_at(out, result["fails_at"])
+
+
+def sentences(out: Console, result: dict[str, Any]) -> None:
+    """Print the "words" of a result, one sentence a line."""
+    for sentence in result["words"]:
+        out.print(escape(sentence))
+
+
+def history(out: Console, result: dict[str, Any]) -> None:
+    """Print every model tried, in order, one row each."""
+    whole = _models(result["models"], str)
+    fits = out.measure(whole, options=out.options.update(max_width=MAX_WIDTH)).maximum <= out.width
+    out.print(whole if fits else _models(result["models"], break_name))
+    sentences(out, {"words": (*describe_tests(result), *describe_predictions(result))})
+
+
+def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
+    """Return a table with one row per model; `write` formats its name."""
+    found = [row for row in error_rows(model["errors"] for model in models) if row.short]
+    rows = table("model", *(f"{row.short} / {row.unit}" if row.unit else row.short for row in found))
+    for k, model in enumerate(models):
+        name = "\n  ".join([write(model["name"]), *model.get("settings", [])])
+        rows.add_row(escape(name), *(format_plain(row.values[k]) for row in found))
+    return rows
 
 
 def break_name(name: str) -> str:
@@ -58,18 +268,35 @@ def break_name(name: str) -> str:
     ['2_tustin+texture', '+viscous_modulation']
 
     """
-    lines = [""]
+    broken = [""]
     for part in re.split(r"(?=\+)", name):
-        if lines[-1] and len(lines[-1] + part) > MAX_NAME_WIDTH:
-            lines.append("")
-        lines[-1] += part
-    return "\n".join(lines)
+        if broken[-1] and len(broken[-1] + part) > MAX_NAME_WIDTH:
+            broken.append("")
+        broken[-1] += part
+    return "\n".join(broken)
 
 
-def cell(value: Any) -> str:
-    """Format a value of a dictionary for a table."""
-    if isinstance(value, float):
-        return format_plain(value)
-    if isinstance(value, list):
-        return escape(", ".join(str(v) for v in value))
-    return "" if value is None else escape(str(value))
+def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
+    """Print spans of time, position and velocity with their share of the misfit."""
+    if not spans:
+        return
+    rows = table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
+    for s in spans:
+        p = s.get("p")
+        p_text = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
+        ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
+        rows.add_row(s["run"], *ranges, format_share(s["share_of_error"]), p_text)
+    out.print(rows)
+
+
+def _reach(ends: list[float]) -> str:
+    """Format both ends of a span, with as many digits as distinguish them."""
+    size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
+    digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
+    return " to ".join(format_plain(end, digits) for end in ends)
+
+
+def edit(out: Console, result: dict[str, Any]) -> None:
+    """Print the errors before and after an effect was added or removed."""
+    out.print(parameters(result["parameters"]))
+    out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))

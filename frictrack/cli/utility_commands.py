@@ -13,8 +13,8 @@ import typer
 
 from frictrack.base.errors import FrictrackError
 from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
-from frictrack.cli.examples import EXAMPLES, format_examples
 from frictrack.cli.look_at import look_at
+from frictrack.cli.progress_bars import progress_bars, watch_batch
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -33,6 +33,12 @@ def effects(
 
     One line each; of an effect that is named, also equation, parameters with units, what it looks like, what it is
     confused with, how to confirm it, and the source. Reads the study file if one is given. Writes nothing.
+
+    Examples
+    --------
+    frictrack effects
+    frictrack effects study.toml texture
+
     """
     from frictrack.effects import catalogue, get  # noqa: PLC0415
 
@@ -52,6 +58,12 @@ def explain(
     """Explain a word that frictrack prints; an effect is described as by `frictrack effects`.
 
     The same words are explained on the page and in the report where the pointer rests on them. Writes nothing.
+
+    Examples
+    --------
+    frictrack explain "held out"
+    frictrack explain patch
+
     """
     from frictrack.base.glossary import find_terms, near_words  # noqa: PLC0415
     from frictrack.effects import catalogue  # noqa: PLC0415
@@ -84,8 +96,13 @@ def render(
 
     Reads the scene file; the documentation describes its keys. Writes the films, a study file without the truth, and
     truth.json.
+
+    Examples
+    --------
+    frictrack render scene.toml -o films
+    frictrack render scene.toml -o films --seed 3
+
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.simulate.scene import render_scene  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -115,6 +132,12 @@ def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
 
     Reads and writes the study file and its results. Without a study file, it makes one from the recordings in the
     folder.
+
+    Examples
+    --------
+    frictrack app study.toml
+    frictrack app study.toml --port 8080 --no-browser
+
     """
     try:
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
@@ -157,8 +180,13 @@ def batch(
 
     Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv and .html
     with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
+
+    Examples
+    --------
+    frictrack batch campaign
+    frictrack batch "campaign/*/study.toml" -o all --workers 8
+
     """
-    from frictrack.cli.batch_progress import watch_batch  # noqa: PLC0415
     from frictrack.flow.batch import batch as run_all  # noqa: PLC0415
 
     with watch_batch() as watch:
@@ -177,8 +205,13 @@ def verify(
     """Verify that stored results are undamaged and up to date.
 
     Reads study files, results and recordings. Writes nothing. Exits with 1 if there are faults.
+
+    Examples
+    --------
+    frictrack verify study.toml
+    frictrack verify campaign
+
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow import verify as look  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -194,9 +227,13 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
     """Run the whole analysis on a sample study.
 
     Writes the study and its results into ./frictrack_demo.
-    """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
 
+    Examples
+    --------
+    frictrack demo
+    frictrack demo --json > demo.json
+
+    """
     with progress_bars() as progress:
         progress(0, 0, "opening the sample study in frictrack_demo")
         from frictrack.flow import demo as show_it  # noqa: PLC0415 - the first line does not wait for it
@@ -213,6 +250,12 @@ def docs(
     """Open the documentation in the browser.
 
     Looks for the pages in the installed package, then in docs/_build/html of a checkout. Writes nothing.
+
+    Examples
+    --------
+    frictrack docs
+    frictrack docs --path
+
     """
     page = _documentation()
     if as_json:
@@ -262,6 +305,12 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     uncertainties, misfits and detection limits to the digits that they have. Of the papers: compares the printed values
     with those computed here and checks every claim, in about six minutes of processor time. Writes a page, figures,
     tables and JSON. Sections that the folder has already are kept.
+
+    Examples
+    --------
+    frictrack reproduce study.crate.zip --recordings films
+    frictrack reproduce --quick -o papers
+
     """
     if crate is not None:
         if quick or seed:
@@ -271,7 +320,6 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     if recordings is not None or allow_addresses:
         option = "--allow-addresses" if recordings is None else "--recordings"
         raise FrictrackError(f"expected a crate together with {option}", usage=True)
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.reproduce import reproduce as make  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -281,7 +329,6 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
 
 def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: bool, *, allow_addresses: bool) -> None:
     """Compute the results of a crate again and compare them."""
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.flow.crate import reproduce_crate  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -295,7 +342,7 @@ def _reproduce_crate(crate: Path, out: Path, recordings: Path | None, as_json: b
 blind = typer.Typer(
     help="Test the diagnosis on simulated studies with hidden effects.",
     no_args_is_help=True,
-    epilog=format_examples((EXAMPLES["make"][0], EXAMPLES["score"][0])),
+    epilog="\b\nExamples:\n  frictrack blind make trial --n 40\n  frictrack blind score trial",
 )
 app.add_typer(blind, name="blind", rich_help_panel=None)
 Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studies and their sealed truth")]
@@ -318,8 +365,13 @@ def make(  # noqa: PLR0913, PLR0917 - the options of the command
 
     A study hides one effect, none, two, or one that the library does not have (of 420: 200, 100, 60 and 60). Of 40
     films, 20 hide one effect, 10 none, and 10 a fault of the measurement. Writes the studies and the sealed truth.
+
+    Examples
+    --------
+    frictrack blind make trial --n 40
+    frictrack blind make trial --film --seed 7
+
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.blind import make as written  # noqa: PLC0415
 
     with progress_bars() as progress:
@@ -333,8 +385,13 @@ def score(out: Blind, workers: Workers = None, seed: Seed = 0, as_json: Json = F
 
     Reads the studies; adds the effects that are named. Writes score.json. An interrupted run continues where it
     stopped.
+
+    Examples
+    --------
+    frictrack blind score trial
+    frictrack blind score trial --workers 4
+
     """
-    from frictrack.cli.progress_bars import progress_bars  # noqa: PLC0415
     from frictrack.validation.blind import score as scored  # noqa: PLC0415
 
     with progress_bars() as progress:

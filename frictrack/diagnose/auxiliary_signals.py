@@ -238,7 +238,7 @@ def _smooth_signal(response: PieceResponse, run: Run, series: Array) -> Smoothed
     if np.mean(known[rows]) < MIN_KNOWN_SHARE:
         return None
     t, nan = run.displacement.t, np.full(n, np.nan)
-    noise = np.full(n, max(float(noise_level(u, known)[0]), 1e-12))
+    noise = np.full(n, max(noise_level(u, known)[0], 1e-12))
     measured = Displacement(t, np.where(known, u, np.nan), nan, nan, noise, nan, known)
     motion = derivatives(low_pass(measured, method="kalman")).T[rows]
     return SmoothedSignal(response.piece.t, response.model_y, _detrend(response.piece.t, motion))
@@ -381,7 +381,7 @@ def assess_accelerometer(solution: Solution, runs: Sequence[Run], auxiliary: Aux
         known = np.isfinite(a)
         if np.mean(known[r.piece.frames]) < MIN_KNOWN_SHARE:
             continue
-        noise = float(noise_level(a, known)[0])
+        noise = noise_level(a, known)[0]
         t = run.displacement.t
         a = np.interp(t, t[known], a[known])
         parts.append(_by_frequency(r, a, noise))

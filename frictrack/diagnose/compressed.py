@@ -24,7 +24,7 @@ from scipy.linalg import qr
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.linearised import is_linearised_about_measurement, linearise_about_measurement
-from frictrack.fit.parameters import jacobian_basis, prior_jacobian
+from frictrack.fit.penalties import jacobian_basis, prior_jacobian
 from frictrack.fit.pieces import Rows
 from frictrack.records import Array
 

@@ -32,7 +32,7 @@ from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
-from frictrack.fit.parameters import prior_residual
+from frictrack.fit.penalties import prior_residual
 from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,

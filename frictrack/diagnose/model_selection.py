@@ -11,7 +11,8 @@ from scipy.optimize import least_squares
 
 from frictrack.effects import LIBRARY, Effect, Path
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, inverse_normal_matrix, refine
-from frictrack.fit.parameters import ParameterLayout, penalty_jacobian, penalty_residual
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.penalties import penalty_jacobian, penalty_residual
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty
 from frictrack.records import Array
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.fit import Fit
+from frictrack.fit.cutting import has_known_history, pieces_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import MASS, ParameterLayout
-from frictrack.fit.pieces import Piece, has_known_history, pieces_of
+from frictrack.fit.pieces import Piece
 
 MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
 MAX_PIECES = 32  # of a long record that are searched, unless there are more runs

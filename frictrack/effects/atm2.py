@@ -17,9 +17,8 @@ from functools import cache, partial
 import numpy as np
 
 from frictrack.effects.definition import Effect, Parameter, RelaxedPart
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import frequencies, stribeck_velocities
-from frictrack.effects.waves import wave
+from frictrack.effects.path import Nonlinear, Path, wave
+from frictrack.effects.ranges import frequencies, stribeck_velocities
 from frictrack.records import Array
 
 F_C = Parameter("f_c", "N", linear=True, loaded=True)
@@ -61,10 +60,9 @@ SINE = (
     Parameter("frequency", "Hz", (0.0, np.inf), scan=frequencies),  # printed ones make less than a period in a run
     Parameter("phase", "rad", (-np.pi, np.pi), per_run=True, role="phase"),
 )
-STATIC = Effect("static", "force", "f_s exp(-|v|/v_s)", (F_S, V_S), _static)
+STATIC = Effect("static", "f_s exp(-|v|/v_s)", (F_S, V_S), _static)
 SLIDING = Effect(
     name="sliding",
-    acts_on="force",
     equation="f_c sin(2 pi frequency t + phase) (1 - exp(-|v|/v_s))",
     parameters=(replace(F_C, role="amplitude"), V_S, *SINE),
     columns=_sliding_sine,
@@ -74,10 +72,9 @@ PRINTED_SLIDING = replace(
     equation="f_c (sin(2 pi frequency t + phase) - sin(2 pi frequency (1 ms) + phase) exp(-|v|/v_s))",
     columns=_printed_sliding_sine,
 )
-CONSTANT_VISCOUS = Effect("viscous", "force", "f_v v", (F_V,), lambda path, nonlinear: path.v[:, None])
+CONSTANT_VISCOUS = Effect("viscous", "f_v v", (F_V,), lambda path, nonlinear: path.v[:, None])
 VISCOUS = Effect(
     name="viscous",
-    acts_on="force",
     equation="f_v sin(2 pi frequency t + phase) v",
     parameters=(replace(F_V, role="amplitude"), *SINE),
     columns=_viscous_sine,
@@ -125,7 +122,6 @@ def atm2(order: int) -> Effect:
     """
     return Effect(
         name=f"atm2:{order}",
-        acts_on="force",
         equation=(
             "f_c S_c (1 - exp(-|v|/v_s)) + f_s exp(-|v|/v_s) + f_v S_v v, "
             f"S = sum of {order} sines sin(2 pi frequency t + phase)"

@@ -1,19 +1,22 @@
-"""One physical cause: its name, a function that returns columns, and named parameters with units and bounds."""
+"""One physical cause: its name, a function that returns columns, and named parameters with units and bounds.
+
+What an effect says of itself in the numbers of a study, and what shows it directly, are phrases and checks of an
+`EffectInStudy`. A parameter carries over to another set-up if it belongs to the sliding pair (`carries_over`).
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from string import Formatter
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from frictrack.effects.in_study import DirectCheck, EffectInStudy
-from frictrack.effects.path import NEEDS, Nonlinear, Path
-from frictrack.effects.plausibility import Check
-from frictrack.effects.scans import Span, Within
-from frictrack.effects.waves import ScanWave
+from frictrack.base.number_format import format_length, format_number
+from frictrack.effects.path import NEEDS, Nonlinear, Path, ScanWave
+from frictrack.effects.ranges import Check, Span, Within
 from frictrack.records import Array, Mask
 
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
@@ -119,19 +122,192 @@ class TestDraw:
     max_fps: float = np.inf
 
 
+N_MARKS = 20  # of a rule, or flashes of a diode, that are evaluated
+FLASH_STD_FRAMES = 0.1  # of a frame: timing error of a flash or a time stamp
+LEVEL_STD_RAD = np.deg2rad(0.05)  # angle error of a good spirit level
+WEIGHT_RELATIVE_STD = 0.01  # of a known weight that is hung on the drive
+ACCELEROMETER_STD = 0.2  # m/s^2, noise of one sample
+N_STD_ACTIVE = 2.0  # standard deviations on either side of its middle within which a bell-shaped force acts
+PLANNED_SHARE = 0.05  # of the friction force (rms), or of the momentum: size of an effect that a plan is made for
+
+
+@dataclass(frozen=True)
+class EffectRecord:
+    """One effect along one run, at its n frames.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Time since release, s.
+    x, v : ndarray, shape (n,)
+        Simulated displacement (m) and velocity (m/s).
+    contribution : ndarray, shape (n,)
+        What the effect adds: N, or m in the picture.
+    noise : ndarray, shape (n,)
+        Standard deviation of a measured position, m.
+    whiten : callable
+        Map a picture shift (n,) to residuals of unit variance, less what a change of the initial state
+        would explain.
+    mass : float
+        Moving mass, kg.
+    gravity : float
+        Normal load per mass of a mass at rest, m/s^2.
+
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    contribution: Array
+    noise: Array
+    whiten: Callable[[Array], Array]
+    mass: float
+    gravity: float
+
+    @property
+    def frame_interval(self) -> float:
+        """Median time between two frames, s."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def marks(self) -> Array:
+        """Rows of `N_MARKS` frames, evenly over the run."""
+        return np.linspace(0, len(self.t) - 1, N_MARKS).astype(int)
+
+
+class EffectInStudy(Protocol):
+    """A fitted effect in the numbers of a study. `Effect.describe` and `DirectCheck.signal` take one.
+
+    The "main run" is the run in which the effect is largest.
+    """
+
+    @property
+    def run(self) -> str:
+        """Name of the main run."""
+
+    @property
+    def mass(self) -> float:
+        """Moving mass of the main run, kg."""
+
+    @property
+    def pixel_pitch(self) -> float | None:
+        """Length of a pixel in the main run, m; None for a table."""
+
+    @property
+    def typical_speed(self) -> float:
+        """Median speed of the main run, m/s."""
+
+    @property
+    def reference_weight(self) -> float:
+        """Weight of the reference mass, N."""
+
+    @property
+    def stated_incline(self) -> float:
+        """Incline of the main run as the study states it, rad; 0 where it states none."""
+
+    @property
+    def last_run(self) -> tuple[str, float]:
+        """Name and duration (s since release) of the run that lasts longest."""
+
+    @property
+    def longest(self) -> EffectRecord:
+        """The effect along the run with most frames."""
+
+    @property
+    def course(self) -> tuple[float, float]:
+        """Smallest and largest place that any run reaches, m."""
+
+    def value(self, parameter: str) -> float:
+        """Fitted value of a parameter in the main run."""
+
+    def rms(self, parameter: str) -> float:
+        """Root mean square over the runs of the fitted values of a parameter."""
+
+    def passes(self, place: float) -> str:
+        """The first runs that pass a place (m), each with frame and speed, as text."""
+
+
+@dataclass(frozen=True)
+class DirectCheck:
+    """A measurement other than a film of a run, which shows an effect itself.
+
+    Attributes
+    ----------
+    key : str
+        Short name of the measurement, such as "level".
+    instruction : str
+        What to do, as a sentence without a full stop.
+    signal : callable
+        Chi-squared that the effect would leave in the measurement if it is as large as fitted.
+
+    """
+
+    key: str
+    instruction: str
+    signal: Callable[[EffectInStudy], float]
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A description in the numbers of a study: `{F}` is a value, `{tau:1e3}` 1000 times it, `{period:m}` a length."""
+
+    text: str
+
+    def __call__(self, effect: EffectInStudy) -> str:
+        """Fill in the values of a fitted effect."""
+        names = {name for _, name, _, _ in Formatter().parse(self.text) if name}
+        return self.text.format_map({name: _Quoted(effect.value(name)) for name in names})
+
+
+class _Quoted(float):
+    """A value as it stands in a phrase."""
+
+    def __format__(self, spec: str) -> str:
+        return format_length(float(self)) if spec == "m" else format_number(float(spec or 1.0) * self)
+
+
+def picture_shift_signal(effect: EffectInStudy) -> float:
+    """Return chi-squared of the picture shift along one run, seen on a mark that does not follow the mass."""
+    record = effect.longest
+    return float(np.sum(record.whiten(record.contribution) ** 2))
+
+
+def acceleration_signal(effect: EffectInStudy) -> float:
+    """Return chi-squared of the force at an accelerometer on the mass; an error of the picture has no signal there."""
+    record = effect.longest
+    return float(np.sum((record.contribution / record.mass / ACCELEROMETER_STD) ** 2))
+
+
+ACCELEROMETER_CHECK = DirectCheck(
+    "accelerometer", "Fix an accelerometer to the mass and give it as `sensor`", acceleration_signal
+)
+
+
+def oscillation(effect: EffectInStudy) -> str:
+    """Describe a frequency that all runs share.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> oscillation(SimpleNamespace(value={"frequency": 50.0}.get))
+    '50.0 Hz, one swing every 20.0 ms in every run'
+
+    """
+    frequency = effect.value("frequency")
+    return f"{format_number(frequency)} Hz, one swing every {format_number(1e3 / frequency)} ms in every run"
+
+
 @dataclass(frozen=True)
 class Effect:
     """One physical cause: what it adds to the friction force (N) or to the picture of the motion (m).
 
     Everything that frictrack knows of an effect stands in its file and reaches the rest of the program by these fields.
-    Only the first five are needed.
+    Only the first four are needed.
 
     Attributes
     ----------
     name : str
         Name in study files, commands and results.
-    acts_on : {"force", "measurement"}
-        Whether it is a force on the mass, or an error of the measured position.
     equation : str
         Formula in plain text.
     parameters : tuple of Parameter
@@ -139,6 +315,8 @@ class Effect:
     columns : callable
         Map a `Path` and the non-linear parameters to columns (n, k): N or m per unit of each linear parameter. A
         modifier takes the columns that it modifies as third argument.
+    acts_on : {"force", "measurement"}
+        Whether it is a force on the mass, or an error of the measured position.
     varies_with : {"", "x", "v", "xv"}, optional
         Which of position and velocity its columns at a sample depend on (not counting the direction of motion), if
         they depend on that sample alone. Runs that are laid end to end on one path are then evaluated at once.
@@ -159,7 +337,8 @@ class Effect:
     direct_check : DirectCheck, optional
         A measurement other than a film that shows it directly.
     describe : callable, optional
-        Map an `EffectInStudy` to a phrase with the numbers of the study. Without it the parameters are listed.
+        Map an `EffectInStudy` to a phrase with the numbers of the study; a `Phrase` if it only fills in values. Without
+        it the parameters are listed.
     plausible : callable, optional
         Map values of one run and its `Span` to an objection, or "" where they are physically sensible.
     needs : tuple of str
@@ -212,10 +391,10 @@ class Effect:
     """
 
     name: str
-    acts_on: Literal["force", "measurement"]
     equation: str
     parameters: tuple[Parameter, ...]
     columns: Columns
+    acts_on: Literal["force", "measurement"] = "force"
     varies_with: str | None = None
     modifies: frozenset[str] = frozenset()
     replaces: frozenset[str] = frozenset()
@@ -374,3 +553,56 @@ def _adjusted(p: Parameter, change: Mapping[str, Any]) -> Parameter:
     if scanned and (freed or ("bounds" in change and inner is not None)):
         return replace(made, scan=Within(made.bounds, inner))
     return made
+
+
+SETUP_UNITS = ("Hz", "rad")  # frequencies and phases belong to the set-up
+
+
+def carries_over(effect: Effect, parameter: Parameter) -> bool:
+    """Return whether a parameter describes the sliding pair and not the set-up, the course or a single run.
+
+    Its effect is a force that depends on the speed or on the normal load, not on the place, the mass or the drive; all
+    runs share its value; and it is no phase, amplitude of a wave, depth, frequency, place or moment.
+
+    Parameters
+    ----------
+    effect, parameter
+        The effect, and one of its parameters.
+
+    Examples
+    --------
+    >>> from frictrack.effects import get
+    >>> [carries_over(get(name), get(name).parameters[0]) for name in ("coulomb", "viscous", "patch", "vibration")]
+    [True, True, False, False]
+
+    """
+    own = not (parameter.per_run or parameter.role or parameter.signed or parameter.unit in SETUP_UNITS)
+    return own and _is_of_pair(effect)
+
+
+def _is_of_pair(effect: Effect) -> bool:
+    """Return whether a force depends on the speed or the load alone."""
+    if effect.acts_on != "force" or effect.scales_with not in ("load", "nothing"):
+        return False
+    depends_on = effect.varies_with
+    if depends_on is None:
+        return effect.scales_with == "load"  # friction with memory
+    return "x" not in depends_on and (depends_on == "v" or effect.in_base_law)
+
+
+def scales_with_load(effect: Effect, parameter: Parameter) -> bool:
+    """Return whether the reported value of a parameter is proportional to the normal load.
+
+    Parameters
+    ----------
+    effect, parameter
+        The effect, and one of its parameters.
+
+    Examples
+    --------
+    >>> from frictrack.effects import get
+    >>> [scales_with_load(get("stribeck"), p) for p in get("stribeck").parameters]
+    [True, False, False]
+
+    """
+    return parameter.loaded or (effect.scales_with == "load" and parameter.name in effect.quoted)

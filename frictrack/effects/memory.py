@@ -8,7 +8,7 @@ parabolas through neighbours, and the exponential is integrated exactly, so a st
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,9 +117,7 @@ def direction_stretches(path: Path) -> DirectionStretches:
 
 def _ways(path: Path) -> tuple[Array, Mask]:
     """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[list(path.starts)] = True
-    moves = path.s != 0
+    fresh, moves = begins(path), path.s != 0
     if moves.all():
         return path.s, fresh
     rows = np.arange(len(moves))
@@ -145,33 +143,46 @@ def direction_of_motion(v: Array) -> Array:
     return np.asarray(s[np.maximum.accumulate(rows)]) if len(s) else s
 
 
+def begins(path: Path) -> Mask:
+    """Where an individual begins, (n,)."""
+    out = np.zeros(len(path.t), dtype=bool)
+    out[list(path.starts)] = True
+    return out
+
+
+def time_steps(path: Path) -> Array:
+    """Time (n,) since the sample before, s; zero where an individual begins."""
+    return np.where(begins(path), 0.0, np.diff(path.t, prepend=path.t[:1]))
+
+
 def direction_changed(path: Path) -> Mask:
     """Where a sample's direction is not that of the one before, or there is none before, (n,)."""
-    out = np.diff(path.s, prepend=path.s[:1]) != 0
-    out[list(path.starts)] = True
-    return np.asarray(out)
+    return begins(path) | (np.diff(path.s, prepend=path.s[:1]) != 0)
 
 
 def follow_target(
-    target: Array, steps: tuple[Array, Array], broken: Mask, begin: Array | Complexes, starts: Sequence[int]
+    path: Path, target: Array, begin: Array | Complexes, after: Array, before: Array | None = None
 ) -> Array:
-    """State u (n, k) that follows the target (n, k) over `steps` from sample to sample, each (n,) in lengths.
+    """State u (n, k) that follows the target (n, k) over steps from sample to sample, each (n,) in lengths.
 
-    Where the target is `broken` (n,), the first steps are made under the old target, the second under the new one.
-    A state is `begin` (P, k) at the `starts`. Steps may be complex: the state of an oscillator follows at such a rate.
+    Where the direction changes, the steps `before` are made under the old target, those `after` under the new one;
+    without steps before, the target is smooth there. A state is `begin` (P, k) where an individual begins. Steps may
+    be complex: the state of an oscillator follows at such a rate.
     """
-    before, after = steps
+    starts = list(path.starts)
+    broken = begins(path) if before is None else direction_changed(path)
+    before = np.zeros_like(after) if before is None else before
     old = np.vstack([target[:1], target[:-1]])
     decay = np.exp(-after)
     whole = decay * np.exp(-before)
-    whole[list(starts)] = 0.0
+    whole[starts] = 0.0
     # below the target by y: y decays and grows by what the target gains, as much as is not forgotten at once
     right = target - _weighted(_rises(target, broken), _gain_weights(np.where(broken, 0.0, after), broken))
     right -= whole[:, None] * old
     leaps = np.flatnonzero(broken)
     leap = decay[leaps, None] * (target[leaps] - old[leaps] * -np.expm1(-before[leaps])[:, None])
     right[leaps] = target[leaps] - leap
-    right[list(starts)] = begin
+    right[starts] = begin
     return _recursion(whole, right)
 
 
@@ -181,10 +192,10 @@ def mean_per_step(value: Array, step: Array, broken: Mask) -> Array:
     return np.asarray(value - _weighted(_rises(value[:, None], broken), weights)[:, 0])
 
 
-def follow_linear(decay: Array, gained: Array, begin: Array, starts: Sequence[int]) -> Array:
-    """State u (n,) with u[i] = decay[i] u[i - 1] + gained[i], and `begin` (P,) at the `starts`."""
-    whole, right = decay.copy(), gained.copy()
-    whole[list(starts)], right[list(starts)] = 0.0, begin
+def follow_linear(path: Path, decay: Array, gained: Array, begin: Array) -> Array:
+    """State u (n,) with u[i] = decay[i] u[i - 1] + gained[i], and `begin` (P,) where an individual begins."""
+    starts, whole, right = list(path.starts), decay.copy(), gained.copy()
+    whole[starts], right[starts] = 0.0, begin
     return _recursion(whole, right[:, None])[:, 0]
 
 

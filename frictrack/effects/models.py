@@ -247,7 +247,7 @@ class Model:
             return kind
         return next(f"{kind}:{i}" for i in range(2, 99) if f"{kind}:{i}" not in self)
 
-    def force_columns(self, path: Path, values: Values) -> dict[str, Array]:
+    def force_columns(self, path: Path, values: Values, states: dict[str, Array] | None = None) -> dict[str, Array]:
         """Columns of every force effect along a path, after the effects that modify others.
 
         Parameters
@@ -256,6 +256,8 @@ class Model:
             Motion of a run, n samples.
         values : mapping
             Non-linear parameters: effect -> parameter -> value.
+        states : dict, optional
+            Takes the states (1, k) at the end of the path by effect: the `Path.states` of a path that continues it.
 
         Returns
         -------
@@ -263,23 +265,6 @@ class Model:
             Columns (n, k) by effect, N per unit coefficient.
 
         """
-        return self._force_columns(path, values, None)
-
-    def states(self, path: Path, values: Values) -> dict[str, Array]:
-        """States of the effects with memory at the last sample of a path.
-
-        Returns
-        -------
-        dict
-            States (1, k) by effect; the `Path.states` of a path that continues this one.
-
-        """
-        out: dict[str, Array] = {}
-        self._force_columns(path, values, out)
-        return out
-
-    def _force_columns(self, path: Path, values: Values, states: dict[str, Array] | None) -> dict[str, Array]:
-        """Columns of every force effect; states at the end of the path are written to `states`, if given."""
 
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
@@ -296,6 +281,12 @@ class Model:
                 parts = np.split(columns(modifier, inner), ends, axis=1)
                 made |= dict(zip(modified, parts, strict=True))
         return made
+
+    def states(self, path: Path, values: Values) -> dict[str, Array]:
+        """States (1, k) of the effects with memory at the last sample of a path, by effect."""
+        out: dict[str, Array] = {}
+        self.force_columns(path, values, out)
+        return out
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:
         """Columns (n, k) of every measurement effect along a path, m per unit coefficient."""

@@ -1,16 +1,29 @@
-"""The motion of one run, along which the columns of an effect are evaluated."""
+"""The motion of one run, along which the columns of an effect are evaluated, and sinusoids along it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from frictrack.records import GRAVITY, Array, EarlierRuns
+from frictrack.records import GRAVITY, Array, EarlierRuns, Mask
+
+# What the files of effects are written with, types of arrays included.
+__all__ = ["Array", "Mask", "Nonlinear", "Path", "ScanWave", "over_position", "over_time", "wave"]
 
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
+# What an effect may need to know of a run, in words: what it is, and how it is given.
+NEEDS = {
+    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
+    "drive": ("a measured drive", 'give drive = "drive.csv"'),
+    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
+    "angle": ("the angle of the target", "give a film: a table has no angle"),
+    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
+}
 
 
 @dataclass(frozen=True)
@@ -85,12 +98,48 @@ def joined_earlier(paths: Sequence[Path]) -> tuple[EarlierRuns, ...] | None:
     return tuple(own for earlier in each for own in earlier) if len(each) == len(paths) else None
 
 
-# What an effect may need to know of a run, in words: what it is, and how it is given.
-NEEDS = {
-    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
-    "drive": ("a measured drive", 'give drive = "drive.csv"'),
-    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
-    "angle": ("the angle of the target", "give a film: a table has no angle"),
-    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
-    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
-}
+@dataclass(frozen=True)
+class ScanWave:
+    """That columns depend on one scanned parameter only as sin(2 pi q u + phase): a scan may interpolate in q.
+
+    Attributes
+    ----------
+    parameter : str
+        The frequency q, or the period 1/q.
+    coordinate : callable
+        Map a path and the other non-linear parameters to u (n,), whose unit is that of 1/q.
+    is_period : bool
+        Whether the parameter is a period.
+
+    """
+
+    parameter: str
+    coordinate: Callable[[Path, Any], Array]
+    is_period: bool = False
+
+    def frequency(self, values: Array) -> Array:
+        """Convert values of the parameter to q, or q to values of the parameter."""
+        return 1.0 / values if self.is_period else values
+
+
+def over_time(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in time, s."""
+    return path.t
+
+
+def over_position(path: Path, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in space, m."""
+    return path.x
+
+
+def wave(cycles: Array, phase: float) -> Array:
+    """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
+    # sin z = 2 u/(1 + u^2) with u = tan(z/2): numpy's tangent takes many numbers at once, its sine one by one
+    u = np.pi * cycles
+    u += phase / 2
+    np.tan(u, out=u)
+    below = u * u
+    below += 1.0
+    u += u
+    u /= below
+    return u[:, None]

@@ -9,7 +9,7 @@ from typing import Any
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects.atm2 import atm2, atm2_printed
-from frictrack.effects.definition import Effect
+from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.library import load_library
 from frictrack.effects.path import NEEDS
 
@@ -162,28 +162,14 @@ def catalogue(extra: Iterable[Effect] = ()) -> list[dict[str, Any]]:
         One entry per effect: name, equation, parameters with units and bounds, and the texts about it.
 
     """
-    return [_entry(e) for e in (*known(extra).values(), atm2(2))]
+    texts = ("name", "acts_on", "equation", "what", "looks_like", "mistaken_for", "confirm", "source")
+    return [
+        {key: getattr(e, key) for key in texts}
+        | {"parameters": [_parameter_entry(p) for p in e.parameters], "needs": [NEEDS[need][0] for need in e.needs]}
+        for e in (*known(extra).values(), atm2(2))
+    ]
 
 
-def _entry(effect: Effect) -> dict[str, Any]:
-    return {
-        "name": effect.name,
-        "acts_on": effect.acts_on,
-        "equation": effect.equation,
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "linear": p.linear,
-                "bounds": [float(b) if abs(b) < float("inf") else None for b in p.bounds],
-                "per_run": p.per_run,
-            }
-            for p in effect.parameters
-        ],
-        "what": effect.what,
-        "looks_like": effect.looks_like,
-        "mistaken_for": effect.mistaken_for,
-        "confirm": effect.confirm,
-        "source": effect.source,
-        "needs": [NEEDS[need][0] for need in effect.needs],
-    }
+def _parameter_entry(p: Parameter) -> dict[str, Any]:
+    bounds = [float(b) if abs(b) < float("inf") else None for b in p.bounds]
+    return {"name": p.name, "unit": p.unit, "linear": p.linear, "bounds": bounds, "per_run": p.per_run}

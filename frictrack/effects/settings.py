@@ -16,14 +16,16 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.formula import formula
 from frictrack.effects.registry import get, is_library
+from frictrack.effects.user import formula
 
 TIE = re.compile(
     r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
 )
 MAX_TIE_LENGTH = 120  # characters
 Pair = tuple[float, float]
+# What each key of a table changes of a parameter.
+FIELDS = {"fix": "fixed"} | {key: key for key in ("bounds", "prior", "prior_correlation", "tie", "per_run")}
 
 
 @dataclass(frozen=True)
@@ -54,17 +56,13 @@ class EffectSettings:
     def applied(self, effect: Effect) -> Effect:
         """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
         changes: dict[str, dict[str, Any]] = {}
-        bounds = self.bounds if self.formula is None else {}  # a formula has them from its definition
-        for key, given in (("fixed", self.fix), ("bounds", bounds), ("prior", self.prior), ("tie", self.tie)):
-            for name, value in given.items():
+        for key, what in FIELDS.items():
+            if key == "bounds" and self.formula is not None:
+                continue  # a formula has them from its definition
+            for name, value in getattr(self, key).items():
                 self._check_name(effect, name)
-                changes.setdefault(name, {})[key] = None if value is False else value
-        for name, own in self.per_run.items():
-            self._check_name(effect, name)
-            changes.setdefault(name, {})["per_run"] = own
-        for name, others in self.prior_correlation.items():
-            self._check_name(effect, name)
-            changes.setdefault(name, {})["prior_correlation"] = tuple(others.items())
+                given = tuple(value.items()) if isinstance(value, Mapping) else value
+                changes.setdefault(name, {})[what] = None if key == "fix" and value is False else given
         for name, change in changes.items():
             self._check(effect, effect.parameter(name), change)
         return effect.adjusted(**changes)
@@ -276,14 +274,8 @@ def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:
     """What sets an effect apart from the one it was made from, by the keys of an `[[effect]]` table."""
     out: dict[str, dict[str, Any]] = {}
     for p, was in zip(effect.parameters, base.parameters, strict=True):
-        for key, now, before in (
-            ("fix", p.fixed, was.fixed),
-            ("bounds", p.bounds, was.bounds),
-            ("prior", p.prior, was.prior),
-            ("prior_correlation", dict(p.prior_correlation), dict(was.prior_correlation)),
-            ("tie", p.tie, was.tie),
-            ("per_run", p.per_run, was.per_run),
-        ):
-            if now != before:
+        for key, what in FIELDS.items():
+            now = getattr(p, what)
+            if now != getattr(was, what):
                 out.setdefault(key, {})[p.name] = False if now is None else now
-    return out
+    return {key: {k: dict(v) for k, v in of.items()} if key == "prior_correlation" else of for key, of in out.items()}

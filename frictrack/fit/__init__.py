@@ -13,19 +13,19 @@ import numpy as np
 from frictrack.base.distributions import RNG, accepts_seed
 from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
-from frictrack.effects import check_ties, models
+from frictrack.effects import Effect, check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
-from frictrack.fit.displacement import fit_displacement
-from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of, unfitted_problem
-from frictrack.fit.least_squares import LeastSquaresProblem, refine
+from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
+from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of
+from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.observations import (
+    MeasuredFrictionProblem,
     check_effects,
     fit_accelerations,
     fit_measured_friction,
     fit_starts,
     friction_pieces,
-    friction_problem,
     reference_load,
     uses_measured_friction,
 )
@@ -38,21 +38,11 @@ from frictrack.fit.parameters import (
     with_mass,
     without_mass,
 )
-from frictrack.fit.pieces import (
-    Piece,
-    Reference,
-    cut_into_pieces,
-    guess_mass,
-    piece_frames,
-    pieces_of,
-    reference_of,
-    spans_of,
-)
-from frictrack.fit.prediction import predict_run
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
-from frictrack.fit.stepwise import add_effect, remove_effect
+from frictrack.fit.stepwise import add_effect, fit_displacement, refit_until_stop, remove_effect
 from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
 from frictrack.records import Array, Run
 from frictrack.search import Convergence, SearchMethod
@@ -82,6 +72,8 @@ __all__ = [
     "with_uncertainty",
 ]
 
+
+_TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # rad, start values of a per-run phase
 
 _Unknowns = tuple[Array, list[Array], float]  # parameters (P,), starts of the pieces, scatter of the levels
 
@@ -226,7 +218,7 @@ def _fit_friction(
     if route.search == "varpro":
         found = FitOutcome(fit_measured_friction(law, pieces, names, fps))
     else:
-        found = fit_by_search(friction_problem(law, pieces, names, fps), fitted, route, callback)
+        found = fit_by_search(MeasuredFrictionProblem.of(law, pieces, names, fps), fitted, route, callback)
     return _finish(found, runs, reference, route, (0,) * len(fitted))
 
 
@@ -247,7 +239,7 @@ def _fit_motion(
     lengths = tuple(piece_frames(law, own, run) for own, run in zip(whole, fitted, strict=True))
     pieces = _cut(whole, lengths)
     if route.search != "varpro":
-        found = fit_by_search(unfitted_problem(law, pieces, names, fps), fitted, route, callback)
+        found = fit_by_search(LeastSquaresProblem.of(law, pieces, names, fps), fitted, route, callback)
     elif route.domain == "force":
         found = fit_accelerations(fit_displacement(law, pieces, names, fps), fitted)
     else:
@@ -301,6 +293,45 @@ def _finish(
         route=route,
         lengths=lengths,
     )
+
+
+def predict_run(solution: Solution, run: Run, reference: Reference) -> Solution:
+    """Predict a validation run: shared parameters as fitted, start and per-run parameters from this run.
+
+    Newtons are reported at the mass and load of `reference`. Raises FrictrackError if the run has no usable part.
+    """
+    old, model = solution.problem, solution.problem.model
+    events = frozenset((e.name, 0) for e in model.effects if _is_event(e))
+    layout = ParameterLayout(model, (run.name,), (old.layout.span,), events)
+    if old.simulates:
+        (whole,) = pieces_of([run], reference, through_reversals=model.turns)
+        problem = old.rebuild(layout, cut_into_pieces(whole, piece_frames(model, whole, run)))
+    else:
+        problem = old.rebuild(layout, friction_pieces([run], reference.load))
+    own = np.array([s.run is not None for s in layout.slots], dtype=bool)
+    found = refine(problem, _start_unknowns(solution, problem), problem.first_starts(), free=own)
+    return refit_until_stop(found, own) if old.simulates else found
+
+
+def _is_event(effect: Effect) -> bool:
+    """Whether an effect is an event of single runs; a wrong clock counts as one."""
+    return effect.clock is not None or any(p.per_run and p.scan is not None for p in effect.nonlinear)
+
+
+def _start_unknowns(fitted: Solution, problem: LeastSquaresProblem) -> Array:
+    """Unknowns (P,) of a run: shared ones as fitted, its own at their mean, phases at the best quarter turn."""
+    slots, p = problem.layout.slots, problem.layout.unknowns(fitted.problem.layout.by_address(fitted.p))
+    phases = {(e.name, q.name) for e in problem.model.effects for q in e.parameters if q.role == "phase"}
+    for i, s in enumerate(slots):
+        if s.run is not None and (s.effect, s.parameter) in phases:
+            candidates = [np.where(np.arange(len(p)) == i, phase, p) for phase in _TRIED_PHASES]
+            p = min(candidates, key=lambda q: _chi2(problem, q))
+    return p
+
+
+def _chi2(problem: LeastSquaresProblem, p: Array) -> float:
+    """Chi-squared of the run, its start free."""
+    return float(sum(r.r @ r.r for r in problem.evaluate(p, problem.first_starts())))
 
 
 def state(result: Fit | GroupFits) -> dict[str, Any]:
@@ -362,7 +393,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
     searched = _searched(saved)
     if saved.get("measured", False):
         reference, lengths = Reference(1.0, float(saved["reference_load"])), (0,) * len(fitted)
-        first = friction_problem(law, friction_pieces(fitted, reference.load), names, fps)
+        first = MeasuredFrictionProblem.of(law, friction_pieces(fitted, reference.load), names, fps)
         problem = first.rebuild(replace(first.layout, absent=absent), first.pieces)
         starts = problem.first_starts()
     else:
@@ -371,7 +402,7 @@ def _restored(runs: Sequence[Run], saved: dict[str, Any]) -> Fit:
         pieces = _cut(pieces_of(fitted, reference, through_reversals=law.turns), lengths)
         layout = ParameterLayout(law, names, spans_of(pieces, len(fitted), fps), absent)
         fine = max(e.fine for e in law.effects)
-        cut = [q.refined(fine).first(int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
+        cut = [q.refined(fine).part(0, int(n)) for q, n in zip(pieces, saved["frames"], strict=True)]
         problem, starts = LeastSquaresProblem(law, layout, cut), list(np.asarray(saved["starts"]))
     found = _outcome_at(problem, (p, starts, tau), fitted, route, searched)
     return _finish(found, runs, reference, route, lengths)

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CovariateTrend", "CovariateTrends", "Prediction", "trend"]
 MIN_DEGREES = 2  # studies more than coefficients
+MAX_TAU_RATIO, N_TAUS = 5.0, 80  # possible values of tau, up to a multiple of the spread of the values
+MIN_TAU_RATIO = 1e-6  # of tau to the spread of the values; less is zero
 
 
 def trend(laws: Sequence[Any], at: Sequence[float | str], condition: str = "condition") -> CovariateTrends:
@@ -109,10 +111,6 @@ def _too_few(name: str, priors: Sequence[Prior], design: Design) -> str:
     if len(rows) < q + MIN_DEGREES:
         return f"only {len(rows)} studies determine it; {q + MIN_DEGREES} are needed"
     return "" if np.linalg.matrix_rank(rows) == q else "the studies that determine it do not have all conditions"
-
-
-MAX_TAU_RATIO, N_TAUS = 5.0, 80  # possible values of tau, up to a multiple of the spread of the values
-MIN_TAU_RATIO = 1e-6  # of tau to the spread of the values; less is zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,9 +191,9 @@ class ParameterEstimates:
 
     def scatter_interval(self) -> tuple[float, float]:
         """Return the 95 % interval of tau: where its sum of squares is likely for chi-squared (Viechtbauer)."""
-        return self._scatter_of(chi2_ppf(0.975, self.degrees)), self._scatter_of(chi2_ppf(0.025, self.degrees))
+        return self.scatter_of(chi2_ppf(0.975, self.degrees)), self.scatter_of(chi2_ppf(0.025, self.degrees))
 
-    def _scatter_of(self, squares: float) -> float:
+    def scatter_of(self, squares: float) -> float:
         """Return the tau at which the weighted sum of squares, which falls with tau, has a value; 0 if it is less."""
         if self.at_scatter(0.0)[2] <= squares:
             return 0.0

@@ -2,43 +2,205 @@
 
 The misfit is the papers' sum of squared acceleration residuals (force domain), or chi-squared of the displacement.
 The result is reported as found, without hidden refinement; standard deviations come from the linearisation there.
+
+Compute the misfit of a whole population of parameter vectors, each evaluated along the measured motion.
+
+`PopulationMisfit` is over all unknowns, as in the papers. `ReducedPopulationMisfit` is over the non-linear parameters
+only and solves the coefficients for every individual. Friction levels of several runs are not searched: each has its
+least-squares value, with a penalty about one.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from frictrack.effects import Effect, Parameter
-from frictrack.effects.models import Model
-from frictrack.fit.displacement import refit_until_stop
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
-from frictrack.fit.observations import fit_starts, friction_block, linearise_accelerations
-from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form, normalise_levels
-from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains, acceleration_noise, spans_of
-from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
-from frictrack.fit.separable import (
-    DataBlock,
-    PopulationMisfit,
-    ReducedPopulationMisfit,
-    chain_block,
-    displacement_block,
+from frictrack.fit.observations import (
+    fit_starts,
+    linearise_accelerations,
+    through_chains,
 )
+from frictrack.fit.parameters import (
+    LEVEL,
+    MIN_RUNS_FOR_SCATTER,
+    ParameterLayout,
+    Slot,
+    canonical_form,
+    normalise_levels,
+)
+from frictrack.fit.penalties import prior_misfit
+from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
+from frictrack.fit.separable.model import DataBlock, SeparableModel, repeat_values, tiled_path
+from frictrack.fit.separable.projected import bounded_population
+from frictrack.fit.smooth_functions import rms
+from frictrack.fit.stepwise import refit_until_stop
 from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 
+MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
+MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in the cache of the processor
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
 MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
 FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
 MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
-def unfitted_problem(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
-    """Create the problem of a model that has no start values yet."""
-    return LeastSquaresProblem(model, ParameterLayout(model, names, spans_of(pieces, len(names), fps)), pieces)
+class _SearchMisfit(ABC):
+    """Misfit of points of a search. Called with points (Q, d), it returns misfits (Q,)."""
+
+    def __init__(
+        self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
+    ) -> None:
+        self.layout, self.blocks, self.tau, self.unit = layout, list(blocks), tau, unit
+        self.separable = SeparableModel(layout, blocks)
+
+    @property
+    @abstractmethod
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
+
+    @abstractmethod
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        """Modelled data at level one, (Q, M) each: the part that follows the level of the run, and the rest."""
+
+    @abstractmethod
+    def law(self, points: Array) -> Array:
+        """Return parameter vectors (Q, P) of points (Q, d), with levels one."""
+
+    def __call__(self, points: Array) -> Array:
+        """Compute the misfits (Q,) of points (Q, d)."""
+        at_once = min(MAX_AT_ONCE, max(1, MAX_VALUES_AT_ONCE // self.separable.size))
+        parts = np.array_split(points, max(1, -(-len(points) // at_once)))
+        return np.concatenate([self.evaluate(part)[0] for part in parts])
+
+    def evaluate(self, points: Array) -> tuple[Array, Array]:
+        """Compute misfits and friction levels."""
+        # a level is 1 + d; d has mean zero and standard deviation tau
+        levels = np.ones((len(points), len(self.layout.run_names)))
+        misfits = np.full(len(points), sum(b.rest for b in self.blocks))
+        with np.errstate(over="ignore", invalid="ignore"):
+            dry, other = self._explained(points)
+            residual = self.separable.data - dry - other
+            for run in self.separable.runs if self.layout.levels else ():
+                mine = self.separable.run_of_datum == run
+                own = dry[:, mine]
+                d = np.einsum("qm,qm->q", own, residual[:, mine]) / (np.einsum("qm,qm->q", own, own) + self.tau**-2)
+                residual[:, mine] -= d[:, None] * own
+                misfits += (d / self.tau) ** 2
+                levels[:, run] += d
+            misfits += np.einsum("qm,qm->q", residual, residual)
+        return misfits * self.unit, levels
+
+    def full_vectors(self, points: Array) -> Array:
+        """Insert points (Q, d) into parameter vectors (Q, P); the other entries are one."""
+        out = np.ones((len(points), len(self.layout.slots)))
+        out[:, self.searched] = points
+        return out
+
+
+class PopulationMisfit(_SearchMisfit):
+    """Misfit over all unknowns but the friction levels."""
+
+    @cached_property
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
+        runs = {None, *self.separable.runs}
+        return [i for i, s in enumerate(self.layout.slots) if s.effect != LEVEL and s.run in runs]
+
+    def evaluate(self, points: Array) -> tuple[Array, Array]:
+        """Compute misfits (Q,), with those of the priors, and friction levels (Q, R) of points (Q, d)."""
+        misfits, levels = super().evaluate(points)
+        if self.layout.priors:
+            misfits += prior_misfit(self.layout, self.full_vectors(points)) * self.unit
+        return misfits, levels
+
+    def law(self, points: Array) -> Array:
+        """Return parameter vectors (Q, P) of points (Q, d), as far as these determine them."""
+        return self.full_vectors(points)
+
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        vectors = self.full_vectors(points)
+        dry, other = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
+        return dry, other
+
+    def _explained_in(self, block: DataBlock, vectors: Array) -> Array:
+        """Both parts of the modelled data of one block, (2, Q, m)."""
+        model, count = self.layout.model, len(vectors)
+        path = tiled_path(block.evaluation_path(model.memory), count)
+        values, n = self.layout.values(vectors, block.run)[0], len(path.t) // count
+        nonlinear = {
+            e.name: {q.name: repeat_values(values[e.name][q.name], n, q.role == "depth") for q in e.nonlinear}
+            for e in model.effects
+        }
+        columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
+        force, shift = np.zeros((2, 2, count, n))
+        for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
+            total = force if e.acts_on == "force" else shift
+            for column, q in zip(columns[e.name].T, e.linear, strict=True):
+                follows_level = q.loaded and bool(self.layout.levels)
+                size = np.reshape(values[e.name][q.name], (-1, 1))
+                total[0 if follows_level else 1] += size * column.reshape(count, -1)
+        data = block.forward(force)
+        return data + block.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
+
+
+class ReducedPopulationMisfit(_SearchMisfit):
+    """Misfit over the non-linear parameters, with the best coefficients of every individual.
+
+    The phase of a sinusoid is not searched, because its two quadratures are linear. If the phase belongs to the runs,
+    the amplitude is free in every run here.
+    """
+
+    @property
+    def searched(self) -> list[int]:
+        """Positions of the d unknowns in the layout."""
+        return self.separable.free
+
+    @cached_property
+    def _constant_rows(self) -> Array:
+        """Rows (1, K, M) of the groups without non-linear parameters, the others zero."""
+        rows = np.zeros((1, len(self.separable.coefficients), self.separable.size))
+        self._write_rows(False, np.ones((1, len(self.layout.slots))), rows)
+        return rows
+
+    def coefficients(self, points: Array) -> Array:
+        """Compute the coefficients (Q, K) of points (Q, d)."""
+        return self._solved(points)[0]
+
+    def law(self, points: Array) -> Array:
+        """Compute parameter vectors (Q, P) of points (Q, d), with levels one."""
+        pairs = zip(self.full_vectors(points), self.coefficients(points), strict=True)
+        return np.array([self.separable.law(p, c) for p, c in pairs])
+
+    def _explained(self, points: Array) -> tuple[Array, Array]:
+        c, rows = self._solved(points)
+        if not self.layout.levels:
+            return np.zeros((len(points), 1)), (c[:, None] @ rows)[:, 0]
+        loaded = self.separable.loaded
+        dry, other = (np.stack([c * loaded, c * ~loaded], axis=1) @ rows).transpose(1, 0, 2)
+        return dry, other
+
+    def _solved(self, points: Array) -> tuple[Array, Array]:
+        """Coefficients (Q, K) and rows (Q, K, M)."""
+        rows = np.repeat(self._constant_rows, len(points), axis=0)
+        self._write_rows(True, self.full_vectors(points), rows)
+        gram, right = rows @ rows.transpose(0, 2, 1), rows @ self.separable.data
+        return bounded_population(gram, right, self.separable.low, self.separable.high), rows
+
+    def _write_rows(self, varying: bool, vectors: Array, rows: Array) -> None:
+        """Write the rows of the groups with or without non-linear parameters at vectors (Q, P) into (Q, K, M)."""
+        for g in (g for g, group in enumerate(self.separable.groups) if bool(group.nonlinear_slots) == varying):
+            for b, block in enumerate(self.blocks):
+                at = self.separable.column_positions[g][block.run]
+                own = at < rows.shape[1]
+                rows[:, at[own], self.separable.slices[b]] = self.separable.rows(g, b, vectors)[:, own]
 
 
 def fit_by_search(
@@ -64,8 +226,8 @@ def fit_by_search(
 
     """
     assert route.method is not None
-    chains = acceleration_chains(runs, problem.pieces) if route.domain == "force" and problem.simulates else None
-    misfit = population_misfit(problem, chains, route.over)
+    filtered = route.domain == "force" and problem.simulates
+    misfit = population_misfit(through_chains(problem, runs) if filtered else problem, route.over)
     found = search_parameters(misfit, route.method, np.random.default_rng(route.rng), callback)
     tau = searched_scatter(problem.layout, found.points[0])
     law = fit_starts(problem, found.points[0], problem.first_starts(), tau)
@@ -89,23 +251,6 @@ def search_parameters(
 
     The friction levels of several runs are not searched: each has its least-squares value, held about one to within 3
     %.
-
-    Parameters
-    ----------
-    misfit : PopulationMisfit or ReducedPopulationMisfit
-        What is minimised.
-    method : str or SearchMethod
-        A key of `frictrack.search.METHODS`, or a record with settings.
-    rng : numpy.random.Generator
-        Source of random numbers.
-    callback : callable, optional
-        Called with generation, best point by address and its misfit. A true return value stops the search.
-
-    Returns
-    -------
-    SearchedOptima
-        The "group of feasible solutions", best first, their misfits, and the search generation by generation.
-
     """
     layout = misfit.layout
     names = [layout.names[i] for i in misfit.searched]
@@ -176,34 +321,13 @@ def searched_scatter(layout: ParameterLayout, p: Array) -> float:
     return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS_FOR_SCATTER else 0.03
 
 
-def population_misfit(
-    problem: LeastSquaresProblem, chains: Sequence[AccelerationChain] | None, over: str = "all"
-) -> PopulationMisfit | ReducedPopulationMisfit:
-    """Create the misfit of a search.
+def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> PopulationMisfit | ReducedPopulationMisfit:
+    """Create the misfit of a search over "all" unknowns, or over the "nonlinear" ones with the best coefficients.
 
-    Parameters
-    ----------
-    problem : LeastSquaresProblem
-        The problem.
-    chains : sequence of AccelerationChain or None
-        With chains: squared acceleration residuals, m^2/s^4. Without: chi-squared of the displacement.
-    over : {"all", "nonlinear"}
-        Unknowns to search; for "nonlinear" the coefficients are solved for every individual.
-
-    Returns
-    -------
-    PopulationMisfit or ReducedPopulationMisfit
-        Callable that maps points (Q, d) to misfits (Q,).
-
+    It is chi-squared of the displacement, or the sum of squared residuals of acceleration or friction, in their unit.
     """
     kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
-    if not problem.simulates:
-        return kind(problem.layout, [friction_block(p) for p in problem.pieces], unit=problem.pieces[0].sigma[0] ** 2)
-    if chains is None:
-        return kind(problem.layout, [displacement_block(p) for p in problem.pieces])
-    noise = acceleration_noise(chains)
-    blocks = [chain_block(p, c, noise) for p, c in zip(problem.pieces, chains, strict=True)]
-    return kind(problem.layout, blocks, unit=noise**2)
+    return kind(problem.layout, problem.blocks, unit=problem.noise**2)
 
 
 def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
@@ -212,22 +336,10 @@ def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
     Forces reach 1.5 times the largest measured friction, amplitudes of waves its whole range. Other coefficients
     reach the value that makes such a force along the measured motion. Phases go from -pi to pi. Frequencies go as far
     as they are scanned, in the force domain up to twice the cut-off.
-
-    Parameters
-    ----------
-    misfit : PopulationMisfit or ReducedPopulationMisfit
-        What is minimised.
-
-    Returns
-    -------
-    array of shape (d, 2)
-        Lower and upper bounds of the searched parameters.
-
     """
-    data_range = _DataRange(misfit.layout, misfit.blocks)
-    layout = misfit.layout
-    effects = {e.name: e for e in layout.model.effects}
-    return np.array([data_range.interval(effects[s.effect], s) for s in (layout.slots[i] for i in misfit.searched)])
+    layout, data_range = misfit.layout, _DataRange(misfit.layout, misfit.blocks)
+    slots = [layout.slots[i] for i in misfit.searched]
+    return np.array([data_range.interval(layout.effect(s.effect), s) for s in slots])
 
 
 class _DataRange:
@@ -266,7 +378,7 @@ class _DataRange:
         column = np.concatenate([effect.columns(b.path, typical_values)[:, place] for b in self.blocks])
         travel = max(float(np.ptp(b.path.x)) for b in self.blocks)
         target = self.max_force if effect.acts_on == "force" else MAX_SHIFT_SHARE * travel
-        return target / max(float(np.sqrt(np.mean(column**2))), 1e-12)
+        return target / max(rms(column), 1e-12)
 
 
 def _is_wave(effect: Effect, parameter: Parameter) -> bool:

@@ -26,7 +26,8 @@ from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import LIBRARY, Effect, Parameter, carries_over, scales_with_load
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, white_noise_covariance
-from frictrack.fit.parameters import MASS, prior_departure, prior_jacobian, prior_residual
+from frictrack.fit.parameters import MASS
+from frictrack.fit.penalties import prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.uncertainty import (
     Estimates,
@@ -43,6 +44,9 @@ PRIOR_NEEDS_NOISE = (
     "fit the displacement, or leave the prior out"
 )
 MIN_RELATIVE_EIGENVALUE = 1e-9  # of the correlation matrix of a prior; less is the rounding of the derivatives
+MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior
+ALPHA_CONTRADICTION = 0.01
+MAX_NAMED = 3  # parameters in the remark
 
 
 def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "displacement") -> Model:
@@ -187,11 +191,6 @@ def _regular(matrix: Array) -> Array:
     return np.asarray((vectors * size) @ vectors.T * std * std[:, None], dtype=np.float64)
 
 
-MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior
-ALPHA_CONTRADICTION = 0.01
-MAX_NAMED = 3  # parameters in the remark
-
-
 @dataclass(frozen=True)
 class PriorParameter:
     """One parameter with a prior: mean and standard deviation before, and what the data alone say."""
@@ -328,11 +327,9 @@ def _shares(solution: Solution, noise: Array, rows: Array, alone: _DataAlone) ->
 
 
 def _other_errors(explained: Array, total: Array) -> Array:
-    """What errors of the data beyond white noise add to the covariance of the estimate, in units of the prior, (m, m).
-
-    A factor that is common to all variances (Student's t, as the noise level is estimated) is applied to the share of
-    the data alone: the standard deviations of the prior are known.
-    """
+    """What errors beyond white noise add to the covariance of the estimate, in units of the prior, (m, m)."""
+    # a factor that is common to all variances (Student's t, as the noise level is estimated) is applied to the share of
+    # the data alone: the standard deviations of the prior are known
     factor = np.linalg.cholesky(explained + 1e-12 * np.eye(len(explained)))
     ratio = np.linalg.solve(factor, np.linalg.solve(factor, total).T)
     wider = max(float(np.linalg.eigvalsh((ratio + ratio.T) / 2)[0]), 1.0)

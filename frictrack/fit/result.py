@@ -16,11 +16,10 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.lazy import imported
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.effects.models import Model
-from frictrack.fit.collisions import collisions
-from frictrack.fit.free_run import FreeRun, free_errors
+from frictrack.fit.cutting import noise_free_remark
+from frictrack.fit.modelled_motion import FreeRun, collisions, free_errors, law_branches
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
-from frictrack.fit.pieces import noise_free_remark
 from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
 from frictrack.fit.routes import FittedRuns, SearchedOptima
 from frictrack.fit.uncertainty import (
@@ -35,7 +34,6 @@ from frictrack.fit.uncertainty import (
     with_misfit,
     with_stated_errors,
 )
-from frictrack.fit.velocity_law import law_branches
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
 from frictrack.search import Convergence

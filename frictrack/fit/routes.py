@@ -8,9 +8,9 @@ from typing import Any
 
 from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError
+from frictrack.fit.cutting import Reference
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
-from frictrack.fit.pieces import Reference
 from frictrack.records import Array, Run
 from frictrack.search import METHODS, Convergence, SearchMethod, search_method
 

@@ -6,20 +6,18 @@
 `Session` is the only code that computes and saves the results of a study; the command line and the workbench use it.
 `read_results` reads what is stored and computes nothing.
 
-    new_study, opening   make, open and check a study before any work
+    new_study                   make a study of recordings
+    opening                     open and check a study before any work; bring its runs up to date
     pipeline, stages            bring the stages of one run up to date
-    measured_runs               bring all runs up to date, and check their numbers on the way
     film_stages, track_quality  from a film to its displacement
     sensor_stage                what other instruments and further targets recorded
     plausibility_checks         check the numbers of a study
-    fit_request, tried_models   what was asked of a fit; models tried, and fits of candidates
-    study_edits, command_history, replay                        changes of a study, undo, repetition
-    diagnosis_records           how probable a false effect is, over all diagnoses; what was predicted of runs
-    workflows                   a whole study in one call: run, change, plan, demonstration
-    stored_results              read stored results, find outdated ones
-    run_summaries               a row of numbers for each run, with its error budget
+    tried_models                what was asked of a fit; models tried, and fits of candidates
+    study_edits                 changes of a study, undo
+    command_history             what a study remembers: its changes, the tests of its models, predictions
+    workflows                   a whole study in one call: run, change, plan, demonstration, repetition
+    stored_results              read stored results, find outdated ones; a row of numbers for each run
     verification                verify stored results, read all their values
-    summaries                   the shapes of the summaries that `Session` returns
 """
 
 # ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
@@ -29,10 +27,8 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.flow.command_history import Change, CommandHistory, undo_stacks
-    from frictrack.flow.diagnosis_records import SignificanceBudget
+    from frictrack.flow.command_history import Change, CommandHistory, SignificanceBudget, undo_stacks
     from frictrack.flow.film_stages import contact_sheet_path
-    from frictrack.flow.fit_request import FitRequest, user_effects
     from frictrack.flow.new_study import (
         Surveyed,
         check_entered,
@@ -44,17 +40,21 @@ if TYPE_CHECKING:
     from frictrack.flow.opening import open_study, table_needs_mass
     from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
-    from frictrack.flow.replay import recorded_models, repeat_models, replay_script
     from frictrack.flow.session import Session
     from frictrack.flow.stages import run_pipeline
-    from frictrack.flow.stored_results import (
-        AttemptsReader,
-        ResultsReader,
-        preview_motion,
-        read_results,
-    )
+    from frictrack.flow.stored_results import ResultsReader, preview_motion, read_results
     from frictrack.flow.study_edits import effect_of_formula
+    from frictrack.flow.tried_models import FitRequest, user_effects
     from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
-    from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, run_study
+    from frictrack.flow.workflows import (
+        change_and_diagnose,
+        conclude,
+        demo,
+        plan,
+        recorded_models,
+        repeat_models,
+        replay_script,
+        run_study,
+    )
 
 __getattr__, __all__ = lazy_names(__name__)

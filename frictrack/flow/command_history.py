@@ -1,23 +1,39 @@
-"""Record every change of a study in a log, one line of JSON each; lock the study while it is being changed.
+"""What a study remembers besides its results: its changes, the tests made of its models, predictions of runs.
 
 The log is ``.frictrack/log.jsonl`` in the folder of the results. Every line holds the command and the state before
 and after it, so that a change can be undone. The number of lines is the revision of the study: a user whose page shows
 an older revision is refused instead of overwriting the change of another user.
+
+The probability that any effect named in the whole work on a study is false is bounded, however often it is diagnosed.
+Every diagnosis tests the hypothesis that its model is complete. Diagnoses form sequences: a test continues a sequence
+if it has the same data, and its model adds to the last model of the sequence only effects that the last test named. A
+sequence is tested at one significance level alpha in every step: a false effect can be named only at its first
+complete model, so all its steps together err with a probability of at most alpha (fixed-sequence testing). Any other
+test (an alternative model, changed data, another seed) begins a new sequence at a smaller alpha. The probability that
+any named effect is false is at most the sum of alpha over the sequences (Bonferroni).
+
+A run that `frictrack plan` names is kept with the evidence that is expected of it. The first diagnosis of the same
+model with exactly one run more fills in what was realised.
+
+References
+----------
+Maurer, Hothorn & Lehmacher (1995), Multiple comparisons in drug clinical trials: a-priori ordered hypotheses.
+Foster & Stine (2008), Alpha-investing, J. R. Statist. Soc. B 70, 429 (a level for every test, spent in turn).
+
 """
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import INTERNAL_FOLDER, lock_folder
+from frictrack.base.files import INTERNAL_FOLDER, append_line, lock_folder, make_internal_folder, replace_text
 
 FILE_NAME = "log.jsonl"
 _KEYS = {  # key of a line in the log -> field of `Change`
@@ -33,29 +49,15 @@ _KEYS = {  # key of a line in the log -> field of `Change`
 
 @dataclass
 class Change:
-    """One change of a study, and the state before and after it.
+    """One change of a study, and the state before and after it."""
 
-    Attributes
-    ----------
-    revision
-        Number of the change, from 1.
-    time
-        Local time in ISO 8601.
-    author
-        Where the command came from, as "cli" or "page".
-    command, arguments
-        Name and arguments of the command; see `Session.apply`.
-    before, after
-        The parts of the state that changed: "toml", the text of the study file, or "current", the group of the current
-        model. A change without `before` cannot be undone.
-
-    """
-
-    revision: int
-    time: str
-    author: str
-    command: str
+    revision: int  # number of the change, from 1
+    time: str  # local time in ISO 8601
+    author: str  # where the command came from, as "cli" or "page"
+    command: str  # command, arguments: name and arguments of the command; see `Session.apply`
     arguments: dict[str, Any] = field(default_factory=dict)
+    # before, after: the parts of the state that changed: "toml", the text of the study file, or "current", the group
+    # of the current model. A change without `before` cannot be undone
     before: dict[str, Any] = field(default_factory=dict)
     after: dict[str, Any] = field(default_factory=dict)
 
@@ -70,16 +72,7 @@ class Change:
 
     @classmethod
     def from_json(cls, line: bytes) -> Change:
-        """Read a line of the log.
-
-        Raises
-        ------
-        ValueError
-            If the line is not JSON, or a value has the wrong type.
-        TypeError, AttributeError, KeyError
-            If keys are missing or unknown.
-
-        """
+        """Read a line of the log."""
         change = cls(**{_KEYS[key]: value for key, value in json.loads(line).items()})
         texts, tables = (change.time, change.author, change.command), (change.arguments, change.before, change.after)
         sound = isinstance(change.revision, int) and all(isinstance(text, str) for text in texts)  # type: ignore[redundant-expr]  # as read
@@ -119,18 +112,7 @@ def undo_stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
 
 
 class CommandHistory:
-    """The log of one study.
-
-    Parameters
-    ----------
-    folder
-        Folder of the results of the study.
-    author
-        Recorded with every change.
-    expected_revision
-        The revision that the author has seen. A change is refused if the study is at another one; None allows any.
-
-    """
+    """The log of one study."""
 
     def __init__(self, folder: Path, author: str = "python", expected_revision: int | None = None) -> None:
         self.folder = folder
@@ -187,36 +169,14 @@ class CommandHistory:
 
     @contextmanager
     def record(self, command: str, **arguments: Any) -> Iterator[Change]:
-        """Lock the study, yield a change to be completed, and write it to the log if the block succeeds.
-
-        Parameters
-        ----------
-        command, **arguments
-            The command, as `Session.apply` takes it.
-
-        Yields
-        ------
-        Change
-            The block changes the study and sets `before` and `after`. A change without `before` cannot be undone; a
-            restart cannot be undone either, nor anything before it.
-
-        Raises
-        ------
-        FrictrackError
-            If the study is not at the expected revision, or the log is damaged or cannot be written.
-
-        """
+        """Lock the study, yield a change to be completed, and write it to the log if the block succeeds."""
         with lock_folder(self.folder):
             self.check_revision()
             path = self._move_former_log()
-            self._cut_incomplete_line()
             time = datetime.now().astimezone().isoformat(timespec="seconds")
             change = Change(self.revision + 1, time, self.author, command, arguments)
             yield change
-            with path.open("ab") as log:
-                log.write(change.to_json().encode() + b"\n")
-                log.flush()
-                os.fsync(log.fileno())
+            append_line(path, change.to_json())
             self.expected_revision = None if self.expected_revision is None else change.revision
 
     def _move_former_log(self) -> Path:
@@ -229,8 +189,184 @@ class CommandHistory:
             former.replace(path)
         return path
 
-    def _cut_incomplete_line(self) -> None:
-        """Remove what a power cut left of a line."""
-        if self.path.exists() and not (text := self.path.read_bytes()).endswith(b"\n") and text:
-            with self.path.open("r+b") as log:
-                log.truncate(text.rfind(b"\n") + 1)
+
+Row = TypeVar("Row")
+ALPHA_FIRST = 0.01  # of the first sequence of tests
+MIN_ALPHA = 0.001  # of a later one; a smaller level would take many more draws
+
+
+class KeptRows(Generic[Row]):
+    """Rows in ``.frictrack/<file_name>`` of the folder of the results."""
+
+    file_name: ClassVar[str]
+    after_loss: ClassVar[str]  # what follows from deleting a damaged file
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.path = folder / INTERNAL_FOLDER / self.file_name
+
+    @staticmethod
+    def read_row(entry: Any) -> Row:
+        """Read one entry of the file."""
+        raise NotImplementedError
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows, oldest first; raises `FrictrackError` if the file is damaged."""
+        try:
+            return [self.read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
+        except FileNotFoundError:
+            return []
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
+            raise FrictrackError(f"{self.path} is damaged; delete it, and {self.after_loss}") from e
+
+    def _change(self, change: Callable[[list[Row]], list[Row]]) -> None:
+        """Replace the rows by what `change` makes of them, while no other process changes them."""
+        make_internal_folder(self._folder)
+        with lock_folder(self._folder):
+            rows: list[Any] = change(self.rows)
+            entries = [row if isinstance(row, dict) else asdict(row) for row in rows]
+            replace_text(self.path, json.dumps(entries, indent=0))
+
+
+@dataclass(frozen=True)
+class CompletenessTest:
+    """One diagnosis of one model, as the budget of significance counts it."""
+
+    key: str  # hash of model, data and seed; the same diagnosis again is no new test
+    data: str  # hash of the runs
+    model: tuple[str, ...]  # names of the effects
+    sequence: int  # number of the sequence of tests, from 1
+    alpha: float  # significance level
+    named: tuple[str, ...] | None = None  # effects that were significant; None before the verdict is known
+    verdict: str = ""  # the verdict; "" before it is known
+
+    def allows(self, data: str, model: Collection[str]) -> bool:
+        """Return whether a test of another model continues this one."""
+        added = set(model) - set(self.model)
+        is_larger = bool(added) and set(model) > set(self.model)
+        return is_larger and self.data == data and added <= set(self.named or ())
+
+
+def sequence_alpha(number: int) -> float:
+    """Return the significance level of a sequence of tests.
+
+    Levels of the later ones fall so that their sum is at most that of the first, until the smallest level is reached.
+
+    Examples
+    --------
+    >>> [round(sequence_alpha(number), 5) for number in (1, 2, 3, 4, 9)]
+    [0.01, 0.005, 0.00167, 0.001, 0.001]
+
+    """
+    return ALPHA_FIRST if number == 1 else max(ALPHA_FIRST / (number * (number - 1)), MIN_ALPHA)
+
+
+def alpha_spent(tests: Sequence[CompletenessTest]) -> float:
+    """Return the sum of the levels of all sequences: it bounds the probability that any effect named is false."""
+    return sum({test.sequence: test.alpha for test in tests}.values())
+
+
+def plan_test(tests: Sequence[CompletenessTest], key: str, data: str, model: Sequence[str]) -> CompletenessTest:
+    """Return the test of a model, with its sequence and its level."""
+    same = next((test for test in tests if test.key == key), None)
+    if same is not None:
+        return same
+    last = {test.sequence: test for test in tests}
+    continued = next((test for test in last.values() if test.allows(data, model)), None)
+    number = continued.sequence if continued else len(last) + 1
+    return CompletenessTest(key, data, tuple(model), number, sequence_alpha(number))
+
+
+def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the effects of which a diagnosis says that they are significant, and those of its formulas."""
+    level = diagnosis.get("alpha", ALPHA_FIRST) / 2  # earlier versions had this level alone
+    names = [one["effect"] for one in diagnosis["candidates"] if one["p"] is not None and one["p"] < level]
+    formulas = (diagnosis.get("unexplained") or {}).get("formulas", [])
+    defined = ["unexplained"] if formulas else []
+    return tuple(dict.fromkeys([*diagnosis["missing"], *diagnosis.get("leads", []), *names, *defined]))
+
+
+class SignificanceBudget(KeptRows[CompletenessTest]):
+    """The tests that were made of the models of one study, of which the verdict is known, in a file of the results."""
+
+    file_name, after_loss = "tests.json", "the tests are counted from now on"
+
+    @staticmethod
+    def read_row(entry: Any) -> CompletenessTest:
+        """Read one entry of the file."""
+        model, named = entry["model"], entry["named"]
+        texts = (entry["key"], entry["data"], entry["verdict"], *model, *(named or ()))
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError("expected names as text")
+        if not (isinstance(entry["sequence"], int) and isinstance(entry["alpha"], int | float)):
+            raise ValueError("expected numbers")
+        return CompletenessTest(**{**entry, "model": tuple(model), "named": None if named is None else tuple(named)})
+
+    def record(self, test: CompletenessTest, diagnosis: Mapping[str, Any]) -> None:
+        """Write a test, from `plan_test`, with its verdict; the same test again replaces the earlier entry."""
+        done = replace(test, named=named_effects(diagnosis), verdict=str(diagnosis["verdict"]))
+
+        def with_test(tests: list[CompletenessTest]) -> list[CompletenessTest]:
+            known = test.key in [one.key for one in tests]
+            return [done if one.key == test.key else one for one in tests] if known else [*tests, done]
+
+        self._change(with_test)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON of `frictrack history`: "tests", and "alpha_spent"."""
+        tests, keys = self.rows, ("model", "alpha", "sequence", "verdict", "named")
+        rows = [{key: getattr(test, key) for key in keys} for test in tests]
+        lists = [row | {"model": list(row["model"]), "named": list(row["named"] or ())} for row in rows]
+        return {"tests": lists, "alpha_spent": alpha_spent(tests)}
+
+
+class Predictions(KeptRows[dict[str, Any]]):
+    """The runs that were named, in a file of the results; its rows are JSON `predictions` of `frictrack history`."""
+
+    file_name, after_loss = "predictions.json", "predictions are kept from now on"
+
+    @staticmethod
+    def read_row(entry: Any) -> dict[str, Any]:
+        """Read one entry of the file."""
+        return {**entry, "runs": list(entry["runs"]), "model": list(entry["model"])}
+
+    def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
+        """Keep the prediction of a named run; another one for the same model and runs replaces it."""
+        entry = {**named, "model": list(model), "runs": list(runs), "filmed": None, "realised": None}
+
+        def with_entry(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+            others = [row for row in rows if (row["model"], row["runs"]) != (entry["model"], entry["runs"])]
+            return [*others, entry]
+
+        self._change(with_entry)
+
+    def resolve(self, diagnosis: Mapping[str, Any], runs: Sequence[str]) -> None:
+        """Fill in the realised evidence of the run that was added since, from a new diagnosis."""
+        found = [resolve_prediction(row, diagnosis, runs) for row in self.rows]
+        if any(row is not None for row in found):
+            self._change(lambda rows: [new or old for old, new in zip(rows, found, strict=True)])
+
+
+def resolve_prediction(
+    row: Mapping[str, Any], diagnosis: Mapping[str, Any], runs: Sequence[str]
+) -> dict[str, Any] | None:
+    """Return an entry with its realised evidence; None if this diagnosis does not answer it.
+
+    Of the explanations that were predicted for, the one that is best now counts as true. The prediction is the least
+    over its rivals, and what was realised is the difference of BIC from that rival.
+    """
+    added, removed = set(runs) - set(row["runs"]), set(row["runs"]) - set(runs)
+    same_model = row["model"] == list(diagnosis["model"])
+    if row["realised"] is not None or not same_model or len(added) != 1 or removed:
+        return None
+    gains = {c["effect"]: c["delta_bic"] for c in diagnosis["candidates"] if c["delta_bic"] is not None}
+    known = [p for p in row["predictions"] if p["true"] in gains and p["rival"] in gains]
+    best = max((p["true"] for p in known), key=lambda name: gains[name], default=None)
+    least = min((p for p in known if p["true"] == best), key=lambda p: p["expected"], default=None)
+    if least is None:
+        return None
+    gained = gains[least["true"]] - gains[least["rival"]]
+    factor = gained / least["expected"] if least["expected"] > 0 and gained > 0 else None
+    answer = {name: least[name] for name in ("true", "rival", "expected", "interval")}
+    return {**row, "filmed": added.pop(), "realised": {**answer, "delta_bic": gained, "factor": factor}}

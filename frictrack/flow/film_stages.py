@@ -38,50 +38,37 @@ NOTE_NO_REFERENCE = (
 def make_recording(pipeline: RunPipeline) -> RecordingInfo:
     """Return what is stored of the recording: clock, identity, first frame, audit of the time base."""
     rec = pipeline.recording
+    same = ("t", "fps", "n_frames", "bit_depth", "hash", "exposure", "clocked")
     return RecordingInfo(
-        t=rec.t,
+        **{name: getattr(rec, name) for name in same},
         path=pipeline.settings("recording")["video"],
-        fps=rec.fps,
-        n_frames=rec.n_frames,
-        bit_depth=rec.bit_depth,
-        hash=rec.hash,
         picture=np.asarray(rec.frame(0)),
         notes=tuple(rec.notes),
         audit=tuple((row.name, row.value, row.verdict) for row in rec.timebase.rows),
-        exposure=rec.exposure,
-        clocked=rec.clocked,
     )
 
 
 def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
-    """Track the target.
-
-    The calibration is checked before, as far as it needs no track: a wrong one is reported before the film is read.
-    """
-    from frictrack.tracking import (  # noqa: PLC0415 - tables do without OpenCV
-        Areas,
-        contact_sheet,
-        learn_target,
-        track_in_parallel,
-        track_same_target,
-    )
+    """Track the target; what is learnt of it stays in the pipeline, for the tracks stage and for other films."""
+    from frictrack import tracking  # noqa: PLC0415 - loads OpenCV; tables do without
     from frictrack.tracking.detection import resolve_areas, rests_while_others_move  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
         pipeline.progress(0, film.n_frames, "find the target")
         run = pipeline.run
-        areas, _, frame = resolve_areas(opened, Areas(run.target, run.exclude, run.obstacles), run.template or 0)
+        given = tracking.Areas(run.target, run.exclude, run.obstacles)
+        areas, _, frame = resolve_areas(opened, given, run.template or 0)
         how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
         known = _target_of_anchor(pipeline)
-        shared = known and track_same_target(opened, areas, known, **how)
+        shared = known and tracking.track_same_target(opened, areas, known, **how)
         if shared:
             found, pipeline.lesson = shared
             return found
-        pipeline.lesson = learn_target(opened, areas, **how)
-        found = track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        pipeline.lesson = tracking.learn_target(opened, areas, **how)
+        found = tracking.track_in_parallel(opened, areas, known=pipeline.lesson, **how)
         if run.target is None and (fault := rests_while_others_move(opened, found)):
-            sheet = contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
+            sheet = tracking.contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
             raise FrictrackError(f"{fault}; {sheet} shows the place")
         return found
 
@@ -107,24 +94,20 @@ def _pool(pipeline: RunPipeline) -> WorkerPool | None:
 
 
 def _target_of_anchor(pipeline: RunPipeline) -> TargetModel | None:
-    """Return the target that was learnt from another film of the study, if it may be the same in this film."""
+    """Return the target that was learnt from another film of the study, if it may be the same in this film.
+
+    It is another one where outline, excluded parts or obstacles were drawn.
+    """
+    from frictrack.tracking import is_polygon, relearn_target  # noqa: PLC0415
+
     anchor = pipeline.anchor
-    if anchor is None or _has_drawn_areas(pipeline.run) or _has_drawn_areas(anchor.run):
+    if anchor is None or any(is_polygon(r.target) or r.exclude or r.obstacles for r in (pipeline.run, anchor.run)):
         return None
     track: Track = anchor.get("track")  # learns the target if this process tracks the film
     if anchor.lesson is None:
         with anchor.open_film() as opened:
-            from frictrack.tracking import relearn_target  # noqa: PLC0415 - loads OpenCV
-
             anchor.lesson = relearn_target(opened, track)
     return anchor.lesson
-
-
-def _has_drawn_areas(run: RunTable) -> bool:
-    """Whether outline, excluded parts or obstacles were drawn for a film."""
-    from frictrack.tracking import is_polygon  # noqa: PLC0415
-
-    return bool(is_polygon(run.target) or run.exclude or run.obstacles)
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
@@ -137,9 +120,8 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
             areas = tracking.Areas(target, obstacles=pipeline.run.obstacles)
             found[name] = tracking.track(opened, areas, name=name, progress=pipeline.progress)
         found |= _reference_track(opened, track, pipeline)
-        tracking.contact_sheet(
-            opened, track, pipeline.study.output / f"{pipeline.run.name}_track.png", tuple(found.values())
-        )
+        sheet = pipeline.study.output / f"{pipeline.run.name}_track.png"
+        tracking.contact_sheet(opened, track, sheet, tuple(found.values()))
         return found | _backward_track(opened, track, pipeline)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_plus_minus
+from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
+from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
@@ -49,50 +49,29 @@ MAX_TRACKS_SHOWN = 6  # names in a list of tracks
 
 @dataclass(frozen=True)
 class Surveyed:
-    """One recording as it was found.
+    """One recording as it was found."""
 
-    Parameters
-    ----------
-    path
-        The film, table, or folder of pictures.
-    words
-        What it holds, in a few words.
-    problem
-        Why it cannot be used; empty if it can.
-    fps, fps_source
-        Frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the camera's rate.
-    runs
-        Columns of every run of a table by short name, if the headers tell them with their units; one run without
-        columns of anything else.
-    columns_to_confirm
-        Lines of the study file that name the columns, one per run, if the units are missing or one of several tracks
-        is to be chosen.
-    left_open
-        What that line leaves open: "units" or "track".
-    camera_keys
-        Keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames.
-    n_frames, shape
-        Number of frames of a film, and height and width of its pictures, px; 0 for a table.
-    positions
-        Positions of a table that needs no camera, m, (n,).
-    needs_mass
-        Whether its friction force is not measured, so that it follows from mass and acceleration.
-
-    """
-
-    path: Path
-    words: str = ""
-    problem: str = ""
+    path: Path  # the film, table, or folder of pictures
+    words: str = ""  # what it holds, in a few words
+    problem: str = ""  # why it cannot be used; empty if it can
+    # fps, fps_source: frame rate of a film, 1/s, and where it comes from; None if neither file nor name tells the
+    # camera's rate
     fps: float | None = None
     fps_source: str = ""
+    # columns of every run of a table by short name, if the headers tell them with their units; one run without
+    # columns of anything else
     runs: Sequence[Mapping[str, str]] = ({},)
+    # lines of the study file that name the columns, one per run, if the units are missing or one of several tracks is
+    # to be chosen
     columns_to_confirm: Sequence[str] = ()
-    left_open: str = "units"
+    left_open: str = "units"  # what that line leaves open: "units" or "track"
+    # keys of the camera that a table needs: "scale" for positions in px, "fps" for times in frames
     camera_keys: tuple[str, ...] = ()
+    # n_frames, shape: number of frames of a film, and height and width of its pictures, px; 0 for a table
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
-    positions: Array | None = None
-    needs_mass: bool = True
+    positions: Array | None = None  # positions of a table that needs no camera, m, (n,)
+    needs_mass: bool = True  # whether its friction force is not measured, so that it follows from mass and acceleration
 
     @property
     def is_usable(self) -> bool:
@@ -211,8 +190,7 @@ def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Sur
 def _several_tracks(path: Path, table: TableFile) -> Surveyed:
     """Propose the first of several tracks; the user chooses."""
     headers = [track.columns["x"] for track in table.tracks]
-    more = f" and {len(headers) - MAX_TRACKS_SHOWN} more" if len(headers) > MAX_TRACKS_SHOWN else ""
-    shown = ", ".join(headers[:MAX_TRACKS_SHOWN]) + more
+    shown = first_words(headers, MAX_TRACKS_SHOWN)
     words = f"{len(table.frame)} frames with {len(headers)} tracks of {table.program}: {shown}"
     lines = [columns_line({"x": headers[0]})]
     needed = _camera_keys(table.tracks[0].columns)
@@ -231,9 +209,7 @@ def _columns(table: TableFile) -> dict[str, str] | None:
     """
     proposed = propose_columns(table.frame, table.columns)
     heads = list(map(str, table.frame.columns))
-    if {"t", "x"} <= table.columns.keys() or all(
-        any(head.split(" (")[0] == name for head in heads) for name in STANDARD
-    ):
+    if {"t", "x"} <= table.columns.keys() or {head.split(" (")[0] for head in heads} >= set(STANDARD):
         return {}
     known = [key for key, name in zip(("t", "x"), STANDARD, strict=True) if name in heads or key in proposed]
     return proposed if len(known) == len(STANDARD) else None
@@ -282,29 +258,22 @@ def check_entered(keys: Mapping[str, Any]) -> None:
         (usage) With all of them, each with what was read and what to type instead.
 
     """
-    found = [_as_option(str(one)) for one in implausible_entries(read_keys(keys))]
+    checked = 'if it is right, set plausible = "checked"'
+    in_file = f"{checked} in a study file, which `frictrack init` writes"
+    found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible_entries(read_keys(keys))]
     if found:
         raise FrictrackError("; ".join(found), usage=True)
 
 
 def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
     """Read the numbers that a user typed."""
+    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
+    bare = frozenset(key for key in ("mass", "scale") if lacks_unit(keys.get(key)))
     try:
-        return _entered_values(keys)
+        kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
+        return EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except FrictrackError as e:
         raise FrictrackError(str(e), usage=True) from e
-
-
-def _entered_values(keys: Mapping[str, Any]) -> EnteredValues:
-    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
-    bare = {key for key, value in (("mass", mass), ("scale", scale)) if lacks_unit(value)}
-    pitch = float("nan") if scale is None else parse_scale(scale)[0]
-    return EnteredValues(
-        mass=None if mass in (None, "fit") else _kilograms(mass)[0],
-        pitch=pitch if isfinite(pitch) else None,
-        fps=fps,
-        bare=frozenset(bare),
-    )
 
 
 def _kilograms(mass: Any) -> tuple[float, float]:
@@ -314,19 +283,8 @@ def _kilograms(mass: Any) -> tuple[float, float]:
     return value, std
 
 
-def _as_option(words: str) -> str:
-    """Return a finding on a key of the study file as one on an option of the command line."""
-    checked = 'if it is right, set plausible = "checked"'
-    return _KEY.sub(r"--\1 ", words).replace(checked, f"{checked} in a study file, which `frictrack init` writes")
-
-
 def describe_keys(keys: Mapping[str, Any]) -> str:
     """Describe the numbers of the command line as they were read.
-
-    Parameters
-    ----------
-    keys
-        mass, scale and fps as they were typed; None if not given.
 
     Examples
     --------

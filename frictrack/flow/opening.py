@@ -1,17 +1,24 @@
-"""Open a study and check everything that can be checked before any computation, so that no work is lost."""
+"""Open a study, check it before any computation so that no work is lost, and bring its runs up to date."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.flow.fit_request import FitRequest
-from frictrack.flow.pipeline import RunPipeline
+from frictrack.base.errors import FrictrackError
+from frictrack.flow.pipeline import Progress, RunPipeline
+from frictrack.flow.stages import run_pipelines
+from frictrack.flow.tried_models import FitRequest
 from frictrack.measure.calibration import parse_scale
 from frictrack.study import COLUMNS, RunTable, Study, load
+
+if TYPE_CHECKING:
+    from frictrack.base.workers import WorkerPool
+    from frictrack.flow.plausibility_checks import Findings
+
+STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 
 
 def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
@@ -37,24 +44,30 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplet
 
 def check_study(study: Study) -> Study:
     """Check scales, model and effects of a study that was read; return the study."""
-    faults = []
-    for run in study.runs:
-        if run.scale is not None:
-            faults += _fault(lambda run=run: parse_scale(run.scale), f'run "{run.name}"')  # type: ignore[misc]
-    faults += _fault(lambda: FitRequest(study.model).model(study.effects), "model")
-    try:
-        raise_faults(faults, study.path.name)
-    except FrictrackError as e:
-        raise FrictrackError(str(e), usage=True) from e
+    checks: list[tuple[str, Callable[[], Any]]] = [
+        (f'run "{run.name}"', partial(parse_scale, run.scale)) for run in study.runs if run.scale is not None
+    ]
+    checks.append(("model", lambda: FitRequest(study.model).model(study.effects)))
+    faults = [f"{what}: {error}" for what, check in checks for error in _errors(check)]
+    if faults:
+        raise FrictrackError(f"{study.path.name}: {'; '.join(faults)}", usage=True)
     return study
 
 
-def _fault(check: Callable[[], Any], what: str) -> list[str]:
+def _errors(check: Callable[[], Any]) -> list[FrictrackError]:
+    """Return the error of a check, if there is one."""
     try:
         check()
     except FrictrackError as e:
-        return [f"{what}: {e}"]
+        return [e]
     return []
+
+
+def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
+    """Make several checks; raise one error with those of all."""
+    errors = [error for check in checks for error in _errors(check)]
+    if errors:
+        raise FrictrackError("; ".join(map(str, errors)), usage=all(error.usage for error in errors))
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
@@ -62,36 +75,11 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
 
     A recording at an address is not fetched before it is needed.
     """
-    errors = [error for check in (_check_mass, _check_files) for p in pipelines for error in _errors(check, p)]
-    if errors:
-        raise FrictrackError("; ".join(map(str, errors)), usage=all(error.usage for error in errors))
-
-
-def _errors(check: Callable[[RunPipeline], None], pipeline: RunPipeline) -> list[FrictrackError]:
-    """Return the error of a check of one run, if there is one."""
-    try:
-        check(pipeline)
-    except FrictrackError as e:
-        return [e]
-    return []
+    _pass_all(partial(check, pipeline) for check in (_check_mass, _check_files) for pipeline in pipelines)
 
 
 def table_needs_mass(run: RunTable) -> bool:
-    """Return whether a run of a table has no mass, and nothing that makes it needless.
-
-    Only the headers are read, so that this comes at once.
-
-    Parameters
-    ----------
-    run
-        The run.
-
-    Raises
-    ------
-    FrictrackError
-        If the table cannot be read.
-
-    """
+    """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
     from frictrack.study import find_header, guess_points, table_headers  # noqa: PLC0415 - not needed for stored results
 
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
@@ -114,24 +102,98 @@ def _check_mass(pipeline: RunPipeline) -> None:
 
 def _check_files(pipeline: RunPipeline) -> None:
     """Open the recording and read the tables of one run, unless it is measured."""
-    if not isinstance(pipeline.run.source, Path) or pipeline.is_current("friction"):
-        return
-    faults = _errors(lambda p: p.get(next(iter(p.stages))), pipeline)
-    for key, wanted in (("drive", ("drive",)), ("sensor", ("a", "friction"))):
-        faults += _errors(partial(_check_sensor, key=key, wanted=wanted), pipeline)
-    if faults:
-        raise FrictrackError("; ".join(map(str, faults)), usage=all(fault.usage for fault in faults))
+    if isinstance(pipeline.run.source, Path) and not pipeline.is_current("friction"):
+        first = next(iter(pipeline.stages))
+        sensors = [("drive", ("drive",)), ("sensor", ("a", "friction"))]
+        _pass_all([partial(pipeline.get, first), *(partial(_check_sensor, pipeline.run, *one) for one in sensors)])
 
 
-def _check_sensor(pipeline: RunPipeline, *, key: str, wanted: tuple[str, ...]) -> None:
+def _check_sensor(run: RunTable, key: str, wanted: tuple[str, ...]) -> None:
     """Read the table of a drive or a sensor, if there is one."""
     from frictrack.study import read_sensor_table  # noqa: PLC0415
 
-    given = getattr(pipeline.run, key)
+    given = getattr(run, key)
     spec = {"table": given} if isinstance(given, Path) else given
     if not isinstance(spec, dict) or not isinstance(spec.get("table"), Path):
         return
     try:
         read_sensor_table(spec["table"], ("pressure",) if "area" in spec else wanted, spec.get("columns", {}))
     except FrictrackError as e:
-        raise FrictrackError(f'run "{pipeline.run.name}", {key}: {e}', usage=e.usage) from e
+        raise FrictrackError(f'run "{run.name}", {key}: {e}', usage=e.usage) from e
+
+
+class MeasuredRuns:
+    """The runs of a study; they are brought up to date stage by stage, and their numbers are checked on the way."""
+
+    def __init__(self, study: Study, progress: Progress, pool: WorkerPool | None) -> None:
+        self._study, self._progress = study, progress
+        self.pipelines = run_pipelines(study, progress, pool)
+        self._inputs_checked = False
+
+    @cached_property
+    def findings(self) -> Findings:
+        """The implausible numbers of the study that were found so far."""
+        from frictrack.flow.plausibility_checks import Findings  # noqa: PLC0415 - not needed for stored results
+
+        return Findings(self._study)
+
+    def bring_up_to(self, stage: str) -> list[RunPipeline]:
+        """Bring every run up to date; see `frictrack.flow.session.Session.bring_up_to`."""
+        if self._study.incomplete:
+            raise FrictrackError(f"{self._study.path.name}: {'; '.join(self._study.incomplete)}", usage=True)
+        self.findings.check_study_file()
+        if not self._inputs_checked:
+            check_inputs(self.pipelines)
+            self._inputs_checked = True
+        if stage in STAGES_FROM_MOTION:
+            tables = [p for p in self.pipelines if p.run.table]
+            if tables and len(tables) < len(self.pipelines):  # before films are tracked: columns may have other units
+                self._update("motion", tables)
+                self.findings.check_tables(tables)
+            self._update("motion", self.pipelines)
+            self.findings.check_runs(self.pipelines)
+        self._update(stage, self.pipelines)
+        if stage == "friction":
+            self.findings.check_all_runs(self.pipelines)
+            self.findings.save(self.pipelines)
+        return self.pipelines
+
+    def _update(self, stage: str, pipelines: list[RunPipeline]) -> None:
+        missing = [p for p in pipelines if stage in p.stages and not p.is_current(stage)]
+        if missing:
+            count = "1 run" if len(missing) == 1 else f"{len(missing)} runs"
+            self._progress(0, 0, f"measuring {count} up to {stage}")
+        for i, pipeline in enumerate(pipelines):
+            self._progress(i, len(pipelines), "runs")
+            if stage in pipeline.stages:
+                pipeline.get(stage)
+        self._progress(len(pipelines), len(pipelines), "runs")
+
+    def update_all_stages(self) -> None:
+        """Compute every stage of every run that is missing or outdated."""
+        for pipeline in self.pipelines:
+            with pipeline.saved_together():
+                for stage in pipeline.stages:
+                    pipeline.get(stage)
+
+    def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
+        """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
+        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
+        from frictrack.flow.stored_results import run_summaries  # noqa: PLC0415
+
+        for pipeline in self.pipelines if overlay else ():
+            if pipeline.run.video:
+                write_overlay(pipeline)
+        pipelines = self.bring_up_to("tracks" if stage == "track" else stage)
+        if stage != "track":
+            self.bring_up_to("cutoff")
+        return run_summaries(pipelines, stage)
+
+    def notes(self) -> list[dict[str, str]]:
+        """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
+        from frictrack.measure.friction import impact  # noqa: PLC0415
+
+        notes = [(p.run.name, note) for p in self.pipelines for note in p.get("displacement").notes]
+        found = [(run, note) for run, note in notes if not note.startswith(("no ", "nothing "))]
+        found += [(p.run.name, words) for p in self.pipelines if (words := impact(p.to_run()))]
+        return [{"run": run, "words": words} for run, words in found]

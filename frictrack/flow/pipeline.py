@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
 from frictrack.base.version import __version__
@@ -48,45 +48,17 @@ def no_progress(done: int, total: int, what: str) -> None:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the measuring chain: it computes one group from other groups and from keys of the study file.
+    """One step of the measuring chain: it computes one group from other groups and from keys of the study file."""
 
-    Attributes
-    ----------
-    name
-        Name of the stage and of its group in the file of the run.
-    inputs
-        Names of the stages whose results it needs.
-    settings
-        Keys of ``[[run]]`` that it depends on.
-    make
-        Function ``make(pipeline, *results_of_the_inputs)`` that computes the result.
-    kind
-        Record type of the result, or `dict` for several tracks by name.
-
-    """
-
-    name: str
-    inputs: tuple[str, ...]
-    settings: tuple[str, ...]
-    make: Callable[..., Any]
-    kind: Any
+    name: str  # name of the stage and of its group in the file of the run
+    inputs: tuple[str, ...]  # names of the stages whose results it needs
+    settings: tuple[str, ...]  # keys of ``[[run]]`` that it depends on
+    make: Callable[..., Any]  # function ``make(pipeline, *results_of_the_inputs)`` that computes the result
+    kind: Any  # record type of the result, or `dict` for several tracks by name
 
 
 class RunPipeline:
-    """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated.
-
-    Parameters
-    ----------
-    study, run
-        The study, and the ``[[run]]`` of it.
-    stages
-        The stages by name, each after its inputs; see `frictrack.flow.stages`.
-    progress
-        Called while a stage is being computed.
-    stored_only
-        Take every stored result as up to date: nothing is computed and no recording is opened.
-
-    """
+    """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated."""
 
     def __init__(
         self,
@@ -141,14 +113,7 @@ class RunPipeline:
                 self._film = None
 
     def get(self, name: str) -> Any:
-        """Return the result of a stage; it is read if it is up to date, else computed and stored.
-
-        Raises
-        ------
-        FrictrackError
-            If the stage cannot be computed; the message names the run and the stage.
-
-        """
+        """Return the result of a stage; it is read if it is up to date, else computed and stored."""
         if name not in self._results:
             self._results[name] = self._read(name) if self.is_current(name) else self._compute(name)
         return self._results[name]
@@ -233,13 +198,6 @@ class RunPipeline:
         """Return what a stage is computed from.
 
         The hashes are computed once; a file that changes later is noticed by the next pipeline.
-
-        Returns
-        -------
-        list of (str, str)
-            Name and key of every group, then name and hash of every file. ``":/track"`` is a group of the file of this
-            run, ``"v3.h5:/track"`` a group of another file in the same folder.
-
         """
         if name not in self._inputs:
             stage = self.stages[name]
@@ -272,31 +230,12 @@ class RunPipeline:
     def content_hash(
         self, path: Path | RemoteFile, known: Mapping[str, str] = MappingProxyType({}), *, reread: bool = False
     ) -> str:
-        """Return the hash of a file, or of the files of a folder.
-
-        Parameters
-        ----------
-        path
-            The file or folder.
-        known
-            Hashes that stored results have, by path as written. A film's hash of an earlier version, which covers some
-            of its bytes, is returned as it is if these bytes are unchanged, so that the results remain valid.
-        reread
-            Read the files even if the hash of their present state is known.
-
-        Raises
-        ------
-        FrictrackError
-            If it cannot be read.
-
-        """
+        """Return the hash of a file, or of the files of a folder."""
         if path == self.run.video:
             found, before = self.recording.read_hash(reread=reread), known.get(self.as_written(path), "")
             return before if before not in ("", found) and before == self.recording.sampled_hash else found
-        try:
+        with os_errors_as(f"cannot read {path}"):
             return hash_path(local_path(path), reread=reread)
-        except OSError as e:
-            raise FrictrackError(f"cannot read {path}: {e.strerror or e}") from e
 
     @property
     def final_track(self) -> Track:
@@ -387,29 +326,21 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
+    own = ("name", "rolling", "normal_load", "free", "clamp_x", "beam_length", "role", "group")
+    measured = ("drive", "friction_N", "sigma_friction", "loads")
     return Run(
         displacement,
         motion,
         mass=mass,
         sigma_mass=sigma,
-        name=run.name,
         incline=incline,
         sigma_incline=sigma_incline,
         has_incline=run.incline is not None,
-        rolling=run.rolling,
-        normal_load=run.normal_load,
-        drive=sensors.drive,
-        friction_N=sensors.friction_N,
         steady=run.is_of_points,
-        sigma_friction=sensors.sigma_friction,
-        loads=sensors.loads,
-        free=run.free,
-        clamp_x=run.clamp_x,
-        beam_length=run.beam_length,
-        role=run.role,
-        group=run.group,
         noise=_specification(run.noise, "noise", sensors),
         drift=_specification(run.drift, "drift", sensors),
+        **{key: getattr(run, key) for key in own},
+        **{column: getattr(sensors, column) for column in measured},
     )
 
 

@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +19,13 @@ from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
+from frictrack.measure import plausibility
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.friction import free_section
-from frictrack.measure.plausibility import (
-    ERROR,
-    EnteredValues,
-    Finding,
-    different_origins,
-    implausible_clocks,
-    implausible_entries,
-    implausible_inclines,
-    implausible_masses,
-    implausible_sensors,
-    implausible_slide,
-    missing_incline,
-    path_angle,
-    wrong_incline,
-)
 from frictrack.records import Displacement, Run, Track
 from frictrack.results import to_builtins
 from frictrack.sampling import copies
-from frictrack.study import RunTable, Study, read_toml
+from frictrack.study import Study, name_of_table, read_toml
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
@@ -52,17 +39,11 @@ class Findings:
 
     A finding is logged as a warning before the work that it concerns. One that cannot be right raises an error, unless
     the study file says `plausible = "checked"`.
-
-    Parameters
-    ----------
-    study
-        The study.
-
     """
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self._found: dict[str, Finding] = {}
+        self._found: dict[str, plausibility.Finding] = {}
         self._checked: set[str] = set()  # names of the checks that were made
 
     @property
@@ -76,7 +57,7 @@ class Findings:
         return tuple(self._found)
 
     @property
-    def contradictions(self) -> tuple[Finding, ...]:
+    def contradictions(self) -> tuple[plausibility.Finding, ...]:
         """The findings in which measured data contradict the study file."""
         return tuple(finding for finding in self._found.values() if finding.contradicts)
 
@@ -88,78 +69,50 @@ class Findings:
             store.write(path, {FINDINGS: GroupContent({"warnings": self.summary}, _provenance(pipelines))})
 
     def check_study_file(self) -> None:
-        """Check the numbers in the study file; a number that several runs inherit is reported once.
-
-        Raises
-        ------
-        FrictrackError
-            If a number cannot be right.
-
-        """
+        """Check the numbers in the study file; a number that several runs inherit is reported once."""
         self._check_once("study", lambda: _study_file_findings(self.study))
 
-    def check_runs(self, pipelines: Sequence[RunPipeline]) -> None:
-        """Check the motion of each run, and runs in opposite directions against each other.
-
-        Raises
-        ------
-        FrictrackError
-            If a number cannot be right.
-
-        """
-        if not _can_accelerate(self.study):
-            self._check_once("inclines", lambda: implausible_inclines([pipeline.to_run() for pipeline in pipelines]))
-            self._check_once(
-                "accelerations", lambda: (found for pipeline in pipelines for found in acceleration_findings(pipeline))
-            )
-        self._check_once("runs", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
-
     def check_tables(self, pipelines: Sequence[RunPipeline]) -> None:
-        """Check the motion of tables alone, before films are tracked: their columns may have other units.
+        """Check the motion of tables alone, before films are tracked: their columns may have other units."""
+        self._check_once("tables", lambda: chain.from_iterable(map(slide_findings, pipelines)))
 
-        Raises
-        ------
-        FrictrackError
-            If a number cannot be right.
-
-        """
-        self._check_once("tables", lambda: (found for pipeline in pipelines for found in slide_findings(pipeline)))
+    def check_runs(self, pipelines: Sequence[RunPipeline]) -> None:
+        """Check the motion of each run, and runs in opposite directions against each other."""
+        if not _can_accelerate(self.study):
+            self._check_once("inclines", lambda: plausibility.implausible_inclines([p.to_run() for p in pipelines]))
+            self._check_once("accelerations", lambda: chain.from_iterable(map(acceleration_findings, pipelines)))
+        self._check_once("runs", lambda: chain.from_iterable(map(slide_findings, pipelines)))
 
     def check_all_runs(self, pipelines: Sequence[RunPipeline]) -> None:
-        """Check masses, clocks and sensors of all runs against each other, also of runs that are marked as checked.
-
-        Raises
-        ------
-        FrictrackError
-            If a number cannot be right.
-
-        """
-        tables = [one for one in pipelines if one.run.table]  # the clock of a film is checked with its header
-        stated = {pipeline.run.name: pipeline.run.fps for pipeline in tables}
-        self._check_once("all", lambda: implausible_masses([pipeline.to_run() for pipeline in pipelines]))
-        self._check_once("origins", lambda: different_origins({w.run.name: w.to_run() for w in pipelines}))
-        self._check_once("clocks", lambda: implausible_clocks({w.run.name: w.to_run() for w in tables}, stated))
+        """Check masses, clocks and sensors of all runs against each other, also of runs that are marked as checked."""
+        runs = {pipeline.run.name: pipeline.to_run() for pipeline in pipelines}
+        # the clock of a film is checked with its header
+        stated = {pipeline.run.name: pipeline.run.fps for pipeline in pipelines if pipeline.run.table}
         sensors = {w.run.name: w.get("sensors").clocks.get("a", {}) for w in pipelines if w.run.sensor is not None}
-        self._check_once("sensors", lambda: implausible_sensors(sensors))
+        self._check_once("all", lambda: plausibility.implausible_masses(list(runs.values())))
+        self._check_once("origins", lambda: plausibility.different_origins(runs))
+        clocked = {name: runs[name] for name in stated}
+        self._check_once("clocks", lambda: plausibility.implausible_clocks(clocked, stated))
+        self._check_once("sensors", lambda: plausibility.implausible_sensors(sensors))
 
-    def _check_once(self, what: str, find: Callable[[], Iterable[Finding]]) -> None:
-        """Make a check unless it was made before."""
+    def _check_once(self, what: str, find: Callable[[], Iterable[plausibility.Finding]]) -> None:
+        """Make a check unless it was made before; raise `FrictrackError` if a number cannot be right."""
         if what not in self._checked:
             self._add(find())
             self._checked.add(what)
 
-    def _add(self, findings: Iterable[Finding]) -> None:
+    def _add(self, findings: Iterable[plausibility.Finding]) -> None:
         """Add findings on runs that the user has not marked as checked; raise one `FrictrackError` with all errors."""
         checked = {run.name for run in self.study.runs if run.plausible}
         checked |= {""} if len(checked) == len(self.study.runs) else set()  # "": findings that concern all runs
         new = [f for f in findings if f.run not in checked and not self._is_known(f)]
         for finding in new:
-            if finding.grade != ERROR and not self._is_known(finding):
+            if finding.grade != plausibility.ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        raise_faults(_error_messages([f for f in new if f.grade == ERROR]), self.study.path.name)
+        raise_faults(_error_messages([f for f in new if f.grade == plausibility.ERROR]), self.study.path.name)
 
-    def _is_known(self, finding: Finding) -> bool:
+    def _is_known(self, finding: plausibility.Finding) -> bool:
         """Return whether the same was found before, for this run or for all, and from evidence at least as strong."""
         same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
         return any(one.contradicts or not finding.contradicts for one in same)
@@ -180,36 +133,37 @@ def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[s
     return list(store.read(path, FINDINGS)["warnings"])
 
 
-def _error_messages(errors: Sequence[Finding]) -> list[str]:
+def _error_messages(errors: Sequence[plausibility.Finding]) -> list[str]:
     """Return the messages of errors, one for all errors with the same correction, and how to accept the number."""
-    groups: dict[tuple[str, str], list[Finding]] = {}
+    groups: dict[tuple[str, str], list[plausibility.Finding]] = {}
     for error in errors:
         groups.setdefault((error.kind, error.correction or str(error)), []).append(error)
-    return [f"{first}{_same_in(more)}{_how_to_accept(first)}" for first, *more in groups.values()]
+    messages = []
+    for first, *more in groups.values():
+        names = ", ".join(f'"{error.run}"' for error in more)
+        same = f"; the same in {names}" if more else ""
+        # the message on an incline says itself how to accept it
+        accept = "" if first.kind == "incline" else f" (if it is right, set {ACCEPTING_KEY})"
+        messages.append(f"{first}{same}{accept}")
+    return messages
 
 
-def _same_in(more: Sequence[Finding]) -> str:
-    names = ", ".join(f'"{error.run}"' for error in more)
-    return f"; the same in {names}" if more else ""
-
-
-def _how_to_accept(error: Finding) -> str:
-    """Return how the user accepts the number; the message on an incline says it itself."""
-    return "" if error.kind == "incline" else f" (if it is right, set {ACCEPTING_KEY})"
-
-
-def slide_findings(pipeline: RunPipeline) -> list[Finding]:
+def slide_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
     """Return findings on the motion of one run."""
-    return list(implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)))
+    return list(plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)))
 
 
-def acceleration_findings(pipeline: RunPipeline) -> list[Finding]:
+def acceleration_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
     """Return findings on a run that speeds up, or slows down too little, for the incline of the study file."""
     record = pipeline.to_run()
     lacks = find_missing_incline(pipeline, record)
-    if lacks is not None and not _has_free_section(record):
-        lacks = replace(lacks, grade=ERROR, words=f"{lacks.words}, or the part to be judged as free = [t0, t1]")
-    return [f for f in (lacks, wrong_incline(record)) if f]
+    if lacks is not None:
+        try:
+            free_section(record)
+        except FrictrackError:
+            words = f"{lacks.words}, or the part to be judged as free = [t0, t1]"
+            lacks = replace(lacks, grade=plausibility.ERROR, words=words)
+    return [f for f in (lacks, plausibility.wrong_incline(record)) if f]
 
 
 def _can_accelerate(study: Study) -> bool:
@@ -220,58 +174,39 @@ def _can_accelerate(study: Study) -> bool:
     return any(name in own or (name in known and known[name].may_pull) for name in map(str.strip, law))
 
 
-def find_missing_incline(pipeline: RunPipeline, record: Run) -> Finding | None:
+def find_missing_incline(pipeline: RunPipeline, record: Run) -> plausibility.Finding | None:
     """Return a finding if the run needs an incline that the study file lacks, else None."""
     track: Track | None = pipeline.final_track if "track" in pipeline.stages else None
-    return missing_incline(record, None if track is None else path_angle(track))
+    return plausibility.missing_incline(record, None if track is None else plausibility.path_angle(track))
 
 
-def _has_free_section(record: Run) -> bool:
-    """Return whether the run has a free section as it is described now."""
-    try:
-        free_section(record)
-    except FrictrackError:
-        return False
-    return True
-
-
-def _study_file_findings(study: Study) -> Iterator[Finding]:
+def _study_file_findings(study: Study) -> Iterator[plausibility.Finding]:
     """Find implausible numbers in the study file; what runs inherit concerns all of them."""
-    raw = _raw_tables(study)
-    tables = {_run_name(table): table for table in raw.get("run", [])}
+    try:
+        raw = read_toml(study.path.name, study.path.read_text(encoding="utf-8"))
+    except (FrictrackError, OSError, UnicodeDecodeError):  # the file was changed meanwhile
+        raw = {}
+    tables = {name_of_table(table, "run"): table for table in raw.get("run", [])}
     for run in (run for run in study.runs if not run.plausible):
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
         above = {key: raw.get(table, {}).get(key) for key, table in CHECKED_KEYS.items()}
         values = {key: above[key] if own[key] is None else own[key] for key in CHECKED_KEYS}
-        bare = frozenset(key for key, value in values.items() if lacks_unit(value))
-        for found in implausible_entries(_entered_numbers(run, bare)):
+        entered = plausibility.EnteredValues(
+            run=run.name,
+            mass=run.mass[0] if isinstance(run.mass, tuple) else None,
+            pitch=known_pitch(run.scale),
+            fps=run.fps,
+            incline=run.incline and run.incline[0],
+            bare=frozenset(key for key, value in values.items() if lacks_unit(value)),
+        )
+        for found in plausibility.implausible_entries(entered):
             yield found if own[found.kind] is not None else replace(found, run="")
 
 
-def _entered_numbers(run: RunTable, bare: frozenset[str]) -> EnteredValues:
-    """Return the numbers of a run that are checked."""
-    pitch = float("nan") if run.scale is None else parse_scale(run.scale)[0]
-    return EnteredValues(
-        run=run.name,
-        mass=run.mass[0] if isinstance(run.mass, tuple) else None,
-        pitch=pitch if np.isfinite(pitch) else None,
-        fps=run.fps,
-        incline=run.incline and run.incline[0],
-        bare=bare,
-    )
-
-
-def _raw_tables(study: Study) -> dict[str, Any]:
-    """Return the tables of the study file as the user wrote them; empty if there is no readable file."""
-    try:
-        return read_toml(study.path.name, study.path.read_text(encoding="utf-8"))
-    except (FrictrackError, OSError, UnicodeDecodeError):  # the file was changed meanwhile
-        return {}
-
-
-def _run_name(table: dict[str, Any]) -> str:
-    """Return the name of a run; without one, the stem of its recording."""
-    return str(table.get("name") or Path(str(table.get("video") or table.get("table") or "")).stem)
+def known_pitch(scale: Any) -> float | None:
+    """Return the size of a pixel that a scale states, m; None if there is no scale, or it needs a picture."""
+    pitch = float("nan") if scale is None else parse_scale(scale)[0]
+    return pitch if np.isfinite(pitch) else None
 
 
 def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
@@ -288,7 +223,8 @@ def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping
     found: dict[str, str] = {}
     for i, one in enumerate(names):
         for other in names[i + 1 :]:
-            if other not in found and ((one, other) in pairs or _same_content(contents.get(one), contents.get(other))):
+            same_film = one in contents and contents[one] == contents.get(other)
+            if other not in found and ((one, other) in pairs or same_film):
                 found[other] = (
                     f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
                     "held-out error too low; remove one of them"
@@ -296,11 +232,7 @@ def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping
     return found
 
 
-def _same_content(one: str | None, other: str | None) -> bool:
-    return one is not None and one == other
-
-
-def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) -> dict[str, Any]:
+def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[plausibility.Finding]) -> dict[str, Any]:
     """Return a diagnosis with the verdict "undetermined" if findings contradict the study file.
 
     Examples
@@ -324,7 +256,7 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[Finding]) 
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
 
 
-def _undetermined_entry(finding: Finding) -> dict[str, Any]:
+def _undetermined_entry(finding: plausibility.Finding) -> dict[str, Any]:
     """Return a contradiction as an entry of "undetermined"."""
     what = f'run "{finding.run}"' if finding.run else "what was typed"
     return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.flow.summaries import ImpactEnergy, SensorSummary
 from frictrack.measure.friction import release_time
 from frictrack.measure.motion import KnownAcceleration, differentiate, low_pass
 from frictrack.measure.sensors import (
@@ -54,7 +53,8 @@ def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
         if any(column is not None for column in (own.drive, own.friction, own.a)):
             reader.add_own_columns(with_even_clock(own).data, run.table.name)
     if run.drive is not None:
-        reader.add_drive(run.drive if isinstance(run.drive, dict) else _drive_table(run.drive))
+        short = {"table": run.drive} if isinstance(run.drive, Path) else {"force": run.drive}
+        reader.add_drive(run.drive if isinstance(run.drive, dict) else short)
     if run.sensor is not None:
         reader.add_sensor(run.sensor if isinstance(run.sensor, dict) else {"table": run.sensor})
     return Sensors(displacement.t, **reader.found, clocks=reader.clocks, notes=tuple(reader.notes))
@@ -67,7 +67,7 @@ def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
     return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
-def sensor_summary(pipeline: RunPipeline) -> SensorSummary:
+def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Summarise sensors and impact of a run, for the JSON of `motion` and `friction`."""
     sensors: Sensors = pipeline.get("sensors")
     notes = [*sensors.notes, *_moved_mass_notes(pipeline.run, sensors)]
@@ -75,11 +75,6 @@ def sensor_summary(pipeline: RunPipeline) -> SensorSummary:
     if impact and impact["verdict"] != "plausible":
         notes.append(impact["says"])
     return {"sensors": sensors.clocks, "impact": impact, "notes": notes}
-
-
-def _drive_table(drive: Path | float) -> dict[str, Any]:
-    """Write a drive in the short form (a path or a force in N) as a table of keys."""
-    return {"table": drive} if isinstance(drive, Path) else {"force": drive}
 
 
 class _SensorReader:
@@ -242,16 +237,13 @@ def _describe_agreement(compared: SensorComparison) -> str:
 
 def _alignment_to_dict(found: Alignment, compared: SensorComparison | None) -> dict[str, Any]:
     """Return an alignment and a comparison as the store and the JSON have them."""
+    has_rate, same = found.sigma_rate is not None, ("gain", "sigma_gain", "bias", "sigma_bias", "reason")
     numbers: dict[str, Any] = {
         "offset_s": found.offset,
         "sigma_offset_s": found.sigma_offset,
-        "rate_ppm": 1e6 * found.rate if found.sigma_rate is not None else None,
-        "sigma_rate_ppm": None if found.sigma_rate is None else 1e6 * found.sigma_rate,
-        "gain": found.gain,
-        "sigma_gain": found.sigma_gain,
-        "bias": found.bias,
-        "sigma_bias": found.sigma_bias,
-        "reason": found.reason,
+        "rate_ppm": 1e6 * found.rate if has_rate else None,
+        "sigma_rate_ppm": 1e6 * (found.sigma_rate or 0.0) if has_rate else None,
+        **{key: getattr(found, key) for key in same},
         "rivals": [list(rival) for rival in found.rivals],
     }
     if compared is not None:
@@ -276,7 +268,7 @@ def _moved_mass_notes(run: RunTable, sensors: Sensors) -> list[str]:
     ]
 
 
-def _impact_energy(pipeline: RunPipeline) -> ImpactEnergy | None:
+def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
     """Compare the kinetic energy at release with `impact_energy`, if that is stated and the mass is known."""
     run = pipeline.run
     if run.impact_energy is None or not isinstance(run.mass, tuple):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
@@ -19,15 +20,11 @@ from frictrack.base.files import lock_work
 from frictrack.base.version import __version__
 from frictrack.effects import models
 from frictrack.flow import store
-from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.diagnosis_records import Predictions, SignificanceBudget, alpha_spent
-from frictrack.flow.fit_request import FitRequest, configured_effects, user_effects
-from frictrack.flow.measured_runs import MeasuredRuns
-from frictrack.flow.opening import open_study
+from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
+from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
 from frictrack.flow.store import Provenance
-from frictrack.flow.summaries import Measurements, ModelChange, StudySummary
-from frictrack.flow.tried_models import TriedModels
+from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
 from frictrack.results.verdicts import describe_no_run, describe_tests
 from frictrack.search import METHODS, read_settings
@@ -38,16 +35,6 @@ if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
     from frictrack.flow.plausibility_checks import Findings
 
-MODEL_EDITS = ("fit", "add", "remove")  # commands that change the current model
-STUDY_EDITS = {  # command -> function of `study_edits` that changes the study
-    "edit": "set_key",
-    "take_in": "add_recordings",
-    "leave_out": "remove_run",
-    "define": "define_effect",
-    "use": "select_model",
-    "undo": "undo",
-    "redo": "redo",
-}
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -144,20 +131,22 @@ class Session:
             If the command is unknown, fails, or the study is not at the expected revision.
 
         """
+        from frictrack.flow.study_edits import EDITS  # noqa: PLC0415 - loads tomlkit
+
         self.commands.check_revision()
-        if command in STUDY_EDITS:
+        models: dict[str, Callable[..., Any]] = {"fit": self.fit, "add": self.add, "remove": self.remove}
+        if command in EDITS:
             return self._edit_study(command, **arguments)
-        if command not in MODEL_EDITS:
-            hint = suggest(command, (*MODEL_EDITS, *STUDY_EDITS))
+        if command not in models:
+            hint = suggest(command, (*models, *EDITS))
             raise FrictrackError(f"expected a command but got {command!r}; {hint}", usage=True)
-        result: dict[str, Any] = getattr(self, command)(**arguments)
+        result: dict[str, Any] = models[command](**arguments)
         return result
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        from frictrack.flow import study_edits  # noqa: PLC0415
+        from frictrack.flow.study_edits import EDITS, OpenStudy  # noqa: PLC0415
 
-        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
-        result: dict[str, Any] = getattr(study_edits, STUDY_EDITS[command])(opened, **arguments)
+        result = EDITS[command](OpenStudy(self.study, self.commands, self.models), **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
@@ -179,7 +168,7 @@ class Session:
         """
         return self._measured.bring_up_to(stage)
 
-    def measure(self, stage: str, *, overlay: bool = False) -> Measurements:
+    def measure(self, stage: str, *, overlay: bool = False) -> dict[str, Any]:
         """Bring every run up to ``"track"``, ``"motion"`` or ``"friction"``: JSON of those commands.
 
         Parameters
@@ -234,20 +223,31 @@ class Session:
             asked |= {"base": base, "edits": ()}
             FitRequest(base).model(self.study.effects)
         self.bring_up_to("friction")
-        group, request = self._append_first_model(asked) if not self.models.groups else self.models.current()
+        if self.models.groups:
+            group, request = self.models.current()
+        else:  # the study file's model is fitted first, even if another one is asked for
+            group, request = self.models.append(
+                replace(self.models.first_request(), **({} if "base" in asked else asked))
+            )
         if replace(request, **asked) != request or ("search" in asked and self.models.was_interrupted(group)):
             group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:
             self._add_uncertainty(group, profiles, draws, request.seed)
         result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
-        more = {
-            "scale_error": self._scale_error(),
-            "warnings": self.findings.summary,
-            "findings": self._measured.notes(),
-        }
         uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
-        return {**result, "remarks": [*result["remarks"], *twice, *uneven], **more}
+        from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
+        return {
+            **result,
+            "remarks": [*result["remarks"], *twice, *uneven],
+            "scale_error": max((run.displacement.relative_scale_error for run in from_motion), default=0.0),
+            **self._remarks,
+        }
+
+    @property
+    def _remarks(self) -> dict[str, Any]:
+        """What was noticed of the study and its runs, in the JSON of a fit and of a diagnosis."""
+        return {"warnings": self.findings.summary, "findings": self._measured.notes()}
 
     def _search_settings(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of a global search: those asked for, and the study file's for the same search."""
@@ -278,23 +278,13 @@ class Session:
             known = self.models.stored_summary(inside) or {}
             self.models.keep_summary(inside, known | found, self.models.provenance(key, json.dumps({"seed": seed})))
 
-    def _scale_error(self) -> float:
-        """Relative standard deviation that the scale adds to every force computed from acceleration, all runs alike."""
-        from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
-        return max((run.displacement.relative_scale_error for run in from_motion), default=0.0)
-
-    def _append_first_model(self, asked: dict[str, Any]) -> tuple[str, FitRequest]:
-        """Fit the study file's model first, even if another one is asked for."""
-        how = {} if "base" in asked else asked
-        return self.models.append(replace(self.models.first_request(), **how))
-
     @exclusive
     def compare_groups(self, parameter: str) -> dict[str, Any]:
         """Return the JSON of `frictrack compare --parameter`: the current law's parameter in every group of runs."""
         from frictrack.diagnose.compare import compare_groups  # noqa: PLC0415
 
         self.bring_up_to("friction")
-        return compare_groups(self.models.fit(self.models.current()[0]), parameter).summary()
+        return compare_groups(self._fitted(), parameter).summary()
 
     @exclusive
     def compare(self) -> dict[str, Any]:
@@ -319,10 +309,19 @@ class Session:
         entries = [self._tried_model(group) for group in self.models.groups]  # those that are outdated are fitted again
         found = self.models.stored_summary("comparison", key := self._history_key())
         if found is None:
-            fails = compare([self.models.fit(self.models.current()[0])]).summary()
+            fails = compare([self._fitted()]).summary()
             provenance = self.models.provenance(key, "{}")
             found = self.models.keep_summary("comparison", {**fails, "models": entries}, provenance)
         return found
+
+    def _fitted(self) -> Any:
+        """Return the fit of the current model."""
+        return self.models.fit(self.models.current()[0])
+
+    def _history_key(self) -> str:
+        """Return the hash of all models tried; it depends on the study file and the recordings, not on results."""
+        keys = (self.models.fit_key(self.models.request(group)) for group in self.models.groups)
+        return digest([self.models.groups.index(self.models.current()[0]), *keys])
 
     def _tried_model(self, group: str) -> dict[str, Any]:
         """Return the entry of a model: name, effects, settings and errors."""
@@ -344,14 +343,7 @@ class Session:
 
     @exclusive
     def name_next_run(self) -> dict[str, Any]:
-        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it.
-
-        Returns
-        -------
-        dict
-            "next": the run, see `frictrack.diagnose.experiments.next_run`, or None; "next_reason": why there is none.
-
-        """
+        """Choose the run to film now from the current fit and its diagnosis, and keep what is predicted of it."""
         from frictrack.diagnose.experiments import next_run  # noqa: PLC0415
 
         group, request = self.models.current()
@@ -370,9 +362,6 @@ class Session:
         """Names of the runs that are fitted."""
         return [run.name for run in self.models.runs if run.role != "validation"]
 
-    def _current_index(self) -> int:
-        return self.models.groups.index(self.models.current()[0])
-
     @exclusive
     def diagnose(
         self,
@@ -385,7 +374,7 @@ class Session:
         """Find the effect that the current model lacks.
 
         The verdict is stored as soon as it is known; a diagnosis that is interrupted afterwards keeps it. Its
-        significance level follows from the tests that were made before; see `frictrack.flow.diagnosis_records`.
+        significance level follows from the tests that were made before; see `frictrack.flow.command_history`.
 
         Parameters
         ----------
@@ -415,17 +404,19 @@ class Session:
         self.models.bring_up_to_date(group)  # a new fit removes the old diagnosis
         inside = f"models/{group}/diagnosis"
         key = digest(["diagnosis", seed, self.models.fit_key(request), self._diagnosis_inputs()])
-        test = self.budget.plan(key, self.models.input_hash, request.model(self.study.effects).names)
+        test = plan_test(self.budget.rows, key, self.models.input_hash, request.model(self.study.effects).names)
         test = test if alpha is None else replace(test, alpha=alpha)
-        spent = alpha_spent([*self.budget.tests, test])
-        more = {"alpha_spent": spent, "warnings": self.findings.summary, "findings": self._measured.notes()}
+        spent = alpha_spent([*self.budget.rows, test])
+        more = {"alpha_spent": spent, **self._remarks}
         found = self.models.stored_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
-            announce = _once(on_verdict, more)
+            announce = on_verdict or _ignore
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
-                announce(found)
+                announce({**found, **more})
+                announce = _ignore
+            how: dict[str, Any] = {"quick": quick, "announce": lambda verdict: announce({**verdict, **more})}
             provenance = self.models.provenance(key, json.dumps({"seed": seed}))
-            found = self._diagnose(group, provenance, test.alpha, quick=quick, announce=announce)
+            found = self._diagnose(group, provenance, test.alpha, **how)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         if test.named is None:
@@ -454,16 +445,14 @@ class Session:
             links = {"diagnosis": f"/{inside}"}
             return self.models.keep_summary(inside, summary, provenance, links, figures=diagnosis.figures)
 
-        own, signals = configured_effects(self.study.effects), auxiliary_signals(self.runs)
-        seed = json.loads(provenance.settings)["seed"]
         self.progress(0, 0, f"diagnosing {group}")
         diagnosis = diagnose(
             self.models.fit(group),
-            own=own,
+            own=configured_effects(self.study.effects),
             functions=self.study.functions,
             costs=self.study.costs,
-            auxiliary=signals,
-            rng=seed,
+            auxiliary=auxiliary_signals(self.runs),
+            rng=json.loads(provenance.settings)["seed"],
             alpha=alpha,
             progress=self.progress,
             quick=quick,
@@ -478,16 +467,11 @@ class Session:
         contradicted = [str(finding) for finding in self.findings.contradictions]
         functions = [list(self.study.functions)] if self.study.functions else []
         costs = [asdict(self.study.costs)] if self.study.costs != DEFAULT_COSTS else []
-        return [
-            keys,
-            contradicted,
-            *functions,
-            *costs,
-            *(table.model_dump(mode="json") for table in self.study.effects),
-        ]
+        tables = (table.model_dump(mode="json") for table in self.study.effects)
+        return [keys, contradicted, *functions, *costs, *tables]
 
     @exclusive
-    def add(self, effect: str, seed: int | None = None) -> ModelChange:
+    def add(self, effect: str, seed: int | None = None) -> dict[str, Any]:
         """Add one effect to the current model and fit again.
 
         Parameters
@@ -521,7 +505,7 @@ class Session:
         return str(keys["effect"])
 
     @exclusive
-    def remove(self, effect: str, seed: int | None = None) -> ModelChange:
+    def remove(self, effect: str, seed: int | None = None) -> dict[str, Any]:
         """Remove one effect from the current model and fit again.
 
         Parameters
@@ -534,26 +518,18 @@ class Session:
         """
         return self._change_model("-", effect, seed)
 
-    def _change_model(self, sign: str, effect: str, seed: int | None) -> ModelChange:
+    def _change_model(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
+        """Fit the current model with one edit."""
         effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
-        before, after = self._fit_changed(sign + effect, seed)
-        return {
-            "effect": effect,
-            "error_before": before["errors"],
-            "error_after": after["errors"],
-            "parameters": after["parameters"],
-        }
-
-    def _fit_changed(self, edit: str, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Fit the current model with one edit; return the summaries before and after."""
         self.bring_up_to("friction")
         group, request = self.models.current()
-        request = request.edited(edit) if seed is None else replace(request.edited(edit), seed=seed)
+        request = request.edited(sign + effect) if seed is None else replace(request.edited(sign + effect), seed=seed)
         request.model(self.study.effects)
-        before = self.models.summary(group)
-        command = "add" if edit[0] == "+" else "remove"
-        new_group, _ = self.models.append(request, command, effect=edit[1:], seed=request.seed)
-        return before, self.models.summary(new_group)
+        before, command = self.models.summary(group), "add" if sign == "+" else "remove"
+        new_group, _ = self.models.append(request, command, effect=effect, seed=request.seed)
+        after = self.models.summary(new_group)
+        errors = {"error_before": before["errors"], "error_after": after["errors"]}
+        return {"effect": effect, **errors, "parameters": after["parameters"]}
 
     @exclusive
     def attempt(self, effect: str) -> dict[str, Any]:
@@ -577,7 +553,7 @@ class Session:
         return self.models.attempt(self.models.current()[1].edited(f"+{effect}"))
 
     @exclusive
-    def run(self, seed: int = 0, *, on_verdict: Callable[[dict[str, Any]], None] | None = None) -> StudySummary:
+    def run(self, seed: int = 0, *, on_verdict: Callable[[dict[str, Any]], None] | None = None) -> dict[str, Any]:
         """Fit, diagnose, compare and report.
 
         Parameters
@@ -640,13 +616,11 @@ class Session:
     @exclusive
     def law_text(self) -> str:
         """Return the current model as the text of a prior file; "" if it rests on a prior, or nothing carries over."""
-        fitted = self.models.fit(self.models.current()[0])
-        if self.study.prior is not None or not hasattr(fitted, "to_prior"):
-            return ""
-        try:
-            return str(fitted.to_prior(self.study.name).to_toml())
-        except FrictrackError:
-            return ""
+        fitted = self._fitted()
+        if self.study.prior is None and hasattr(fitted, "to_prior"):
+            with suppress(FrictrackError):
+                return str(fitted.to_prior(self.study.name).to_toml())
+        return ""
 
     @exclusive
     def export_prior(self, path: Path | None = None) -> dict[str, Any]:
@@ -663,7 +637,7 @@ class Session:
             If no parameter carries over, or the runs were fitted group by group.
 
         """
-        fitted = self.models.fit(self.models.current()[0])
+        fitted = self._fitted()
         if not hasattr(fitted, "to_prior"):
             raise FrictrackError(
                 "expected one law for all runs but the current model was fitted per group; `frictrack fit STUDY "
@@ -713,18 +687,6 @@ class Session:
                 return (f"the papers' route (force domain, SGA) was not possible: {e}",)
         return ()
 
-    def _history_key(self) -> str:
-        """Return the hash of all models tried; it depends on the study file and the recordings, not on results."""
-        keys = (self.models.fit_key(self.models.request(group)) for group in self.models.groups)
-        return digest([self._current_index(), *keys])
 
-
-def _once(call: Callable[[dict[str, Any]], None] | None, more: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
-    """Return a function that calls `call` the first time, with the JSON and `more`."""
-    calls = [call] if call else []
-
-    def announce(summary: dict[str, Any]) -> None:
-        if calls:
-            calls.pop()({**summary, **more})
-
-    return announce
+def _ignore(found: dict[str, Any]) -> None:
+    """Announce nothing."""

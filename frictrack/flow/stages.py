@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import local_path
 from frictrack.effects import models
-from frictrack.flow.film_stages import (
-    make_film_displacement,
-    make_further_tracks,
-    make_recording,
-    make_repaired,
-    make_track,
-)
+from frictrack.flow import film_stages as film
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, make_run, no_progress
 from frictrack.records import CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import RecordingInfo, Sensors
@@ -28,6 +22,7 @@ from frictrack.study import RunTable, Study, TableData
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
 
+KEYS_OF_FORCE = ("mass", "incline", "rolling", "normal_load", "free")
 MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 
@@ -159,56 +154,32 @@ def _with_fitted_mass(run: Run) -> tuple[Run, str]:
 def _stage_table(*head: Stage) -> dict[str, Stage]:
     """Return a table of stages: the given ones, then those that every run has after its displacement."""
     tail = (
-        Stage(
-            "sensors",
-            ("displacement",),
-            ("drive", "sensor"),
-            make_sensors,
-            Sensors,
-        ),
+        Stage("sensors", ("displacement",), ("drive", "sensor"), make_sensors, Sensors),
         Stage("filtered", ("displacement", "sensors"), FILTER_SETTINGS, make_filtered, Filtered),
         Stage("motion", ("filtered",), (), make_motion, Motion),
-        Stage(
-            "cutoff",
-            ("displacement", "filtered", "motion"),
-            (),
-            make_cutoff,
-            CutoffTradeOff,
-        ),
-        Stage(
-            "friction",
-            ("displacement", "motion", "sensors"),
-            ("mass", "incline", "rolling", "normal_load", "free"),
-            make_friction,
-            Friction,
-        ),
-        Stage(
-            "events",
-            ("displacement", "motion", "sensors"),
-            ("mass", "incline", "rolling", "normal_load", "free"),
-            make_events,
-            RunEvents,
-        ),
+        Stage("cutoff", ("displacement", "filtered", "motion"), (), make_cutoff, CutoffTradeOff),
+        Stage("friction", ("displacement", "motion", "sensors"), KEYS_OF_FORCE, make_friction, Friction),
+        Stage("events", ("displacement", "motion", "sensors"), KEYS_OF_FORCE, make_events, RunEvents),
     )
     return {stage.name: stage for stage in (*head, *tail)}
 
 
 FILM = _stage_table(
-    Stage("recording", (), ("video", "fps"), make_recording, RecordingInfo),
-    Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), make_track, Track),
-    Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), make_further_tracks, dict),
+    Stage("recording", (), ("video", "fps"), film.make_recording, RecordingInfo),
+    Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), film.make_track, Track),
+    Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), film.make_further_tracks, dict),
     Stage(
         "displacement",
         ("tracks", "track"),
         ("scale", "lens", "axis", "origin_px", "x_offset", "repair"),
-        make_film_displacement,
+        film.make_film_displacement,
         Displacement,
     ),
 )
 # Repairs come after the track, which stays stored as it was: undoing a repair does not track the film again.
 FILM_REPAIRED = _stage_table(
     *(FILM[name] for name in ("recording", "track", "tracks")),
-    Stage("repaired", ("recording", "track", "tracks"), ("repair",), make_repaired, Track),
+    Stage("repaired", ("recording", "track", "tracks"), ("repair",), film.make_repaired, Track),
     replace(FILM["displacement"], inputs=("tracks", "repaired")),
 )
 TABLE = _stage_table(
@@ -218,7 +189,7 @@ TABLE = _stage_table(
         ("table", "columns", "fps", "scale", "x_offset", "repair"),
         make_table_displacement,
         Displacement,
-    ),
+    )
 )
 
 

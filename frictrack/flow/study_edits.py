@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,13 @@ class OpenStudy:
     models: TriedModels
 
 
+def _edit(opened: OpenStudy, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
+    """Rewrite the study file and record the command; return its arguments."""
+    with opened.history.record(command, **arguments) as change:
+        change.before, change.after = _rewrite(opened.study.path, rewrite)
+    return arguments
+
+
 def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file."""
 
@@ -42,9 +50,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
             request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
         return after
 
-    with opened.history.record("edit", table=table, which=which, key=key, value=value) as change:
-        change.before, change.after = _rewrite(opened.study.path, rewrite)
-    return {"table": table, "which": which, "key": key, "value": value}
+    return _edit(opened, "edit", rewrite, table=table, which=which, key=key, value=value)
 
 
 def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
@@ -53,24 +59,18 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise FrictrackError(f"expected a recording {', '.join(missing)} but there is no such file", usage=True)
-    with opened.history.record("take_in", recordings=list(recordings)) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: with_runs(text, folder, paths))
-    return {"recordings": list(recordings)}
+    return _edit(opened, "take_in", lambda text: with_runs(text, folder, paths), recordings=list(recordings))
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
     """Remove a run from the study file; its recording and its results stay where they are."""
-    with opened.history.record("leave_out", run=run) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: without_run(text, run))
-    return {"run": run}
+    return _edit(opened, "leave_out", lambda text: without_run(text, run), run=run)
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
-    with opened.history.record("define", effect=keys) as change:
-        change.before, change.after = _rewrite(opened.study.path, lambda text: with_effect(text, keys))
-    return {"effect": keys}
+    return _edit(opened, "define", lambda text: with_effect(text, keys), effect=keys)
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
@@ -84,17 +84,8 @@ def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
     return {"model": model}
 
 
-def undo(opened: OpenStudy) -> dict[str, Any]:
-    """Undo the last change; the models tried stay in the history."""
-    return _undo_or_redo(opened, "undo")
-
-
-def redo(opened: OpenStudy) -> dict[str, Any]:
-    """Redo the change that was undone last."""
-    return _undo_or_redo(opened, "redo")
-
-
 def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
+    """Undo the last change, or redo the change that was undone last; the models tried stay in the history."""
     with opened.history.record(command) as record:
         done, undone = opened.history.undo_stacks()
         stack = done if command == "undo" else undone
@@ -108,6 +99,17 @@ def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
             opened.models.select(new["current"])
         record.arguments = {"of": change.revision}
     return {"change": change.command, **change.arguments}
+
+
+EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
+    "edit": set_key,
+    "take_in": add_recordings,
+    "leave_out": remove_run,
+    "define": define_effect,
+    "use": select_model,
+    "undo": partial(_undo_or_redo, command="undo"),
+    "redo": partial(_undo_or_redo, command="redo"),
+}
 
 
 def _swap(text: str, old: str, new: str) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,8 @@ from numpy.typing import NDArray
 from frictrack.measure.calibration import MIN_ROTATION, estimate_shake, subtract_shake
 from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
-
-if TYPE_CHECKING:
-    from frictrack.sampling import Slip
+from frictrack.sampling import Slip
+from frictrack.tracking import checks
 
 Rows = NDArray[np.int64]
 MIN_STRETCHED_SHARE = 0.3  # of the frames that repeat the frame before; from here on the film was stretched
@@ -37,23 +35,14 @@ def correct_track(
 
     Times are corrected only if the camera wrote no time stamps.
     """
-    from frictrack.tracking.checks import self_test  # noqa: PLC0415 - tables do without
-
     track = track.measured
-    clean, notes, slips = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
-    notes += (*_forward_backward_note(track, tracks.get("backward")), *self_test(clean))
-    notes += (*rotation_note(clean), *lost_frames_note(clean))
-    rows = np.arange(len(track)) if clocked else kept_rows(len(track), slips)
-    return (
-        clean,
-        (*notes, *(_overruled_slip_notes(slips) if clocked else _corrected_slip_notes(slips, len(track)))),
-        rows,
-    )
-
-
-def _lost_reasons(track: Track, lost: Mask) -> Counter[str]:
-    """Return the reasons of some lost frames, each with its number of frames."""
-    return replace(track, reason=np.where(lost, track.reason, "")).lost
+    clean, notes, faults = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
+    if "backward" in tracks:
+        both = checks.forward_backward(*_unrepaired(track, tracks["backward"]))
+        notes += (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
+    notes += (*checks.self_test(clean), *rotation_note(clean), *lost_frames_note(clean))
+    rows = np.arange(len(track)) if clocked else kept_rows(len(track), faults)
+    return clean, (*notes, *_timing_notes(faults, len(track), clocked=clocked)), rows
 
 
 def lost_frames_note(track: Track) -> tuple[str, ...]:
@@ -66,7 +55,8 @@ def lost_frames_note(track: Track) -> tuple[str, ...]:
     count = int(np.count_nonzero(lost))
     if count < max(MIN_LOST_SHARE * len(between), 2):
         return ()
-    why = ", ".join(f"{reason} in {frames}" for reason, frames in _lost_reasons(between, lost).most_common())
+    reasons = replace(between, reason=np.where(lost, between.reason, "")).lost
+    why = ", ".join(f"{reason} in {frames}" for reason, frames in reasons.most_common())
     gap = max(stretches(lost), key=lambda part: part.stop - part.start)
     where = f"the longest gap is that of the frames {found[0] + gap.start} to {found[0] + gap.stop - 1}"
     return (f"{count} of {len(between)} frames of the path are empty: {why}; {where}",)
@@ -79,9 +69,7 @@ def _corrected_track(
 
     The faults are searched first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
-    from frictrack.tracking.checks import slips  # noqa: PLC0415
-
-    found = slips(_minus_reference(track, reference))
+    found = checks.slips(_minus_reference(track, reference))
     if clocked:  # a frame that shows the one before is left out, but no time is changed
         track = correct_times(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
@@ -116,16 +104,6 @@ def residual_shake(reference: Track | None, min_shake: float) -> tuple[float, fl
     return None
 
 
-def _forward_backward_note(forward: Track, backward: Track | None) -> tuple[str, ...]:
-    """Return a note if backward tracking differs from forward tracking; at most one."""
-    from frictrack.tracking.checks import forward_backward  # noqa: PLC0415
-
-    if backward is None:
-        return ()
-    both = forward_backward(*_unrepaired(forward, backward))
-    return (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
-
-
 def _unrepaired(track: Track, *others: Track) -> tuple[Track, ...]:
     """Return tracks without the frames that the user repaired in the first of them."""
     if track.repaired is None:
@@ -134,24 +112,22 @@ def _unrepaired(track: Track, *others: Track) -> tuple[Track, ...]:
     return tuple(replace(one, x_px=one.x_px + hidden) for one in (track, *others))
 
 
-def kept_rows(n: int, slips: Sequence[Slip]) -> Rows:
+def kept_rows(n: int, faults: Sequence[Slip]) -> Rows:
     """Return the rows (of n frames) that are kept: all but doubled frames that were inserted."""
-    return np.setdiff1d(np.arange(n), [s.frame for s in slips if s.frames < 0])
+    return np.setdiff1d(np.arange(n), [s.frame for s in faults if s.frames < 0])
 
 
-def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
+def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
     """Return the track with gaps in time where frames are missing, and without inserted doubled frames.
 
     A doubled frame that replaces a lost one keeps its row, and its position is NaN.
     """
-    from frictrack.tracking.checks import correct_ticks  # noqa: PLC0415
-
-    if not slips:
+    if not faults:
         return track
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
-    right, keep = correct_ticks(ticks, slips)
-    rows = kept_rows(len(track), slips)
+    right, keep = checks.correct_ticks(ticks, faults)
+    rows = kept_rows(len(track), faults)
     lost = ~keep[rows]
     columns: dict[str, Any] = {
         f.name: np.array(column)[rows]
@@ -165,25 +141,16 @@ def correct_times(track: Track, slips: Sequence[Slip]) -> Track:
     return replace(track, **columns)
 
 
-def _overruled_slip_notes(slips: Sequence[Slip]) -> tuple[str, ...]:
-    """Return notes on faults of the times that the camera's own time stamps contradict."""
-    from frictrack.tracking.checks import timing_note  # noqa: PLC0415
-
-    believed = "the camera's time stamps disagree and are used"
-    doubled = timing_note([s for s in slips if s.doubled])
-    missing = timing_note([s for s in slips if not s.doubled])
-    return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
-
-
-def _corrected_slip_notes(slips: Sequence[Slip], n: int) -> tuple[str, ...]:
-    """Return notes on faults of the times that were corrected."""
-    from frictrack.tracking.checks import timing_note  # noqa: PLC0415
-
-    doubled = timing_note([s for s in slips if s.doubled])
-    missing = timing_note([s for s in slips if not s.doubled])
-    stretched = (NOTE_STRETCHED,) if sum(s.frames < 0 for s in slips) > MIN_STRETCHED_SHARE * n else ()
-    left_out = (*(f"{note}; left out" for note in doubled), *stretched)
-    return (*left_out, *(f"{note}; left as gaps in time" for note in missing))
+def _timing_notes(faults: Sequence[Slip], n: int, *, clocked: bool) -> tuple[str, ...]:
+    """Return notes on faults of the times of n frames: corrected, or contradicted by the camera's own time stamps."""
+    doubled = checks.timing_note([s for s in faults if s.doubled])
+    missing = checks.timing_note([s for s in faults if not s.doubled])
+    if clocked:
+        believed = "the camera's time stamps disagree and are used"
+        return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
+    stretched = (NOTE_STRETCHED,) if sum(s.frames < 0 for s in faults) > MIN_STRETCHED_SHARE * n else ()
+    left_out = (f"{note}; left out" for note in doubled)
+    return (*left_out, *stretched, *(f"{note}; left as gaps in time" for note in missing))
 
 
 def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], pitch: float | None) -> dict[str, Any]:
@@ -202,14 +169,12 @@ def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], p
         Keys of the JSON of `track`; None for what is unknown.
 
     """
-    from frictrack.tracking.checks import forward_backward, peak_locking, scores  # noqa: PLC0415
-
     track = track.measured
     found = track.found
     um = None if pitch is None else 1e6 * pitch
     clean, *_ = _corrected_track(track, tracks.get("reference"), clocked=film.clocked)
-    locking, history = peak_locking(clean), scores(track)
-    both = forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
+    locking, history = checks.peak_locking(clean), checks.scores(track)
+    both = checks.forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
     return {
         "frames": len(track),
@@ -275,10 +240,8 @@ def rotation_note(track: Track) -> tuple[str, ...]:
     if np.ptp(mean) < MIN_ROTATION_SIGMAS * max(_range_std(track, angle, known, mean), place):
         return ()
     degrees = float(np.degrees(np.ptp(angle)))
-    rate = (
-        float(np.degrees(np.max(np.abs(mean[ANGLE_WINDOW_FRAMES:] - mean[:-ANGLE_WINDOW_FRAMES]))))
-        / ANGLE_WINDOW_FRAMES
-    )
+    steps = np.abs(mean[ANGLE_WINDOW_FRAMES:] - mean[:-ANGLE_WINDOW_FRAMES])
+    rate = float(np.degrees(np.max(steps))) / ANGLE_WINDOW_FRAMES
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
     turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"

@@ -1,27 +1,35 @@
-"""Keep the models tried on a study in ``study.h5``, in order, and fit again only what has changed."""
+"""Keep the models tried on a study in ``study.h5``, in order, and fit again only what has changed.
+
+`FitRequest` is what a user asked of a fit; `TriedModels` are the fits, and all that was computed from them.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
+from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
+from frictrack.effects.models import Model
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.fit_request import FitRequest
-from frictrack.flow.pipeline import Progress, RunPipeline, digest
+from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress
+from frictrack.flow.stages import run_pipeline
 from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Curve, ModelledMotion, Run
 from frictrack.results import ModelResults, to_builtins
-from frictrack.search import Convergence
+from frictrack.search import METHODS, Convergence, SearchMethod, search_method
 from frictrack.settings.priors import Prior
-from frictrack.study import RunTable, Study
+from frictrack.study import EffectTable, Study
 
 RECORDS_OF_FIT = {"curves": Curve, "motion": ModelledMotion, "convergence": Convergence}  # groups in that of a model
 ATTEMPTS_FOLDER = "attempts"  # in the internal folder of the results: fits of the current model with one more effect
@@ -31,29 +39,105 @@ NO_LINKS: Mapping[str, str] = MappingProxyType({})
 GROUPS_OF_CURRENT_MODEL = ("comparison", "diagnosis")  # removed when another model becomes current
 
 
-def _instrument_noise(run: RunTable) -> list[Any]:
-    """Return the stated noise and drift of the instrument; empty if neither is stated."""
-    return [run.noise, run.drift] if run.noise or run.drift else []
+@dataclass(frozen=True)
+class FitRequest:
+    """What the user asked of a fit: a model, edits of it, and how it is fitted.
+
+    Examples
+    --------
+    >>> request = FitRequest("tustin").edited("+texture")
+    >>> request.name
+    'tustin+texture'
+    >>> request.edited("-texture") == FitRequest("tustin")
+    True
+
+    """
+
+    base: str | tuple[str, ...]  # name of a model ("tustin"), or names of effects
+    edits: tuple[str, ...] = ()  # effects that were added ("+texture") or removed ("-viscous") since
+    domain: str = "displacement"  # domain, search, seed, per, over: see `frictrack.fit`
+    search: str = "varpro"
+    seed: int = 0
+    per: str | None = None
+    over: str = "all"
+    # settings of a global search that were asked for, by name
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def method(self) -> str | SearchMethod:
+        """The search for `frictrack.fit`: its name, or with settings its record."""
+        if self.search == "varpro" and self.settings:
+            raise FrictrackError(
+                f"expected settings ({', '.join(self.settings)}) with a global search ({', '.join(METHODS)}) but the "
+                "search is varpro; add --search mga, for example",
+                usage=True,
+            )
+        return search_method(self.search, self.settings) if self.settings else self.search
+
+    def edited(self, edit: str) -> FitRequest:
+        """Return the request with one more edit (``"+texture"``, ``"-viscous"``); opposite edits cancel."""
+        opposite = ("-" if edit[0] == "+" else "+") + edit[1:]
+        kept = tuple(e for e in self.edits if e != opposite)
+        return replace(self, edits=kept if len(kept) < len(self.edits) else (*self.edits, edit))
+
+    def model(self, tables: Iterable[EffectTable] = ()) -> Model:
+        """Return the model, with the settings of the study's `[[effect]]` tables."""
+        own = user_effects(tables)
+        model = models.parse(self.base, own)
+        for edit in self.edits:
+            inside = edit[1:].partition(".")[0] in model
+            added = edit[1:] if inside and "." in edit else effects.get(edit[1:], own)
+            model = model + added if edit[0] == "+" else model - edit[1:]
+        adjusted = model.adjusted(_settings(tables))
+        check_ties(adjusted.effects)
+        return adjusted
+
+    @property
+    def name(self) -> str:
+        """A short name that can be the name of a group: ``tustin+texture``."""
+        base = self.base if isinstance(self.base, str) else "+".join(self.base)
+        return re.sub(r"[\s,/]+", "+", base) + "".join(self.edits)
+
+    @classmethod
+    def from_json(cls, text: str) -> FitRequest:
+        """Read what `to_json` wrote."""
+        raw = json.loads(text)
+        base = raw["base"] if isinstance(raw["base"], str) else tuple(raw["base"])
+        return cls(**(raw | {"base": base, "edits": tuple(raw["edits"])}))
+
+    def to_json(self) -> str:
+        """Return the request as JSON; equal requests give equal texts."""
+        content = asdict(self)
+        if not self.settings:  # as early versions wrote it: a fit without settings is not outdated
+            del content["settings"]
+        return json.dumps(content, sort_keys=True)
+
+
+def user_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """Return the effects that `[[effect]]` tables define by a formula; every table is checked.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If a formula or a setting is wrong.
+
+    """
+    return definitions(_settings(tables))
+
+
+def configured_effects(tables: Iterable[EffectTable]) -> list[Effect]:
+    """Return every effect that has an `[[effect]]` table, with its settings applied."""
+    settings = _settings(tables)
+    own = definitions(settings)
+    return [one.applied(effects.get(one.effect, own)) for one in settings]
+
+
+def _settings(tables: Iterable[EffectTable]) -> list[EffectSettings]:
+    return [EffectSettings(**table.model_dump()) for table in tables]
 
 
 class TriedModels:
-    """The models tried on a study; one of them is current.
-
-    A model is a group in ``study.h5``: ``1_tustin``, ``2_tustin+texture``. It is fitted again if the runs, the
-    `[[effect]]` tables or the version of frictrack have changed.
-
-    Parameters
-    ----------
-    study
-        The study.
-    pipelines
-        The pipelines of its runs.
-    progress
-        Called while a model is being fitted.
-    commands
-        The command history, in which every new model is recorded.
-
-    """
+    """The models tried on a study; one of them is current."""
 
     def __init__(
         self, study: Study, pipelines: list[RunPipeline], progress: Progress, commands: CommandHistory
@@ -62,18 +146,17 @@ class TriedModels:
         self.path = study.output / "study.h5"
         self.commands = commands
         self.progress = progress
-        self._pipelines = pipelines
-        self._runs: list[Run] | None = None
+        self.pipelines = pipelines
 
-    @property
+    @cached_property
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
-        if self._runs is None:
-            from frictrack.measure.friction import with_earlier_runs  # noqa: PLC0415
+        from frictrack.measure.friction import with_earlier_runs  # noqa: PLC0415
 
-            pauses = [pipeline.run.pause for pipeline in self._pipelines]
-            self._runs = with_earlier_runs([pipeline.to_run() for pipeline in self._pipelines], pauses)
-        return self._runs
+        pauses = [pipeline.run.pause for pipeline in self.pipelines]
+        return with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
+
+    # --- which models there are
 
     @property
     def groups(self) -> list[str]:
@@ -87,48 +170,55 @@ class TriedModels:
     @property
     def current_group(self) -> str | None:
         """The group that is marked as current in the store; None if no model was tried."""
-        current = (
-            group for group in reversed(self.groups) if store.attributes(self.path, f"models/{group}")["current"]
-        )
-        return next(current, None)
+        flags = ((group, store.attributes(self.path, f"models/{group}")["current"]) for group in reversed(self.groups))
+        return next((group for group, is_current in flags if is_current), None)
 
     def current(self) -> tuple[str, FitRequest]:
         """Return group and request of the current model.
 
-        The study file's model is fitted first if no model was tried, or if it was changed there.
+        If none was tried, or the study file names another model or search than before, that one is fitted first.
         """
         group = self.current_group
         if group is None:
             return self.append(self.first_request())
-        request, before = self.request(group), store.attributes(self.path, "models")
-        if before["study_model"] != self._study_model:
-            return self.append(replace(request, base=self.study.model, edits=(), **self._study_search))
-        if before.get("study_search", "{}") != json.dumps(self._study_search) and self._study_search:
-            return self.append(replace(request, **self._study_search))
-        return group, request
+        request, changes = self.request(group), self._study_changes()
+        return self.append(replace(request, **changes)) if changes else (group, request)
 
     def first_request(self) -> FitRequest:
         """Return the request of the study file's model, fitted by the search of the study file."""
         return FitRequest(self.study.model, domain=self.domain(), **self._study_search)
+
+    def domain(self) -> str:
+        """Return the domain of a new fit: "force" if a load cell measured friction, else "displacement"."""
+        return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
+
+    @property
+    def _study_model(self) -> str:
+        """The study file's model as JSON, which is stored beside the models."""
+        return json.dumps(to_builtins(self.study.model))
 
     @property
     def _study_search(self) -> dict[str, Any]:
         """The study file's search as arguments of `FitRequest`; empty without a table [search]."""
         return {} if self.study.search is None else self.study.search.request
 
+    def _study_changes(self) -> dict[str, Any]:
+        """Return what the study file asks of a fit now that it did not ask when the last model was fitted."""
+        before = store.attributes(self.path, "models")
+        if before["study_model"] != self._study_model:
+            return {"base": self.study.model, "edits": (), **self._study_search}
+        is_same = before.get("study_search", "{}") == json.dumps(self._study_search)
+        return {} if is_same else self._study_search
+
     def is_current_outdated(self) -> bool:
         """Return whether the current model belongs to other runs or settings than today's, or another study model."""
         group = self.current_group
-        if group is None:
-            return False
-        before = store.attributes(self.path, "models")
-        same = before["study_model"] == self._study_model
-        same &= not self._study_search or before.get("study_search", "{}") == json.dumps(self._study_search)
-        return not same or self.is_outdated(group)
+        return group is not None and (bool(self._study_changes()) or self.is_outdated(group))
 
     def is_outdated(self, group: str) -> bool:
         """Return whether a model was fitted to other runs, or with other settings, than today's."""
-        return self._provenance(group).key != self.fit_key(self.request(group))
+        made = store.provenance(self.path, f"models/{group}") or Provenance()
+        return made.key != self.fit_key(self.request(group))
 
     def was_interrupted(self, group: str) -> bool:
         """Return whether the search of a fit was stopped by hand: asked for again, it is searched again."""
@@ -144,53 +234,129 @@ class TriedModels:
         """Return the attributes of all groups once one of them is current."""
         return {f"models/{group}": {"current": group == current} for group in self.groups}
 
-    @property
-    def _study_model(self) -> str:
-        """The study file's model as JSON, which is stored beside the models."""
-        return json.dumps(to_builtins(self.study.model))
+    # --- what a fit depends on
 
-    def domain(self) -> str:
-        """Return the domain of a new fit: "force" if a load cell measured friction, else "displacement"."""
-        return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
+    def fit_key(self, request: FitRequest) -> str:
+        """Return the hash of all that the fit of a model depends on."""
+        prior = self._prior(request)
+        known = [] if prior is None else [prior.to_toml()]
+        tables = [table.model_dump() for table in self.study.effects]
+        return digest(["toml", request.to_json(), tables, self.input_hash, *known])
+
+    def _prior(self, request: FitRequest) -> Prior | None:
+        """Return the prior that a fit uses; the papers' route, whose residuals have no noise model, uses none."""
+        return None if request.domain == "force" and self.domain() == "displacement" else self.study.prior
+
+    @property
+    def input_hash(self) -> str:
+        """Hash of the runs, as far as a fit depends on them."""
+        keys = [
+            [
+                *(p.run.name, p.run.role, p.run.group, p.run.clamp_x, p.run.beam_length),
+                *(p.key("friction"), p.key("motion")),
+                *([p.run.noise, p.run.drift] if p.run.noise or p.run.drift else []),
+                *([] if p.run.pause is None else [p.run.pause]),
+            ]
+            for p in self.pipelines
+        ]
+        return digest([keys, self.study.mass])
+
+    def provenance(self, key: str, settings: str) -> Provenance:
+        """Return the provenance of something that is computed from today's runs."""
+        inputs = [(f"{p.path.name}:/{name}", p.key(name)) for p in self.pipelines for name in ("friction", "motion")]
+        return Provenance(key, self.input_hash, json.dumps(inputs), settings)
+
+    # --- fits
 
     def append(self, request: FitRequest, command: str = "fit", **arguments: Any) -> tuple[str, FitRequest]:
         """Fit a model, store it as the last one, make it current and record the command."""
-        self._check_prior(request)
-        entry = self._attempted(request) or self._group_content(request, self._fit(request), current=True)
+        if self.study.prior is not None and self._prior(request) is None:
+            from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
+
+            raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
+        entry = self._attempted(request) or self._fitted(request, current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
             of_study = {"study_model": self._study_model}
             if self._study_search:
                 of_study["study_search"] = json.dumps(self._study_search)
-            flags = {"models": of_study} | self._current_flags(group)
             store.write(
                 self.path,
                 {f"models/{group}": entry},
                 remove=GROUPS_OF_CURRENT_MODEL,
                 links=self._run_links(),
-                attribute_updates=flags,
+                attribute_updates={"models": of_study} | self._current_flags(group),
             )
             change.before = {} if before is None else {"current": before}
             change.after = {"current": group}
         return group, request
 
-    def _check_prior(self, request: FitRequest) -> None:
-        """Raise FrictrackError (usage) for a fit in which the prior of the study has no weight."""
-        if self.study.prior is not None and self._prior(request) is None:
-            from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
-
-            raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
-
     def _run_links(self) -> dict[str, str]:
         """Return the links from ``study.h5`` to the files of the runs."""
-        return {f"runs/{pipeline.run.name}": pipeline.path.name for pipeline in self._pipelines}
+        return {f"runs/{pipeline.run.name}": pipeline.path.name for pipeline in self.pipelines}
+
+    def fit(self, group: str) -> Any:
+        """Return the fit of a group, which is computed again if it is outdated: a `Fit`, or `GroupFits`."""
+        from frictrack.fit import restore  # noqa: PLC0415
+
+        self.bring_up_to_date(group)
+        return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
+
+    def bring_up_to_date(self, group: str) -> None:
+        """Fit a model again if it is outdated."""
+        if self.is_outdated(group):
+            entry = self._fitted(self.request(group), current=group == self.current_group)
+            removed = ("diagnosis",)  # a link into the group that is replaced
+            store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
+
+    def fit_papers_route(self) -> None:
+        """Fit the current model in the force domain by SGA or the study's search, and store it beside the others."""
+        search = self.study.search
+        own = {"search": "sga", "settings": {}} if search is None or search.method == "varpro" else search.request
+        request = replace(self.current()[1], domain="force", over="all", **own)
+        made = store.provenance(self.path, "papers")
+        if made is None or made.key != self.fit_key(request):
+            store.write(self.path, {"papers": self._fitted(request, current=False)})
+
+    def _fitted(self, request: FitRequest, *, current: bool) -> GroupContent:
+        """Fit a model; return the content of its group, with the fit as it will be restored.
+
+        So one process or several give the same bits.
+        """
+        from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
+
+        self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
+        how: dict[str, Any] = {"domain": request.domain, "search": request.method, "rng": request.seed}
+        if request.per is not None:
+            how["per"] = request.per
+        if self.study.mass is not None:
+            how["reference_mass"] = self.study.mass[0]
+        limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
+
+        def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
+            done = min(generation, limit - 1)
+            self.progress(done, limit, f"{request.search}: misfit {misfit:.4g}, generation")
+
+        how |= {"over": request.over, "callback": report, "prior": self._prior(request)}
+        fitted = fit(request.model(self.study.effects), self.runs, **how)
+        self.progress(limit, limit, request.search)
+        fitted = restore(self.runs, state(fitted))
+        content: dict[str, Any] = {
+            "current": current,
+            "equation": str(fitted.model),
+            "summary": json.dumps(to_builtins(fitted.summary())),
+            "state": state(fitted),
+            "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
+            "motion": {motion.run: motion for motion in fitted.motion},
+            **({"convergence": fitted.convergence} if fitted.convergence else {}),
+        }
+        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+
+    # --- fits of the current model with one more effect, each in a file of its own
 
     def attempt_path(self, request: FitRequest) -> Path:
-        """Return the file that holds the fit of a request if it was attempted.
-
-        Its name is the hash of all that the fit depends on: that of other runs or other settings is never found.
-        """
+        """Return the file that holds the fit of a request if it was attempted; its name is the key of the fit."""
         name = f"{self.fit_key(request)[:KEY_LENGTH]}.h5"
         return self.study.output / INTERNAL_FOLDER / ATTEMPTS_FOLDER / name
 
@@ -205,13 +371,10 @@ class TriedModels:
         return (path, str(group)) if made is not None and made.key == self.fit_key(request) else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
-        """Fit a model into a file of its own, unless it is there already: JSON of `fit`.
-
-        So a candidate is shown, or added, without fitting again.
-        """
+        """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
         found = self.stored_attempt(request)
         if found is None:
-            entry = self._group_content(request, self._fit(request), current=False)
+            entry = self._fitted(request, current=False)
             standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
             _make_room_for_attempt(self.study.output)
             found = self.attempt_path(request), f"attempt_{request.name}"
@@ -223,109 +386,10 @@ class TriedModels:
         found = self.stored_attempt(request)
         if found is None:
             return None
-        path, inside = found[0], f"models/{found[1]}"
-        with store.snapshot(path):
-            content = store.read(path, inside, without=RECORDS_OF_FIT)
-            for part, kind in RECORDS_OF_FIT.items():
-                names = store.names(path, f"{inside}/{part}")
-                content[part] = {name: store.read(path, f"{inside}/{part}/{name}", kind) for name in names}
-        provenance = self.provenance(self.fit_key(request), request.to_json())
-        return GroupContent(content | {"current": True}, provenance)
+        content = _read_fit(found[0], f"models/{found[1]}") | {"current": True}
+        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
 
-    def fit(self, group: str) -> Any:
-        """Return the fit of a group, which is computed again if it is outdated.
-
-        It is restored from the store in every call. What was computed from a fit before would change the last bits of
-        what is computed from it now; so the results are the same whether commands run in one process or in several.
-        """
-        from frictrack.fit import restore  # noqa: PLC0415
-
-        self.bring_up_to_date(group)
-        return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
-
-    def bring_up_to_date(self, group: str) -> None:
-        """Fit a model again if it is outdated."""
-        if self.is_outdated(group):
-            request = self.request(group)
-            entry = self._group_content(request, self._fit(request), current=group == self.current_group)
-            removed = ("diagnosis",)  # a link into the group that is replaced
-            store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())
-
-    def fit_key(self, request: FitRequest) -> str:
-        """Return the hash of all that the fit of a model depends on."""
-        prior = self._prior(request)
-        known = [] if prior is None else [prior.to_toml()]
-        effects = [e.model_dump() for e in self.study.effects]
-        return digest(["toml", request.to_json(), effects, self.input_hash, *known])
-
-    def _prior(self, request: FitRequest) -> Prior | None:
-        """Return the prior that a fit uses; the papers' route, whose residuals have no noise model, uses none."""
-        return None if request.domain == "force" and self.domain() == "displacement" else self.study.prior
-
-    @property
-    def inputs(self) -> list[tuple[str, str]]:
-        """The groups of the runs that a fit depends on, each with its key."""
-        return [(f"{p.path.name}:/{name}", p.key(name)) for p in self._pipelines for name in ("friction", "motion")]
-
-    def provenance(self, key: str, settings: str) -> Provenance:
-        """Return the provenance of something that is computed from today's runs."""
-        return Provenance(key, self.input_hash, json.dumps(self.inputs), settings)
-
-    @property
-    def input_hash(self) -> str:
-        """Hash of the runs, as far as a fit depends on them."""
-        keys = [
-            [
-                p.run.name,
-                p.run.role,
-                p.run.group,
-                p.run.clamp_x,
-                p.run.beam_length,
-                p.key("friction"),
-                p.key("motion"),
-                *_instrument_noise(p.run),
-                *([] if p.run.pause is None else [p.run.pause]),
-            ]
-            for p in self._pipelines
-        ]
-        return digest([keys, self.study.mass])
-
-    def _fit(self, request: FitRequest) -> Any:
-        """Fit a model; return the fit as it will be restored, so that one process or several give the same bits."""
-        from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
-
-        self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
-        how: dict[str, Any] = {
-            "domain": request.domain,
-            "search": request.method,
-            "rng": request.seed,
-            "over": request.over,
-        }
-        if request.per is not None:
-            how["per"] = request.per
-        if self.study.mass is not None:
-            how["reference_mass"] = self.study.mass[0]
-        limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
-
-        def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
-            done = min(generation, limit - 1)
-            self.progress(done, limit, f"{request.search}: misfit {misfit:.4g}, generation")
-
-        prior = self._prior(request)
-        fitted = fit(request.model(self.study.effects), self.runs, callback=report, prior=prior, **how)
-        self.progress(limit, limit, request.search)
-        return restore(self.runs, state(fitted))
-
-    def fit_papers_route(self) -> Any:
-        """Fit the current model in the force domain by SGA or the study's search, and store it beside the others."""
-        search = self.study.search
-        own = {"search": "sga", "settings": {}} if search is None or search.method == "varpro" else search.request
-        request = replace(self.current()[1], domain="force", over="all", **own)
-        provenance = store.provenance(self.path, "papers")
-        if provenance is None or provenance.key != self.fit_key(request):
-            entry = self._group_content(request, self._fit(request), current=False)
-            store.write(self.path, {"papers": entry})
-        return self.results("papers")
+    # --- what is stored beside a fit: its JSON, and that of all that follows from it
 
     def stored_summary(self, group: str, key: str | None = None) -> dict[str, Any] | None:
         """Return the JSON that a group holds; None if there is none, or if it has another key than `key`."""
@@ -347,29 +411,18 @@ class TriedModels:
     def summary(self, group: str) -> dict[str, Any]:
         """Return the JSON of a fit; a model that is outdated is fitted again."""
         self.bring_up_to_date(group)
-        inside = f"models/{group}"
-        return _summary_of(store.read(self.path, inside, without=("state", *RECORDS_OF_FIT, "diagnosis")))
+        unread = ("state", *RECORDS_OF_FIT, "diagnosis")
+        return _summary_of(store.read(self.path, f"models/{group}", without=unread))
 
     def results(self, group: str) -> ModelResults:
         """Return a stored model for the report; `group` may be ``papers``."""
         return model_results(self.path, group)
 
-    def _provenance(self, group: str) -> Provenance:
-        return store.provenance(self.path, f"models/{group}") or Provenance()
 
-    def _group_content(self, request: FitRequest, fitted: Any, *, current: bool) -> GroupContent:
-        from frictrack.fit import state  # noqa: PLC0415
-
-        content: dict[str, Any] = {
-            "current": current,
-            "equation": str(fitted.model),
-            "summary": json.dumps(to_builtins(fitted.summary())),
-            "state": state(fitted),
-            "curves": {f"{i:03d}_{curve.run}": curve for i, curve in enumerate(fitted.curves)},
-            "motion": {motion.run: motion for motion in fitted.motion},
-            **({"convergence": fitted.convergence} if fitted.convergence else {}),
-        }
-        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+def stored_models(study: Study) -> TriedModels:
+    """Return the models of a study as they are stored, and its runs: nothing is computed."""
+    pipelines = [run_pipeline(study, run, stored_only=True) for run in study.runs]
+    return TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
 
 
 def _make_room_for_attempt(output: Path) -> None:
@@ -381,29 +434,30 @@ def _make_room_for_attempt(output: Path) -> None:
             path.unlink()
 
 
+def _read_fit(path: Path, inside: str, *without: str) -> dict[str, Any]:
+    """Return what a group of a fit holds, with its records."""
+    with store.snapshot(path):
+        content: dict[str, Any] = store.read(path, inside, without=(*without, *RECORDS_OF_FIT))
+        for part, kind in RECORDS_OF_FIT.items():
+            names = store.names(path, f"{inside}/{part}")
+            content[part] = {name: store.read(path, f"{inside}/{part}/{name}", kind) for name in names}
+    return content
+
+
 def model_results(path: Path, group: str) -> ModelResults:
     """Read a model from the file of a study or of an attempt."""
-    inside = group if group == "papers" else f"models/{group}"
-    with store.snapshot(path):
-        stored = store.read(path, inside, without=("state", *RECORDS_OF_FIT))
-        records = {
-            part: {
-                name: store.read(path, f"{inside}/{part}/{name}", kind)
-                for name in store.names(path, f"{inside}/{part}")
-            }
-            for part, kind in RECORDS_OF_FIT.items()
-        }
-        return ModelResults(
-            name=group,
-            equation=stored["equation"],
-            summary=_summary_of(stored),
-            curves=tuple(records["curves"].values()),
-            motion=tuple(records["motion"].values()),
-            convergence=records["convergence"],
-            current=bool(stored["current"]),
-            diagnosis=json.loads(stored["diagnosis"]["summary"]) if "diagnosis" in stored else None,
-            figures=stored.get("diagnosis", {}).get("figures", {}),
-        )
+    stored = _read_fit(path, group if group == "papers" else f"models/{group}", "state")
+    return ModelResults(
+        name=group,
+        equation=stored["equation"],
+        summary=_summary_of(stored),
+        curves=tuple(stored["curves"].values()),
+        motion=tuple(stored["motion"].values()),
+        convergence=stored["convergence"],
+        current=bool(stored["current"]),
+        diagnosis=json.loads(stored["diagnosis"]["summary"]) if "diagnosis" in stored else None,
+        figures=stored.get("diagnosis", {}).get("figures", {}),
+    )
 
 
 def _summary_of(stored: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,10 @@ from frictrack.base.files import is_busy
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
-from frictrack.flow.stages import FILM, TABLE, run_pipeline
+from frictrack.flow.stages import FILM, TABLE
 from frictrack.flow.store import Fault, Provenance
-from frictrack.flow.summaries import Verification
-from frictrack.flow.tried_models import TriedModels
-from frictrack.study import Study, load, results_folder
+from frictrack.flow.tried_models import TriedModels, stored_models
+from frictrack.study import load, results_folder
 
 Provenances = Callable[[Path], dict[str, Provenance]]
 RUN_AGAIN = "run the study again"
@@ -39,7 +37,7 @@ _GROUP = re.compile(r"([^/\\]+\.h5)?:/(.+)")  # name of a group in `RunPipeline.
 _STUDY = re.compile(r"^\s*(\[study\]|\[\[run\]\])", re.MULTILINE)
 
 
-def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verification:
+def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str, Any]:
     """Verify study files, folders of results or HDF5 files. Nothing is written.
 
     Parameters
@@ -68,7 +66,13 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verificat
             raise FrictrackError(f"expected results of frictrack in {path} but found none", usage=True)
         files |= {p.resolve(): p for p in mine}
         studies |= {p.resolve(): p for p in named}
-    faults, pipelines = _open_studies(studies.values())
+    faults: list[Fault] = []
+    opened: list[TriedModels] = []
+    for path in studies.values():
+        try:
+            opened.append(stored_models(load(path)))
+        except FrictrackError as e:
+            faults.append(Fault(path, "", str(e), "correct it; its results are verified all the same", "changed"))
     sound: set[Path] = set()
     provenances = lru_cache(maxsize=256)(store.provenances)  # a file is asked for by every file computed from it
     for i, path in enumerate(files):
@@ -82,9 +86,8 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verificat
             sound.add(path)
         faults += found
     progress(len(files), len(files), "files")
-    for group in pipelines:
-        faults += _study_faults(group, sound)
     folders = dict.fromkeys(path.parent for path in files.values())
+    faults += [fault for models in opened for fault in _study_faults(models, sound)]
     faults += [fault for folder in folders for fault in _folder_faults(folder, sound)]
     return {
         "sound": not faults,
@@ -92,7 +95,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> Verificat
         "studies": len(studies),
         "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
         "without_checksums": [str(files[path]) for path in sound if store.read_header(path) is None],
-        "partly_hashed": [str(film) for group in pipelines for film in _partly_hashed(group)],
+        "partly_hashed": [str(film) for models in opened for film in _partly_hashed(models.pipelines)],
         "at_work": [str(folder) for folder in folders if is_busy(folder)],
     }
 
@@ -124,35 +127,18 @@ def _output_folder(path: Path) -> Path | None:
         return None
 
 
-def _open_studies(paths: Iterable[Path]) -> tuple[list[Fault], list[list[RunPipeline]]]:
-    """Open the runs of every study file; return the faults of those that cannot be read, and the runs."""
-    faults, pipelines = [], []
-    for path in paths:
-        try:
-            study = load(path)
-            pipelines.append([run_pipeline(study, run, stored_only=True) for run in study.runs])
-        except FrictrackError as e:
-            faults.append(Fault(path, "", str(e), "correct it; its results are verified all the same", "changed"))
-    return faults, pipelines
-
-
-def _existing_results(pipelines: list[RunPipeline]) -> list[Path]:
-    """Return the result files of a study that exist."""
-    return [
-        p for p in (*(pipeline.path for pipeline in pipelines), pipelines[0].study.output / "study.h5") if p.exists()
-    ]
-
-
-def _study_faults(pipelines: list[RunPipeline], sound: set[Path]) -> Iterator[Fault]:
+def _study_faults(models: TriedModels, sound: set[Path]) -> Iterator[Fault]:
     """Find differences between results and the study file with its recordings; damaged files are skipped."""
-    files = _existing_results(pipelines)
-    for pipeline in pipelines if files else ():
+    files = [p for p in (*(pipeline.path for pipeline in models.pipelines), models.path) if p.exists()]
+    for pipeline in models.pipelines if files else ():
         if pipeline.path not in files:
             yield Fault(pipeline.path, "", "this run has no results while others have", "run the study", "missing")
         elif pipeline.path.resolve() in sound:
             yield from _run_faults(pipeline)
-    if len(files) == len(pipelines) + 1 and all(path.resolve() in sound for path in files):
-        yield from _model_faults(pipelines[0].study, pipelines)
+    if len(files) == len(models.pipelines) + 1 and all(path.resolve() in sound for path in files):
+        for group in filter(models.is_outdated, models.groups):
+            words = "was fitted to other runs, or under other settings, than there are now"
+            yield Fault(models.path, f"/models/{group}", words, RUN_AGAIN, "outdated")
 
 
 def _run_faults(pipeline: RunPipeline) -> Iterator[Fault]:
@@ -192,15 +178,6 @@ def _partly_hashed(pipelines: list[RunPipeline]) -> Iterator[Path]:
             provenance = store.provenance(pipeline.path, "recording")
             if provenance is not None and pipeline.recording.sampled_hash in provenance.inputs:
                 yield pipeline.path
-
-
-def _model_faults(study: Study, pipelines: list[RunPipeline]) -> Iterator[Fault]:
-    """Find models that were fitted to other runs, or with other settings, than today's."""
-    models = TriedModels(study, pipelines, no_progress, CommandHistory(study.output))
-    for group in models.groups:
-        if models.is_outdated(group):
-            words = "was fitted to other runs, or under other settings, than there are now"
-            yield Fault(models.path, f"/models/{group}", words, RUN_AGAIN, "outdated")
 
 
 def _file_provenance_faults(path: Path, provenances: Provenances) -> list[Fault]:
@@ -276,22 +253,13 @@ LINKS = ("runs", "diagnosis")  # in study.h5: the files of the runs, and the dia
 PARTS = ("models",)  # groups of which every member is a group of its own here
 
 
-@dataclass(frozen=True)
-class Excluded:
-    """A value that may differ although the results are the same, and why."""
-
-    names: tuple[str, ...]
-    reason: str
-
-
-EXCLUDED = (
-    Excluded(("key", "input_hash", "inputs", "settings", "version"), "hashes of provenance include paths and versions"),
-    Excluded(("sha256",), "a checksum covers the provenance too"),
-    Excluded(("path",), "a recording may lie in another folder"),
-    Excluded(("hash",), "recordings are compared before; one that was read in parts has the hash of its store"),
-)  # attributes of groups, by name
-_NAMES_EXCLUDED = {name for one in EXCLUDED for name in one.names}
-
+EXCLUDED = {  # attributes of groups that may differ although the results are the same, and why
+    ("key", "input_hash", "inputs", "settings", "version"): "hashes of provenance include paths and versions",
+    ("sha256",): "a checksum covers the provenance too",
+    ("path",): "a recording may lie in another folder",
+    ("hash",): "recordings are compared before; one that was read in parts has the hash of its store",
+}
+_NAMES_EXCLUDED = {name for names in EXCLUDED for name in names}
 Values = dict[str, list[Any]]
 """Values by name: numbers, texts, bool, None, and arrays; in lists, in order."""
 

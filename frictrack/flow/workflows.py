@@ -1,13 +1,18 @@
-"""Work on a whole study in one call: run it, change its model, plan the next films, run the demonstration.
+"""Work on a whole study in one call: run it, change its model, plan the next films, run the demonstration, repeat it.
 
 What a person waits for comes first: the verdict, then what is shown next, then the report. Everything is stored as soon
 as it is known, so that the process may be ended at any moment after the verdict.
+
+An analysis is repeated as a Python script of the commands in the history, which leads to the current model, or at once
+from the models tried: `repeat_models` fits and diagnoses every model that is stored, in order, with its settings, seeds
+and significance levels, so that the results can be compared group by group.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +20,12 @@ import numpy as np
 
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
+from frictrack.flow import store
+from frictrack.flow.command_history import ALPHA_FIRST, CommandHistory
 from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
-from frictrack.flow.summaries import DemoSummary, ModelChange
+from frictrack.flow.tried_models import FitRequest
 from frictrack.measure.calibration import parse_scale
 from frictrack.results import to_builtins
 from frictrack.results.candidates import candidate_rows
@@ -199,7 +206,7 @@ def _setup_of_fit(session: Session) -> ExperimentSetup:
     return fitted_setup(fitted, session.study.costs)
 
 
-def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoSummary:
+def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
     """Run the sample study in a folder; the films are copied there if it has no study.
 
     The best candidate is added until the diagnosis finds nothing more.
@@ -225,10 +232,114 @@ def demo(folder: Path, seed: int = 0, progress: Progress = no_progress) -> DemoS
     session = Session(open_study(path), progress)
     session.restart()
     first = found = session.diagnose(seed)
-    added: list[ModelChange] = []
+    added: list[dict[str, Any]] = []
     while found["missing"] and len(added) < MAX_EFFECTS_ADDED:
         added.append(session.add(found["missing"][0], seed))
         found = session.diagnose(seed)
     history = session.history()
     report = session.report(seed)
     return {"diagnose": first, "add": added[0] if added else None, "history": history, "report": str(report)}
+
+
+HEAD = '''"""Repeat the analysis of {name}: every fit and every choice of the history, in order.
+
+The study file {file} already contains the edits that were made in it.
+"""
+
+from frictrack.flow import Session, open_study
+
+session = Session(open_study({file!r}))
+session.restart()  # forget the models tried; measurements are kept
+'''
+TAIL = """
+print(session.diagnose()["verdict"])
+print(session.report())
+"""
+STUDY_FILE_COMMANDS = ("edit", "take_in", "leave_out", "define")  # their effect is already in the study file
+
+
+def replay_script(study: Study) -> str:
+    """Return a Python script that leads to the current model; commands that were undone are left out.
+
+    Parameters
+    ----------
+    study
+        The study.
+
+    """
+    history = CommandHistory(study.output)
+    done, _ = history.undo_stacks()
+    first = [change for change in history.changes if change.command == "fit" and not change.before][-1:]
+    lines = ""
+    for change in (one for one in (*first, *done) if one.command not in STUDY_FILE_COMMANDS):
+        given = "".join(f", {key}={value!r}" for key, value in change.arguments.items() if value is not None)
+        lines += f"session.apply({change.command!r}{given})\n"
+    return HEAD.format(name=study.name, file=study.path.name) + lines + TAIL
+
+
+@dataclass(frozen=True)
+class RecordedModel:
+    """How a stored model was made.
+
+    `uncertainty` and `diagnosis` are the arguments of `Session.fit` and `Session.diagnose`; empty where neither
+    profiles nor draws were computed, or the model was not diagnosed.
+    """
+
+    group: str
+    request: FitRequest
+    current: bool
+    uncertainty: dict[str, Any]
+    diagnosis: dict[str, Any]
+
+
+def recorded_models(path: Path) -> list[RecordedModel]:
+    """Read from a file ``study.h5`` how the models of a study were made, in the order in which they were tried."""
+    with store.snapshot(path):  # whatever is wrong in it becomes one sentence
+        groups = sorted(store.names(path, "models"), key=lambda name: int(name.split("_")[0]))
+        return [_recorded_model(path, group) for group in groups]
+
+
+def _recorded_model(path: Path, group: str) -> RecordedModel:
+    inside = f"models/{group}"
+    held, parts = store.attributes(path, inside), store.names(path, inside)
+    uncertainty: dict[str, Any] = {}
+    diagnosis: dict[str, Any] = {}
+    if "certainty" in parts:
+        more = json.loads(store.read(path, f"{inside}/certainty")["summary"])
+        draws = more.get("bootstrap", {"draws": 0, "failed": 0})
+        uncertainty = {"profiles": "profiles" in more, "draws": draws["draws"] + draws["failed"]}
+    if "diagnosis" in parts:
+        summary = json.loads(store.read(path, f"{inside}/diagnosis", without=("figures",))["summary"])
+        seed = json.loads(store.attributes(path, f"{inside}/diagnosis")["settings"])["seed"]
+        is_quick = not summary.get("complete", True)
+        diagnosis = {"seed": seed, "alpha": summary.get("alpha", ALPHA_FIRST), "quick": is_quick}
+    return RecordedModel(group, FitRequest.from_json(held["settings"]), bool(held["current"]), uncertainty, diagnosis)
+
+
+def repeat_models(session: Session, models: Sequence[RecordedModel]) -> None:
+    """Fit and diagnose the models of another copy of the study, in order; then update all other results.
+
+    Parameters
+    ----------
+    session
+        The study, without results.
+    models
+        The models, from `recorded_models`.
+
+    Raises
+    ------
+    FrictrackError
+        If a run cannot be measured, or a model cannot be fitted.
+
+    """
+    session.bring_up_to("friction")
+    for model in models:
+        session.models.append(model.request)
+        if any(model.uncertainty.values()):
+            session.fit(**model.uncertainty)
+        if model.diagnosis:
+            session.diagnose(**model.diagnosis)
+    current = next((model for model in models if model.current), None)
+    if current is not None and current is not models[-1]:
+        session.apply("use", model=current.group)
+    session.results(None if current is None else current.diagnosis.get("seed"))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from frictrack import sampling
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
@@ -24,29 +25,6 @@ from frictrack.measure.plausibility import (
     time_unit,
 )
 from frictrack.records import Array, Displacement, Mask, Run
-from frictrack.sampling import (
-    EvenClock,
-    SampledPath,
-    Slip,
-    common_unevenness,
-    correct_ticks,
-    count_intervals,
-    describe_frames,
-    describe_length,
-    find_slips,
-    frame_numbers,
-    is_even,
-    jittered_clock,
-    moved_to_grid,
-    quantum,
-    robust_speed,
-    rounded_clock,
-    rounding_noise,
-    screened,
-    stamp_rounding,
-    unevenness,
-    unwrapped,
-)
 from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
 
 if TYPE_CHECKING:
@@ -102,7 +80,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
     nan = np.full(len(data.t), np.nan)
     nan.setflags(write=False)  # so that the records share it
     pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
-    displacement = screened(
+    displacement = sampling.screened(
         Displacement(
             t=data.t,
             x=data.x + x_offset,
@@ -126,29 +104,31 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
 
 def _with_jitter_noise(displacement: Displacement) -> Displacement:
     """Return a displacement with larger standard deviations if its samples jitter although the time stamps are even."""
-    if len(displacement) < MIN_ROWS or not is_even(displacement.t):
+    if len(displacement) < MIN_ROWS or not sampling.is_even(displacement.t):
         return displacement
     interval = float(np.median(np.diff(displacement.t)))
-    jitter, at_rest_noise = unevenness(displacement.t, displacement.x, _max_resolved_speed(displacement))
+    jitter, at_rest_noise = sampling.unevenness(displacement.t, displacement.x, _max_resolved_speed(displacement))
     if not jitter:
         return displacement
     stated = np.isfinite(displacement.sigma_x)
-    at_rest = np.where(stated, displacement.sigma_x, max(at_rest_noise, rounding_noise(displacement.resolution)))
-    moved = jitter * np.abs(robust_speed(displacement.t, displacement.x))
+    at_rest = np.where(
+        stated, displacement.sigma_x, max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
+    )
+    moved = jitter * np.abs(sampling.robust_speed(displacement.t, displacement.x))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return displacement
     note = (
-        f"the noise grows with the speed, up to {describe_length(float(np.max(moved)))}, as if samples jittered by "
-        f"{100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time stamps are "
-        "even; deviations grow with it"
+        f"the noise grows with the speed, up to {sampling.describe_length(float(np.max(moved)))}, as if samples "
+        f"jittered by {100 * jitter / interval:.2g} % of the interval of {interval:.6g} s (rms) although their time "
+        "stamps are even; deviations grow with it"
     )
     return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
 
 
 def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
     """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
-    even = [d for d in displacements if len(d) >= MIN_ROWS and is_even(d.t)]
-    jitter = common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
+    even = [d for d in displacements if len(d) >= MIN_ROWS and sampling.is_even(d.t)]
+    jitter = sampling.common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
     if not jitter:
         return ()
     share = 100 * jitter / float(np.median([np.median(np.diff(d.t)) for d in even]))
@@ -169,7 +149,9 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(float(noise_level(x, displacement.valid, t=displacement.t)[0]), rounding_noise(displacement.resolution))
+    sigma = max(
+        noise_level(x, displacement.valid, t=displacement.t)[0], sampling.rounding_noise(displacement.resolution)
+    )
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
@@ -178,15 +160,15 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     n = len(data.t)
     rows = np.arange(n)
     if data.x is not None:
-        x, turned = unwrapped(data.x)
+        x, turned = sampling.unwrapped(data.x)
         data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
-    if data.x is None or (n < MIN_ROWS and not (fps and not is_even(data.t))):
+    if data.x is None or (n < MIN_ROWS and not (fps and not sampling.is_even(data.t))):
         return EvenTable(data, np.ones(n, dtype=bool), rows)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
-    clocked = not is_even(data.t)
+    clocked = not sampling.is_even(data.t)
     stamped = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else (data, rows, ())
-    if fps and (not is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
+    if fps and (not sampling.is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
         words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
         stamped, clocked = (_counted_at_rate(data, fps), rows, (words,)), False
     data, rows, notes = stamped
@@ -207,12 +189,12 @@ def _rounding(data: TableData) -> float:
     steps, moved = np.diff(data.t), np.diff(data.x)
     twice = (steps == 0) & (moved == 0)  # rows that were written twice
     own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
-    rounding = stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
+    rounding = sampling.stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
     if rounding < MIN_ROUNDING * float(np.mean(steps)):
         return 0.0
-    if not is_even(data.t):
+    if not sampling.is_even(data.t):
         return rounding
-    intervals = np.diff(frame_numbers(data.t))
+    intervals = np.diff(sampling.frame_numbers(data.t))
     as_rows, as_gaps = (
         np.abs(_second_differences(moved)),
         intervals[1:-1] * np.abs(_second_differences(moved / intervals)),
@@ -232,7 +214,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
     every = np.arange(len(data.t))
     counts = [every]  # the motion shows missing rows, also where stamps are rounded to an interval or more
     if rounding < MAX_COUNTED_ROUNDING * float(np.ptp(data.t)) / len(data.t):
-        counts = [count_intervals(data.t, rounding, given), every]
+        counts = [sampling.count_intervals(data.t, rounding, given), every]
     for interval, ticks in product((None, given) if given else (None,), counts):
         rows = every[np.diff(ticks, prepend=-1) > 0]
         if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
@@ -243,12 +225,12 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
         if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
             continue
-        clock = rounded_clock(stamps, counted, rounding, interval)
-        clock = clock or jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
+        clock = sampling.rounded_clock(stamps, counted, rounding, interval)
+        clock = clock or sampling.jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
             found, notes = _at_rate(_at_clock(select_rows(data, table.numbers), clock), fps, rounding)
             return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
-    if is_even(data.t):
+    if sampling.is_even(data.t):
         raise FrictrackError(
             f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
             "contradicts the gaps they leave; give the frame rate as fps in [camera], or stamps with more digits"
@@ -260,7 +242,7 @@ def _can_find_slips(data: TableData) -> bool:
     """Return whether the rows lie on an even clock without long gaps, and the target moves."""
     assert data.x is not None
     gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
-    return is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
+    return sampling.is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
 
 
 def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
@@ -280,9 +262,9 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
         return data, np.arange(len(data.t)), ()
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
-        notes += (f"the time stamp is wrong in {describe_frames(read.corrupt)}; the row stays in its place",)
+        notes += (f"the time stamp is wrong in {sampling.describe_frames(read.corrupt)}; the row stays in its place",)
     assert taken.x is not None
-    clock = None if is_even(taken.t) else jittered_clock(taken.t, ticks, taken.x)
+    clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, taken.x)
     return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
 
 
@@ -290,7 +272,7 @@ def _doubled_note(rows: Rows) -> tuple[str, ...]:
     if not len(rows):
         return ()
     count = "1 row has" if len(rows) == 1 else f"{len(rows)} rows have"
-    return (f"{count} the time stamp of the row before: {describe_frames(rows)}; left out",)
+    return (f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out",)
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
@@ -299,10 +281,10 @@ def _fill_corrupt_ticks(ticks: Rows) -> Rows:
     return np.rint(np.interp(np.arange(len(ticks)), np.flatnonzero(known), ticks[known])).astype(np.int64)
 
 
-def _at_clock(data: TableData, clock: EvenClock) -> TableData:
+def _at_clock(data: TableData, clock: sampling.EvenClock) -> TableData:
     """Return a table at the times of a clock; positions are shifted by the delay of their samples."""
     moved: dict[str, Any] = {
-        name: column - robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
+        name: column - sampling.robust_speed(data.t, column) * clock.late if np.any(clock.late) else column
         for name, column in (("x", data.x), ("y", data.y))
         if column is not None
     }
@@ -312,7 +294,7 @@ def _at_clock(data: TableData, clock: EvenClock) -> TableData:
 def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
     """Return a table with uneven times at the nearest times of an even grid, and a note."""
     columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
-    moved = None if is_even(data.t) else moved_to_grid(data.t, list(columns.values()))
+    moved = None if sampling.is_even(data.t) else sampling.moved_to_grid(data.t, list(columns.values()))
     if moved is None:
         return data, ()
     found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
@@ -332,7 +314,8 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
     if fps is None:
         return data, ()
     span = float(data.t[-1] - data.t[0])
-    frames = frame_numbers(data.t) if is_even(data.t) else (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
+    frames = (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
+    frames = sampling.frame_numbers(data.t) if sampling.is_even(data.t) else frames
     rate = float(frames[-1]) / span
     note = f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; fps is used"
     differs = abs(rate / fps - 1) - rounding / span
@@ -375,45 +358,45 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
 
     Uneven time stamps were written by a clock; they are used as they are, and only repeated samples are left out.
     """
-    found = find_slips(_sampled_path(table.data), held=True)
+    found = sampling.find_slips(_sampled_path(table.data), held=True)
     if not found:
         return table
     data = table.data
     t0, interval = data.t[0], float(np.median(np.diff(data.t)))
-    ticks = frame_numbers(data.t).astype(np.int64)
+    ticks = sampling.frame_numbers(data.t).astype(np.int64)
     if clocked:
         found = tuple(replace(s, frames=0) for s in found if s.doubled)
-    right, keep = correct_ticks(ticks, found)
+    right, keep = sampling.correct_ticks(ticks, found)
     stay = np.setdiff1d(np.arange(len(ticks)), [s.frame for s in found if s.frames < 0])
     t = np.where(right == ticks, data.t, t0 + right * interval)
     taken = select_rows(replace(data, t=t), stay)
     return EvenTable(taken, keep[stay], table.numbers[stay], (*table.notes, *_slip_notes(found, table.numbers)))
 
 
-def _sampled_path(data: TableData) -> SampledPath:
+def _sampled_path(data: TableData) -> sampling.SampledPath:
     """Return the positions of a table as a path; only identical positions can repeat each other."""
     assert data.x is not None
     x = data.x
     own = x[np.concatenate(([True], np.diff(x) != 0))]
     noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
-    noise = max(noise, rounding_noise(quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
-    ticks = frame_numbers(data.t).astype(np.int64)
+    noise = max(noise, sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
+    ticks = sampling.frame_numbers(data.t).astype(np.int64)
     every = np.ones(len(x), dtype=bool)
-    return SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
+    return sampling.SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
 
 
-def _slip_notes(found: tuple[Slip, ...], numbers: Rows) -> tuple[str, ...]:
+def _slip_notes(found: tuple[sampling.Slip, ...], numbers: Rows) -> tuple[str, ...]:
     """Return notes on repeated and missing samples."""
     again = [int(numbers[s.frame]) for s in found if s.doubled]
     lost = [s for s in found if not s.doubled]
     notes = []
     if again:
         count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
-        notes.append(f"{count} the one before: {describe_frames(again)}; left out")
+        notes.append(f"{count} the one before: {sampling.describe_frames(again)}; left out")
     if lost:
         total = sum(s.frames for s in lost)
         count = "1 sample is" if total == 1 else f"{total} samples are"
-        places = describe_frames([int(numbers[s.frame]) for s in lost])
+        places = sampling.describe_frames([int(numbers[s.frame]) for s in lost])
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
 

@@ -59,7 +59,6 @@ class Recording(ABC):
     suffixes: ClassVar[tuple[str, ...]]
     reads_ranges: ClassVar[bool] = False  # it opens remote files that are read in parts
     direct: bool = False
-    interframe: bool = False  # its codec predicts pictures from one another: some frames are coded anew (key frames)
     _kept: NDArray[np.int64] | None = None  # frames of the file that are frames of the film (None: all)
 
     def __init__(self, path: str | Path | RangedFile, fps: float | None = None) -> None:
@@ -280,6 +279,15 @@ class Recording(ABC):
         return f"<{self.path.name}: {self.n_frames} frames {w}x{h} px, {self.bit_depth} bit, {self.fps:g} fps>"
 
 
+def truncation_notes(name: str, found: int, promised: int) -> tuple[str, ...]:
+    """Return a note if frames are missing at the end of a file; raise `FrictrackError` if all are."""
+    if not found:
+        raise FrictrackError(
+            f"{name}: truncated film: none of its {promised} frames is complete; copy it from the camera again"
+        )
+    return (f"truncated film: {found} of {promised} promised frames are in the file",) * (found < promised)
+
+
 def grey(picture: NDArray[Any]) -> Frame:
     """Convert a picture to grey values (luma of ITU-R BT.601).
 
@@ -295,7 +303,25 @@ def grey(picture: NDArray[Any]) -> Frame:
     return np.rint(luma).astype(picture.dtype)
 
 
-class FrameRange(Recording):
+class RecordingView(Recording):
+    """Frames of another recording, with random access."""
+
+    suffixes: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, source: Recording) -> None:
+        self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
+        self._source, self.direct = source, True
+
+    @property
+    def files(self) -> Sequence[Path | RangedFile]:
+        """See `Recording.files`."""
+        return self._source.files
+
+    def _open(self) -> Any:
+        raise NotImplementedError("a view is made of an open recording")
+
+
+class FrameRange(RecordingView):
     """The frames `start` to `stop` (exclusive) of a recording with random access; they are counted from 0.
 
     Parameters
@@ -307,26 +333,16 @@ class FrameRange(Recording):
 
     """
 
-    suffixes: ClassVar[tuple[str, ...]] = ()
-
     def __init__(self, source: Recording, start: int, stop: int) -> None:
-        self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
-        self._source, self._start = source, start
+        super().__init__(source)
+        self._start = start
         self.t = source.t[start:stop]
-        self.n_frames, self.notes, self.direct = len(self.t), (), True
+        self.n_frames, self.notes = len(self.t), ()
         self.stamps = None if source.stamps is None else source.stamps[start:stop]
-
-    @property
-    def files(self) -> Sequence[Path | RangedFile]:
-        """See `Recording.files`."""
-        return self._source.files
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """Cut boxes out of frames; see `Recording.cut`."""
         return self._source.cut(np.asarray(indices, np.int64) + self._start, corners, size)
-
-    def _open(self) -> Any:
-        raise NotImplementedError("a range of frames is made of an open recording")
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         for index in indices:

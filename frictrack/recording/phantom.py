@@ -6,24 +6,43 @@ Fields and offsets follow the maker's "Cine File Format" (Vision Research); all 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.recording.base import Header
+from frictrack.recording.base import Header, truncation_notes
 from frictrack.recording.raw import DirectRecording, PixelLayout
 
-_FILE = struct.Struct("<2sHHHiIiIIIIQ")  # CINEFILEHEADER
-_BITMAP = struct.Struct("<IiiHHIIiiII")  # BITMAPINFOHEADER
+# Fields that are used: the header in which each lies, its byte there, and its type. A header lies at the byte of the
+# file that the field of its name holds (CINEFILEHEADER, BITMAPINFOHEADER, SETUP).
+_FIELDS = {
+    "compression": ("file", 4, "<H"),
+    "first": ("file", 16, "<i"),  # number of the first picture, counted from the trigger
+    "count": ("file", 20, "<I"),
+    "bitmap": ("file", 24, "<I"),
+    "setup": ("file", 28, "<I"),
+    "offsets": ("file", 32, "<I"),
+    "trigger_time": ("file", 36, "<Q"),  # 2^-32 s
+    "width": ("bitmap", 4, "<i"),
+    "height": ("bitmap", 8, "<i"),
+    "bit_count": ("bitmap", 14, "<H"),
+    "packed": ("bitmap", 16, "<I"),
+    "picture_bytes": ("bitmap", 20, "<I"),
+    "rate_16": ("setup", 0, "<H"),
+    "setup_bytes": ("setup", 142, "<H"),
+    "rate": ("setup", 768, "<I"),
+    "shutter": ("setup", 772, "<I"),
+    "bits": ("setup", 896, "<I"),
+}
+_SHUTTER_NS = 1568  # byte of the setup, if that is so long
 _PACKED = {256: 10, 1024: 12}  # biCompression: P10 (companded) and P12L (linear)
-# SETUP: place and type of what is used, and the length from which on a setup has it
-_SETUP = {"rate_16": (0, "<H"), "rate": (768, "<I"), "shutter": (772, "<I"), "bits": (896, "<I")}
-_SHUTTER_NS = (1568, "<I")
 _STAMPS, _EXPOSURES = 1002, 1003  # tagged blocks: time and exposure of each picture, in 2^-32 s
 _MAX_BLOCKS = 100
+
+
+CineHeader = dict[str, int]
 
 
 class Phantom(DirectRecording):
@@ -43,26 +62,20 @@ class Phantom(DirectRecording):
                 ) from error
 
     def _header(self, file: BinaryIO, size: int) -> Header:
-        head = _CineHeader.read(file)
-        if head.mark != b"CI":
+        file.seek(0)
+        if file.read(2) != b"CI":
             raise FrictrackError(f"{self.path.name}: expected a Phantom film but the file cannot be read as one")
+        head = _read_header(file)
         height, width, bits = self._pixels(head)
-        padded = 4 if head.picture_bytes != abs(height) * width * bits // 8 and not head.packed else 1
+        padded = 4 if head["picture_bytes"] != abs(height) * width * bits // 8 and not head["packed"] else 1
         layout = PixelLayout(self.path, range(0), bits, padded=padded)
         offsets = _offsets(file, head, layout.pitch(width) * abs(height), size)
-        if not len(offsets):
-            raise FrictrackError(
-                f"{self.path.name}: truncated film: none of its {head.count} frames is complete; "
-                "copy it from the camera again"
-            )
-        notes: tuple[str, ...] = ()
-        if len(offsets) < head.count:
-            notes = (f"truncated film: {len(offsets)} of {head.count} promised frames are in the file",)
+        notes = truncation_notes(self.path.name, len(offsets), head["count"])
         self._layout = PixelLayout(
             self.path,
             offsets,
             bits,
-            upward=height > 0 and not head.packed,  # packed pictures are always stored from the top
+            upward=height > 0 and not head["packed"],  # packed pictures are always stored from the top
             padded=padded,
             table=_LINEAR_12_BIT if bits == 10 else None,
         )
@@ -71,81 +84,50 @@ class Phantom(DirectRecording):
             len(offsets),
             (abs(height), width),
             self._depth(head, bits),
-            head.rate,
+            float(head["rate"] or head["rate_16"]) or None,
             notes=notes,
             stamps=_stamps(blocks.get(_STAMPS), head, len(offsets)),
             exposure=_exposure(blocks.get(_EXPOSURES), head),
-            trigger=-head.first,
+            trigger=-head["first"],
             camera=True,
         )
 
-    def _pixels(self, head: _CineHeader) -> tuple[int, int, int]:
+    def _pixels(self, head: CineHeader) -> tuple[int, int, int]:
         """Height (negative: stored from the top), width and bits of a pixel, all checked."""
-        bits = _PACKED.get(head.packed, head.bit_count)
-        if bits not in (8, 10, 12, 16) or head.compression not in (0, 2) or head.packed not in (0, *_PACKED):
+        bits = _PACKED.get(head["packed"], head["bit_count"])
+        if bits not in (8, 10, 12, 16) or head["compression"] not in (0, 2) or head["packed"] not in (0, *_PACKED):
             raise FrictrackError(
-                f"{self.path.name}: expected uncompressed grey values of 8, 10, 12 or 16 bit but got {head.bit_count} "
-                f"bit, compression {head.compression}; save the film as raw cine from the camera's software"
+                f"{self.path.name}: expected uncompressed grey values of 8, 10, 12 or 16 bit but got "
+                f"{head['bit_count']} bit, compression {head['compression']}; "
+                "save the film as raw cine from the camera's software"
             )
-        if not (0 < abs(head.height) <= 1 << 16 and 0 < head.width <= 1 << 16):
+        if not (0 < abs(head["height"]) <= 1 << 16 and 0 < head["width"] <= 1 << 16):
             raise FrictrackError(
-                f"{self.path.name}: expected pictures of 1 to 65536 px but got {head.width}x{head.height} px; "
+                f"{self.path.name}: expected pictures of 1 to 65536 px but got {head['width']}x{head['height']} px; "
                 "the header is damaged, copy the film from the camera again"
             )
-        if bits in (10, 12) and head.width % 4:
+        if bits in (10, 12) and head["width"] % 4:
             raise FrictrackError(
-                f"{self.path.name}: expected packed rows of a multiple of 4 px but got {head.width} px; "
+                f"{self.path.name}: expected packed rows of a multiple of 4 px but got {head['width']} px; "
                 "save the film unpacked from the camera's software"
             )
-        return head.height, head.width, bits
+        return head["height"], head["width"], bits
 
-    def _depth(self, head: _CineHeader, bits: int) -> int:
+    def _depth(self, head: CineHeader, bits: int) -> int:
         """Bit depth of the grey values."""
         if bits != 16:
             return 12 if bits == 10 else bits
-        return head.setup["bits"] if 8 < head.setup["bits"] <= 16 else 16
+        return head["bits"] if 8 < head["bits"] <= 16 else 16
 
 
-@dataclass(frozen=True)
-class _CineHeader:
-    """Used fields of the file, bitmap and setup headers."""
-
-    mark: bytes
-    compression: int
-    first: int  # number of the first picture, counted from the trigger
-    count: int
-    off_setup: int
-    off_offsets: int
-    trigger_time: int  # 2^-32 s
-    width: int
-    height: int
-    bit_count: int
-    packed: int
-    picture_bytes: int
-    setup_bytes: int
-    setup: dict[str, int]
-
-    @classmethod
-    def read(cls, file: BinaryIO) -> _CineHeader:
-        """Read the headers; raises `struct.error` where the file is too short."""
-        file.seek(0)
-        fields = _FILE.unpack(file.read(_FILE.size))
-        off_bitmap, off_setup, off_offsets = fields[8:11]
-        file.seek(off_bitmap)
-        bitmap = _BITMAP.unpack(file.read(_BITMAP.size))
-        length = _number(file, off_setup + 142, "<H")
-        setup = {name: _number(file, off_setup + at, kind) for name, (at, kind) in _SETUP.items()}
-        at, kind = _SHUTTER_NS
-        setup["shutter_ns"] = _number(file, off_setup + at, kind) if length >= at + 4 else 0
-        return cls(
-            fields[0], fields[2], fields[6], fields[7], off_setup, off_offsets, fields[11],
-            bitmap[1], bitmap[2], bitmap[4], bitmap[5], bitmap[6], length, setup,
-        )  # fmt: skip
-
-    @property
-    def rate(self) -> float | None:
-        """Frame rate that the camera was set to, 1/s."""
-        return float(self.setup["rate"] or self.setup["rate_16"]) or None
+def _read_header(file: BinaryIO) -> CineHeader:
+    """Read the headers; raises `struct.error` where the file is too short."""
+    head = {"file": 0}
+    for name, (part, at, kind) in _FIELDS.items():
+        head[name] = _number(file, head[part] + at, kind)
+    is_long = head["setup_bytes"] >= _SHUTTER_NS + 4
+    head["shutter_ns"] = _number(file, head["setup"] + _SHUTTER_NS, "<I") if is_long else 0
+    return head
 
 
 def _number(file: BinaryIO, at: int, kind: str) -> int:
@@ -154,10 +136,10 @@ def _number(file: BinaryIO, at: int, kind: str) -> int:
     return int(struct.unpack(kind, file.read(struct.calcsize(kind)))[0])
 
 
-def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDArray[np.int64]:
+def _offsets(file: BinaryIO, head: CineHeader, picture: int, size: int) -> NDArray[np.int64]:
     """Bytes at which complete pictures start, up to the first incomplete one."""
-    most = min(head.count, max(0, size - head.off_offsets) // 8)
-    file.seek(head.off_offsets)
+    most = min(head["count"], max(0, size - head["offsets"]) // 8)
+    file.seek(head["offsets"])
     places = np.frombuffer(file.read(8 * most), "<i8")
     if not most or not 0 <= places[0] <= size - 4:
         return np.empty(0, np.int64)
@@ -170,12 +152,12 @@ def _offsets(file: BinaryIO, head: _CineHeader, picture: int, size: int) -> NDAr
     return places[:count] + annotation
 
 
-def _blocks(file: BinaryIO, head: _CineHeader, size: int) -> dict[int, NDArray[Any]]:
+def _blocks(file: BinaryIO, head: CineHeader, size: int) -> dict[int, NDArray[Any]]:
     """Tagged blocks of time stamps and exposures, as stored."""
     found: dict[int, NDArray[Any]] = {}
-    at = head.off_setup + head.setup_bytes
+    at = head["setup"] + head["setup_bytes"]
     for _ in range(_MAX_BLOCKS):
-        if at + 8 > min(size, head.off_offsets):
+        if at + 8 > min(size, head["offsets"]):
             break
         file.seek(at)
         length, tag, more = struct.unpack("<IHH", file.read(8))
@@ -190,23 +172,23 @@ def _blocks(file: BinaryIO, head: _CineHeader, size: int) -> dict[int, NDArray[A
     return found
 
 
-def _stamps(block: NDArray[Any] | None, head: _CineHeader, count: int) -> NDArray[np.float64] | None:
+def _stamps(block: NDArray[Any] | None, head: CineHeader, count: int) -> NDArray[np.float64] | None:
     """Times of the pictures from the trigger, s; NaN where none was written."""
     if block is None or len(block) < 2:
         return None
     stored = block[:count]
     stamps = np.full(count, np.nan)
     # In 2^-32 s since 1970. Subtracted as whole numbers: a float has no room for years and microseconds.
-    since = (stored - np.uint64(head.trigger_time)).astype(np.int64)
+    since = (stored - np.uint64(head["trigger_time"])).astype(np.int64)
     stamps[: len(stored)] = np.where(stored == 0, np.nan, since * 2.0**-32)
     return stamps
 
 
-def _exposure(block: NDArray[Any] | None, head: _CineHeader) -> float | None:
+def _exposure(block: NDArray[Any] | None, head: CineHeader) -> float | None:
     """Exposure, s: the median of the pictures, else the setting of the camera."""
     if block is not None and len(block) and np.median(block) > 0:
         return float(np.median(block)) * 2.0**-32
-    return (head.setup["shutter_ns"] * 1e-9 or head.setup["shutter"] * 1e-6) or None
+    return (head["shutter_ns"] * 1e-9 or head["shutter"] * 1e-6) or None
 
 
 def _linearisation_table() -> NDArray[np.uint16]:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
-from frictrack.recording.base import Header
+from frictrack.recording.base import Header, truncation_notes
 from frictrack.recording.byte_ranges import RangedFile, file_size
 from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
 
@@ -50,14 +50,7 @@ class Photron(DirectRecording):
         frame = picture_bytes(shape, bits)
         promised, size = self._whole_number(facts, "frames", 1, 1 << 40), file_size(self._data)
         count = min(promised, size // frame)
-        notes: tuple[str, ...] = ()
-        if not count:
-            raise FrictrackError(
-                f"{self._data.name}: truncated film: none of its {promised} frames is complete; "
-                "copy it from the camera again"
-            )
-        if count < promised:
-            notes = (f"truncated film: {count} of {promised} promised frames are in the file",)
+        notes = truncation_notes(self._data.name, count, promised)
         depth = self._whole_number(facts, "depth", 8, 16) if bits == 16 and "depth" in facts else bits
         high = bits == 16 and facts.get("side", "").lower() == "higher"
         layout = PixelLayout(self._data, range(0, count * frame, frame), bits, shift=bits - depth if high else 0)

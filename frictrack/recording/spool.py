@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import write_at
-from frictrack.recording.base import Frame, Recording
-from frictrack.recording.byte_ranges import RangedFile
+from frictrack.recording.base import Frame, Recording, RecordingView
 from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes
 
 KEPT_FRAMES, LOOK_BACK_FRAMES = (
@@ -66,15 +65,11 @@ def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recor
         spool.close()
 
 
-class Spool(Recording):
+class Spool(RecordingView):
     """Decoded frames of another recording, with random access; created by `random_access`."""
 
-    suffixes: ClassVar[tuple[str, ...]] = ()
-
     def __init__(self, source: Recording, store: _MemoryStore | _DiskStore) -> None:
-        self.__dict__.update({k: v for k, v in vars(source).items() if not k.startswith("_")})
-        self.direct = True
-        self._source = source
+        super().__init__(source)
         self._store = store
         self._passed = 0  # frames before this one will not be asked for again
         self._ready, self._done, self._stop = 0, False, False
@@ -84,11 +79,6 @@ class Spool(Recording):
         self._decoder = Thread(target=self._decode, name="frictrack decoder", daemon=True)
         atexit.register(self.close)  # a thread that still decodes when Python ends would abort the process
         self._decoder.start()
-
-    @property
-    def files(self) -> Sequence[Path | RangedFile]:
-        """See `Recording.files`."""
-        return self._source.files
 
     def cut(self, indices: Sequence[int] | NDArray[Any], corners: NDArray[Any], size: tuple[int, int]) -> Frame:
         """Wait for the frames and cut boxes out of them; see `Recording.cut`."""
@@ -107,9 +97,6 @@ class Spool(Recording):
             self._condition.notify_all()
         self._decoder.join()
         self._store.close()
-
-    def _open(self) -> Any:
-        raise NotImplementedError("a spool is made of an open recording")
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         corner = np.zeros((1, 2), np.int64)

@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.recording.base import Frame, Header, grey
+from frictrack.recording.base import Frame, Header, grey, truncation_notes
 from frictrack.recording.raw import DirectRecording, PixelLayout, picture_bytes
 
 # What tifffile would log about broken files, `Recording` says in words.
@@ -56,14 +56,7 @@ class Tiff(DirectRecording):
         self._contiguous = _in_one_block(tif, self._at, frame_bytes)
         promised = self._promised(tif)
         in_file = self._pages_in_file(tif, frame_bytes)
-        notes: tuple[str, ...] = ()
-        if in_file < promised:
-            notes = (f"truncated film: {in_file} of {promised} promised frames are in the file",)
-        if in_file == 0:
-            raise FrictrackError(
-                f"{self.path.name}: truncated film: none of its {promised} frames is complete; "
-                "copy it from the camera again"
-            )
+        notes = truncation_notes(self.path.name, in_file, promised)
         plain = page.compression == tifffile.COMPRESSION.NONE
         if frame_bytes > self.path.stat().st_size * (1 if plain else _MAX_COMPRESSION):
             raise ValueError("a picture larger than the file can hold")

@@ -7,7 +7,6 @@ a missing frame becomes a gap, and a corrupt stamp is ignored.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -190,9 +189,8 @@ def read_stamps(stamps: Array) -> Stamps | None:
     if np.all(steps >= 0) and len(good) == len(stamps) and np.ptp(stamps) > 0:
         ticks = _count_rounded(stamps, step)
     if ticks is None:
-        ticks = _consecutive(stamps, step)
-    if ticks is None:
-        ticks = _count_ticks(stamps, step)
+        consecutive = np.all(np.abs(np.diff(stamps) / step - 1) < 0.5)  # as in nearly all films
+        ticks = np.arange(len(stamps)) if consecutive else _count_ticks(stamps, step)
     written_twice = _written_twice(ticks)
     ticks[written_twice] += 1
     known = np.flatnonzero(ticks >= 0)
@@ -243,18 +241,11 @@ def _uneven(ticks: Ticks, stamps: Array, step: float) -> bool:
     return float(np.std(off)) > MAX_UNEVENNESS * step
 
 
-def _consecutive(stamps: Array, step: float) -> Ticks | None:
-    """0, 1, 2, ... where every interval is one frame, as in nearly all films."""
-    steps = np.diff(stamps)
-    if np.all((steps > 0.5 * step) & (steps < 1.5 * step)):
-        return np.arange(len(stamps))
-    return None
-
-
 def _count_ticks(stamps: Array, step: float) -> Ticks:
     """Frame intervals since the first good stamp; -1 where a stamp is corrupt; a clock that was reset is continued."""
     ticks = np.full(len(stamps), -1, np.int64)
-    last = _first_confirmed(stamps, step)
+    follows = np.abs(np.diff(stamps) / step - 1) < 0.5  # by one interval
+    last = int(np.argmax(follows))  # the first stamp that the next one confirms
     ticks[last] = last
     disagreeing: list[int] = []
     for i in range(last + 1, len(stamps)):
@@ -263,24 +254,13 @@ def _count_ticks(stamps: Array, step: float) -> Ticks:
             ticks[i] = ticks[last] + max(round(passed), 0)
             last, disagreeing = i, []
             continue
-        disagreeing = [*disagreeing, i] if _continues(stamps, disagreeing, i, step) else [i]
+        goes_on = disagreeing and 0.5 < (stamps[i] - stamps[disagreeing[-1]]) / step < 1.5
+        disagreeing = [*disagreeing, i] if goes_on else [i]
         if len(disagreeing) == _MIN_AGREEING_STAMPS:
             for place in disagreeing:
                 ticks[place] = ticks[last] + place - last
             last, disagreeing = i, []
     return ticks - ticks[ticks >= 0].min(initial=0) * (ticks >= 0)
-
-
-def _first_confirmed(stamps: Array, step: float) -> int:
-    """The first stamp that the next one confirms."""
-    steps = np.diff(stamps) / step
-    near = np.flatnonzero((steps > 0.5) & (steps < 1.5))
-    return int(near[0]) if len(near) else 0
-
-
-def _continues(stamps: Array, disagreeing: Sequence[int], i: int, step: float) -> bool:
-    """Whether stamp `i` follows the last disagreeing one by one interval."""
-    return bool(disagreeing) and 0.5 < (stamps[i] - stamps[disagreeing[-1]]) / step < 1.5
 
 
 def _is_credible(passed: float, i: int, last: int, stamps: Array, step: float) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.recording.base import Frame, Header, Recording
+from frictrack.recording.base import Frame, Header, Recording, truncation_notes
 
 # What FFmpeg and OpenCV would say on stderr about broken files, `Recording` says in words.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -24,9 +24,6 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file|format_whitelist;avi,mov,matroska")
 if "OPENCV_LOG_LEVEL" not in os.environ:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
-
-# Codecs that code every picture by itself.
-_INTRA = (b"MJPG", b"FFV1", b"png ", b"MPNG", b"HFYU", b"FFVH", b"Y800", b"DIB ", b"\0\0\0\0")
 
 # Pixel formats whose first plane is the luma itself: read as it was stored, without a turn through BGR.
 _LUMA_FIRST = {b"Y800": 8, b"I420": 8, b"Y42B": 8, b"Y1\x00\x10": 16}
@@ -41,7 +38,6 @@ class Video(Recording):
     def _open(self) -> Header:
         capture = self._capture()
         promised, fps = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
-        self.interframe = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") not in _INTRA
         good, first = capture.read()
         if not good:
             raise FrictrackError(
@@ -50,11 +46,15 @@ class Video(Recording):
             )
         stamps = self._stamps()
         packets = len(stamps)
-        notes: tuple[str, ...] = ()
-        if packets < promised:
-            notes = (f"truncated film: {packets} of {promised} promised frames are in the file",)
         depth = 16 if first.dtype == np.uint16 else 8
-        return Header(packets, first.shape[:2], depth, fps if fps > 0 else None, notes=notes, stamps=stamps)
+        return Header(
+            packets,
+            first.shape[:2],
+            depth,
+            fps if fps > 0 else None,
+            notes=truncation_notes(self.path.name, packets, promised),
+            stamps=stamps,
+        )
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
         capture, at = self._capture(), -1

@@ -5,56 +5,28 @@ field names its unit, which the store writes beside the numbers. NaN means "not 
 that allow it. The comments beside the fields appear in ``store/SCHEMA.md``.
 """
 
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.records.frame_table import (
+    INTERPOLATED,
+    MEASURED,
     Array,
+    Curve,
+    CutoffTradeOff,
+    Displacement,
+    Filtered,
     FrameTable,
+    Friction,
     Mask,
+    ModelledMotion,
+    Motion,
     NotebookView,
+    Point,
+    RunEvents,
+    Track,
     away_from_ends,
     column,
     scalar,
     stretches,
 )
 from frictrack.records.run import GRAVITY, ROLLING, EarlierRuns, Run, rolling_inertia
-from frictrack.records.series import (
-    INTERPOLATED,
-    MEASURED,
-    Curve,
-    CutoffTradeOff,
-    Displacement,
-    Filtered,
-    Friction,
-    ModelledMotion,
-    Motion,
-    Point,
-    RunEvents,
-    Track,
-)
-
-__all__ = [
-    "GRAVITY",
-    "INTERPOLATED",
-    "MEASURED",
-    "ROLLING",
-    "Array",
-    "Curve",
-    "CutoffTradeOff",
-    "Displacement",
-    "EarlierRuns",
-    "Filtered",
-    "FrameTable",
-    "Friction",
-    "Mask",
-    "ModelledMotion",
-    "Motion",
-    "NotebookView",
-    "Point",
-    "Run",
-    "RunEvents",
-    "Track",
-    "away_from_ends",
-    "column",
-    "rolling_inertia",
-    "scalar",
-    "stretches",
-]

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.lazy import imported
-from frictrack.records.frame_table import Array, NotebookView, scalar
-from frictrack.records.series import Displacement, Motion
+from frictrack.records.frame_table import Array, Displacement, Motion, NotebookView, scalar
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -95,7 +95,7 @@ class RunResults:
     tracks: dict[str, Track] = field(default_factory=dict)  # the reference and further targets
     sensors: Sensors | None = None
     quality: dict[str, Any] = field(default_factory=dict)  # how well the film was measured; see flow.track_quality
-    budget: dict[str, Any] = field(default_factory=dict)  # error budget of the friction force; see flow.run_summaries
+    budget: dict[str, Any] = field(default_factory=dict)  # error budget of the friction force; see flow.stored_results
     role: str = "fit"
     group: str = ""
     settings: dict[str, Any] = field(default_factory=dict)  # keys of the run, inherited ones included

@@ -7,15 +7,17 @@ from frictrack.sampling.clock import (
     base_interval,
     common_unevenness,
     count_intervals,
+    frame_numbers,
     is_even,
     jittered_clock,
     moved_to_grid,
+    quantum,
     robust_speed,
     rounded_clock,
+    rounding_noise,
     stamp_rounding,
     unevenness,
+    unwrapped,
 )
-from frictrack.sampling.outlier_search import outliers
-from frictrack.sampling.screen import copies, describe_frames, describe_length, frame_numbers, screened
+from frictrack.sampling.screen import copies, describe_frames, describe_length, outliers, screened
 from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips
-from frictrack.sampling.steps import quantum, rounding_noise, unwrapped

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Mask
-from frictrack.sampling.steps import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
+from frictrack.sampling.clock import MIN_KNOWN_STEPS, REACH_STEPS, usual_steps
 
 MAX_STILL_STEP = 0.15  # of the usual step; a smaller one is none
 MIN_NEIGHBOUR_STEP = 0.6  # of the usual step, before and after: nothing stops and goes on in between

@@ -13,8 +13,7 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.search.evaluator import CostEvaluator
-from frictrack.search.method import SearchMethod, setting
+from frictrack.search.method import CostEvaluator, SearchMethod, setting
 
 UNLIMITED_ITERATIONS = 10**9  # iterations: the evaluator's budget decides
 DIFFERENCE_STEP = 1e-8  # of the box, the step of a forward difference

@@ -26,18 +26,6 @@ _EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, widt
 class Repair:
     """Repair of the frames `first` to `last` of a film, both included.
 
-    Attributes
-    ----------
-    first, last
-        Numbers of the first and the last frame.
-    how
-        "track": find the target again from `target`; "interpolate": bridge the frames by the smoothed motion;
-        "leave_out": treat them as lost.
-    frame
-        Frame in which `target` is given; by default the first one.
-    target
-        Corners [[x, y], ...] or rectangle [x, y, w, h], px, that tells where the target is; only for "track".
-
     Examples
     --------
     >>> Repair(120, 160, "track", target=(400.0, 80.0, 60.0, 40.0)).place
@@ -45,10 +33,13 @@ class Repair:
 
     """
 
-    first: int
+    first: int  # first, last: numbers of the first and the last frame
     last: int
+    # "track": find the target again from `target`; "interpolate": bridge the frames by the smoothed motion;
+    # "leave_out": treat them as lost
     how: How
-    frame: int | None = None
+    frame: int | None = None  # frame in which `target` is given; by default the first one
+    # corners [[x, y], ...] or rectangle [x, y, w, h], px, that tells where the target is; only for "track"
     target: tuple[float, ...] | Polygon | None = None
 
     @property

@@ -6,23 +6,15 @@
 - `frictrack.simulate.scene` reads a scene file and writes a whole study of known truth.
 """
 
-from frictrack.simulate.conditions import Conditions, push_force
+# ruff: noqa: F401 - the imports are the interface
+
 from frictrack.simulate.trajectory import (
+    Conditions,
     Start,
     Trajectory,
     image_shift,
     is_smooth_at_rest,
+    push_force,
     simulate,
     simulate_displacement,
 )
-
-__all__ = [
-    "Conditions",
-    "Start",
-    "Trajectory",
-    "image_shift",
-    "is_smooth_at_rest",
-    "push_force",
-    "simulate",
-    "simulate_displacement",
-]

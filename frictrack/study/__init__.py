@@ -4,8 +4,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
 
     loading          study.toml -> `Study`, with every fault in one error
     schema           the keys of a study file, with types and units
-    editing          change one key of a study file; comments are kept
-    writing          a new study file from recordings
+    writing          a new study file from recordings; change one key of a study file, comments are kept
     reading_tables   tables -> columns in SI units
     table_files      text, Excel, exports of Tracker and Kinovea -> cells; `table_layout` finds header and units
     track_formats    tracks in the own files of Tracker, Kinovea, DeepLabCut, movement, SLEAP, DICe, pyidi -> cells
@@ -20,7 +19,6 @@ from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study.column_names import columns_line, find_header, guess_points, has_units, may_hold, stated_unit
-    from frictrack.study.editing import with_effect, with_key, with_runs, without_run
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         TableData,
@@ -42,15 +40,20 @@ if TYPE_CHECKING:
         suggest,
         to_si,
     )
-    from frictrack.study.table_cells import TableFile
     from frictrack.study.table_files import open_table, table_headers
+    from frictrack.study.table_layout import TableFile
     from frictrack.study.writing import (
         NewRun,
         find_recordings,
         is_picture_folder,
         is_table,
         list_files,
+        name_of_table,
         refuse_existing,
+        with_effect,
+        with_key,
+        with_runs,
+        without_run,
         write_study,
     )
 

@@ -82,11 +82,6 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
 
     Every column of times begins a run; each run has a column of positions.
 
-    Parameters
-    ----------
-    present
-        The headers of the table.
-
     Examples
     --------
     >>> runs_of_columns(["t 1 (s)", "x 1 (mm)", "t 2 (s)", "x 2 (mm)"])
@@ -106,11 +101,6 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
 
 def guess_points(present: Sequence[str]) -> dict[str, str]:
     """Guess the columns of points (v, F) at constant speeds, by usual names, else by units; empty if it holds none.
-
-    Parameters
-    ----------
-    present
-        The headers of the table.
 
     Examples
     --------
@@ -146,13 +136,6 @@ def guess_points(present: Sequence[str]) -> dict[str, str]:
 def find_header(written: str, present: Sequence[str]) -> str | None:
     """Return the header of the table that a name means, or None.
 
-    Parameters
-    ----------
-    written
-        The name in the study file, perhaps with a unit: ``"t (ms)"`` also finds ``"t"``, ``"t"`` also ``"t (ms)"``.
-    present
-        The headers of the table.
-
     Examples
     --------
     >>> find_header("pos (mm)", ["t", "pos"]), find_header("pos", ["t", "pos (mm)"]), find_header("x", ["t"])
@@ -171,13 +154,6 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
 def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name) -> dict[str, str]:
     """Guess time, position, height and friction by the usual names; a name that could be two columns is left out.
 
-    Parameters
-    ----------
-    present
-        The headers of the table.
-    name
-        Name of what a header holds.
-
     Examples
     --------
     >>> guess_columns(["Time (ms)", "Position (mm)", "F"])
@@ -194,13 +170,6 @@ def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name
 
 def may_hold(header: str, key: str) -> bool:
     """Return whether the unit of a column, if it states one, is that of a short name.
-
-    Parameters
-    ----------
-    header
-        The header of the column.
-    key
-        The short name, such as "x".
 
     Examples
     --------
@@ -225,11 +194,6 @@ def has_units(columns: Mapping[str, str]) -> bool:
 
 def columns_line(columns: Mapping[str, str]) -> str:
     """Return the line of a study file that names columns; the SI unit stands where the header has none.
-
-    Parameters
-    ----------
-    columns
-        Headers by short name.
 
     Examples
     --------

@@ -18,29 +18,16 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
-from frictrack.study.schema import (
-    CameraTable,
-    CostsTable,
-    EffectTable,
-    Keys,
-    MotionTable,
-    RunTable,
-    SearchTable,
-    StudyTable,
-    Value,
-    chosen_filter,
-    needs_film,
-    suggest,
-)
+from frictrack.study import schema
 
-TABLES: dict[str, type[Keys]] = {
-    "study": StudyTable,
-    "camera": CameraTable,
-    "motion": MotionTable,
-    "run": RunTable,
-    "effect": EffectTable,
-    "costs": CostsTable,
-    "search": SearchTable,
+TABLES: dict[str, type[schema.Keys]] = {
+    "study": schema.StudyTable,
+    "camera": schema.CameraTable,
+    "motion": schema.MotionTable,
+    "run": schema.RunTable,
+    "effect": schema.EffectTable,
+    "costs": schema.CostsTable,
+    "search": schema.SearchTable,
 }
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = ("run", "effect")  # written with two brackets
@@ -55,52 +42,27 @@ _NO_KEY = re.compile(r'"(?:[^"\\]|\\.)*"|\'[^\']*\'|#.*|\d\.\d')
 
 @dataclass(frozen=True)
 class Study:
-    """A study file, read and checked.
+    """A study file, read and checked."""
 
-    Attributes
-    ----------
-    path, name
-        The study file, and the name of the study.
-    model
-        The first model: a name, or names of effects.
-    output
-        Folder of the results.
-    runs, effects
-        The ``[[run]]`` and ``[[effect]]`` tables.
-    mass
-        Mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load.
-    fps, scale
-        Frame rate (Hz) and scale in ``[camera]``, for a plan without runs.
-    prior, prior_file
-        The law of another set-up, as a prior, and its file; None without one.
-    conditions
-        Conditions in which the studies of a campaign differ, by name.
-    functions
-        Functions of z in ``[study]``, for formulas.
-    costs
-        Costs of the next experiment.
-    search
-        How models are fitted; None without a table ``[search]``.
-    incomplete
-        What its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`.
-
-    """
-
-    path: Path
+    path: Path  # path, name: the study file, and the name of the study
     name: str
-    model: str | tuple[str, ...]
-    output: Path
-    runs: tuple[RunTable, ...]
-    effects: tuple[EffectTable, ...] = ()
-    mass: Value | None = None
-    fps: float | None = None
+    model: str | tuple[str, ...]  # the first model: a name, or names of effects
+    output: Path  # folder of the results
+    runs: tuple[schema.RunTable, ...]  # runs, effects: the ``[[run]]`` and ``[[effect]]`` tables
+    effects: tuple[schema.EffectTable, ...] = ()
+    # mass in ``[study]``, kg, with its standard deviation: forces are quoted at its load
+    mass: schema.Value | None = None
+    fps: float | None = None  # fps, scale: frame rate (Hz) and scale in ``[camera]``, for a plan without runs
     scale: Any = None
+    # prior, prior_file: the law of another set-up, as a prior, and its file; None without one
     prior: Prior | None = None
     prior_file: Path | None = None
+    # conditions in which the studies of a campaign differ, by name
     conditions: Mapping[str, float | str] = field(default_factory=dict)
-    functions: tuple[str, ...] = ()
-    costs: Costs = DEFAULT_COSTS
-    search: SearchTable | None = None
+    functions: tuple[str, ...] = ()  # functions of z in ``[study]``, for formulas
+    costs: Costs = DEFAULT_COSTS  # costs of the next experiment
+    search: schema.SearchTable | None = None  # how models are fitted; None without a table ``[search]``
+    # what its runs still need before they can be measured; empty unless the study was read with `allow_incomplete`
     incomplete: tuple[str, ...] = ()
 
     @property
@@ -240,7 +202,11 @@ def _read(path: Path) -> str:
         ) from e
     except OSError as e:
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        hint = suggest(path.name, there) if there else f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
+        hint = (
+            schema.suggest(path.name, there)
+            if there
+            else f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
+        )
         state = "cannot read it" if path.exists() else "there is none"
         raise FrictrackError(f"expected a study file {path} but {state}; {hint}", usage=True) from e
 
@@ -266,7 +232,7 @@ class _Reader:
         motion = self._table("motion", 0, raw.get("motion", {}))
         if motion:
             where = f"[motion], {self._line('motion', 0, '')}"
-            self.faults += [f"{where}: {fault}" for fault in chosen_filter(motion).faults()]
+            self.faults += [f"{where}: {fault}" for fault in schema.chosen_filter(motion).faults()]
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         costs = self._table("costs", 0, raw.get("costs", {}))
         search = self._table("search", 0, raw["search"]) if "search" in raw else None
@@ -311,7 +277,7 @@ class _Reader:
 
     def _check_table(self, name: str, value: Any) -> None:
         if name not in TABLES:
-            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {suggest(name, TABLES)}')
+            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {schema.suggest(name, TABLES)}')
         elif not isinstance(value, list if name in ARRAY_TABLES else dict):
             brackets = f"[[{name}]]" if name in ARRAY_TABLES else f"[{name}]"
             self.faults.append(f'expected "{name}" as a table {brackets} ({self._line(name, 0, "")})')
@@ -333,7 +299,7 @@ class _Reader:
         where = f"{_title(table, index, raw)}, {self._line(table, index, key)}"
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
-            hint = f"it belongs in [{home}]" if home else suggest(key, TABLES[table].model_fields)
+            hint = f"it belongs in [{home}]" if home else schema.suggest(key, TABLES[table].model_fields)
             return f'{where}: unknown key "{key}"; {hint}'
         if fault["type"] == "value_error":
             message = str(fault["ctx"]["error"])
@@ -341,7 +307,9 @@ class _Reader:
         message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
         return f"{where}: {key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
 
-    def _merged(self, index: int, run: RunTable, tables: tuple[StudyTable, CameraTable, MotionTable]) -> RunTable:
+    def _merged(
+        self, index: int, run: schema.RunTable, tables: tuple[schema.StudyTable, schema.CameraTable, schema.MotionTable]
+    ) -> schema.RunTable:
         head, camera, motion = tables
         where = f"{_title('run', index, run.model_dump())}, {self._line('run', index, '')}"
         if (run.video is None) == (run.table is None):
@@ -358,7 +326,7 @@ class _Reader:
         }
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
-        if run.table and needs_film(run.scale):  # a board in the camera's view gives no scale of a table
+        if run.table and schema.needs_film(run.scale):  # a board in the camera's view gives no scale of a table
             run = run.model_copy(update={"scale": None})
         for fault in _run_faults(run):
             self.faults_of_runs.setdefault(fault, []).append(where)
@@ -366,7 +334,7 @@ class _Reader:
             self.lacks_of_runs.setdefault(lack, []).append(where)
         return run
 
-    def _check_names(self, runs: tuple[RunTable, ...]) -> None:
+    def _check_names(self, runs: tuple[schema.RunTable, ...]) -> None:
         names: set[str] = set()
         for i, run in enumerate(runs):
             if run.name.casefold() in names:
@@ -374,7 +342,7 @@ class _Reader:
                 self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
             names.add(run.name.casefold())
 
-    def _check_prior(self, head: StudyTable, runs: tuple[RunTable, ...]) -> None:
+    def _check_prior(self, head: schema.StudyTable, runs: tuple[schema.RunTable, ...]) -> None:
         where = f"[study], {self._line('study', 0, 'prior')}"
         if head.prior is not None and any(run.mass == "fit" for run in runs):
             self.faults.append(
@@ -406,7 +374,7 @@ def _lines_of_keys(text: str) -> dict[tuple[str, int, str], int]:
     return found
 
 
-def _prior(head: StudyTable) -> Prior | None:
+def _prior(head: schema.StudyTable) -> Prior | None:
     """Return the prior of a study, its standard deviations widened as the study file says."""
     return None if head.prior is None else Prior.read(head.prior).inflated(head.prior_scale, head.prior_scatter)
 
@@ -438,7 +406,7 @@ def _title(table: str, index: int, raw: Any) -> str:
     return f'[[{table}]] "{name}"' if name else f"[[{table}]] number {index + 1}"
 
 
-def _run_lacks(run: RunTable) -> list[str]:
+def _run_lacks(run: schema.RunTable) -> list[str]:
     """Return what a film needs besides its frames before it can be measured."""
     lacks = []
     if run.video and run.scale is None:
@@ -448,7 +416,7 @@ def _run_lacks(run: RunTable) -> list[str]:
     return lacks
 
 
-def _run_faults(run: RunTable) -> list[str]:
+def _run_faults(run: schema.RunTable) -> list[str]:
     """Return the faults of one run that concern several keys."""
     faults = []
     if not is_file_name(run.name) or run.name.casefold() == RESERVED_NAME:
@@ -470,7 +438,7 @@ def _run_faults(run: RunTable) -> list[str]:
     return faults + _picture_faults(run)
 
 
-def _picture_faults(run: RunTable) -> list[str]:
+def _picture_faults(run: schema.RunTable) -> list[str]:
     """Return the faults of areas and repairs, which need a target or a film."""
     faults = []
     if run.exclude and run.target is None:

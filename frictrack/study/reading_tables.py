@@ -5,29 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
 from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
-from frictrack.study.column_names import (
-    REQUIRED,
-    TURNS,
-    UNIT,
-    columns_line,
-    find_header,
-    guess_columns,
-    guess_points,
-    may_hold,
-    stated_unit,
-)
+from frictrack.study import column_names
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
-from frictrack.study.table_cells import TableFile, TrackColumns
 from frictrack.study.table_files import open_table
+from frictrack.study.table_layout import TableFile, TrackColumns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +41,7 @@ MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
 MAX_NAMES_SHOWN = 12  # headers in a message
+_listed = partial(first_words, most=MAX_NAMES_SHOWN)
 DAY_S = 86400.0
 MAX_STEP_OF_DAYS = 1e-6  # between times without a unit: closer ones are days, as Excel counts them
 _ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
@@ -62,78 +55,43 @@ CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand fo
 
 @dataclass(frozen=True, eq=False)
 class TableData:
-    """The columns of a table in SI units, each of shape (n,); None for a column that is not there.
+    """The columns of a table in SI units, each of shape (n,); None for a column that is not there."""
 
-    Attributes
-    ----------
-    t
-        Time, s.
-    x, y
-        Position along and across the course, m.
-    sigma
-        Standard deviation of x, m.
-    drive, friction
-        Drive force and friction force, N.
-    a
-        Acceleration, m/s^2.
-    pressure
-        Pressure of a drive, Pa.
-    v, mu, sigma_friction, sigma_mu, load
-        Of points (v, F): constant speed, m/s, friction coefficient, standard deviations of force, N, and coefficient,
-        and normal load, N.
-    notes
-        What the program that tracked the positions says about them.
-    stamped_rate
-        Frame rate of the time stamps, Hz, if the given one contradicts it and replaced it.
-    clock_error
-        Relative standard deviation of the interval of the rows, where it was fitted to the time stamps.
-
-    """
-
-    t: Array
-    x: Array | None = None
-    sigma: Array | None = None
+    t: Array  # time, s
+    x: Array | None = None  # x, y: position along and across the course, m
+    sigma: Array | None = None  # standard deviation of x, m
     y: Array | None = None
-    drive: Array | None = None
-    a: Array | None = None
+    drive: Array | None = None  # drive, friction: drive force and friction force, N
+    a: Array | None = None  # acceleration, m/s^2
     friction: Array | None = None
-    pressure: Array | None = None
+    pressure: Array | None = None  # pressure of a drive, Pa
+    # v, mu, sigma_friction, sigma_mu, load: of points (v, F): constant speed, m/s, friction coefficient, standard
+    # deviations of force, N, and coefficient, and normal load, N
     v: Array | None = None
     mu: Array | None = None
     sigma_friction: Array | None = None
     sigma_mu: Array | None = None
     load: Array | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what the program that tracked the positions says about them
+    # frame rate of the time stamps, Hz, if the given one contradicts it and replaced it
     stamped_rate: float | None = None
+    # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
 
 
 @dataclass(frozen=True)
 class CameraUnits:
-    """What the camera's own units of a table are in SI units.
+    """What the camera's own units of a table are in SI units."""
 
-    Parameters
-    ----------
-    pixel
-        Size of a pixel, m; None if it is not known.
-    interval
-        Time from frame to frame, s; None if it is not known.
-
-    """
-
-    pixel: float | None = None
-    interval: float | None = None
+    pixel: float | None = None  # size of a pixel, m; None if it is not known
+    interval: float | None = None  # time from frame to frame, s; None if it is not known
 
 
 UNKNOWN_CAMERA = CameraUnits()
 
 
 def read_table(
-    path: Path,
-    columns: Mapping[str, str] = NO_COLUMNS,
-    *,
-    pixel: float | None = None,
-    fps: float | None = None,
+    path: Path, columns: Mapping[str, str] = NO_COLUMNS, *, pixel: float | None = None, fps: float | None = None
 ) -> TableData:
     """Read the table of a run: columns t_s and x_m, and sigma_m, y_m, drive_N, a_m_s2, friction_N if they are there.
 
@@ -253,16 +211,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
 
 def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
-    """Return the headers of a table by short name: those given, and the others of the track whose x they name.
-
-    Parameters
-    ----------
-    table
-        The table.
-    columns
-        Headers that the study file gives; without any, those that the table knows.
-
-    """
+    """Return the headers of a table by short name: those given, and the others of the track whose x they name."""
     if len(table.tracks) != 1 and (not columns or not table.tracks):
         return TrackColumns({**table.columns, **columns})
     for track in table.tracks:
@@ -274,7 +223,7 @@ def chosen_track(table: TableFile, columns: Mapping[str, str]) -> TrackColumns:
 
 def _header_of_x(columns: Mapping[str, str], present: Sequence[str], default: str = "") -> str | None:
     """Return the header among those present that the study file means by x."""
-    return find_header(_unsigned(columns.get("x", default), present)[0], present)
+    return column_names.find_header(_unsigned(columns.get("x", default), present)[0], present)
 
 
 def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> None:
@@ -285,7 +234,7 @@ def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> No
     one, there = ("a run", "the table") if table.has_runs else ("a track", table.program)
     raise FrictrackError(
         f"{name}: expected the name of {one}, as {there} has {len(headers)}; choose one in its [[run]] with "
-        f"{columns_line({'x': headers[0]})}; known are {_listed(headers)}"
+        f"{column_names.columns_line({'x': headers[0]})}; known are {_listed(headers)}"
     )
 
 
@@ -321,14 +270,14 @@ def _read(
     frame = table.frame
     present = [str(header).strip() for header in frame.columns]
     frame.columns = present
-    required = [key for key in (*REQUIRED, "v") if key in known]
+    required = [key for key in (*column_names.REQUIRED, "v") if key in known]
     faults: list[str] = []
     values: dict[str, Any] = {}
     notes: tuple[str, ...] = ()
     missing = []
     for key, (standard, unit) in known.items():
         written, sign = _unsigned(columns.get(key, standard), present)
-        header = find_header(written, present)
+        header = column_names.find_header(written, present)
         if header is None and key in columns:
             faults.append(f'expected a column "{written}" but got {_listed(present)}; {suggest(written, present)}')
         elif header is None and key in required:
@@ -353,28 +302,22 @@ def _read(
     return values | ({"notes": notes} if notes else {})
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return names for a message; the first ones of very many."""
-    more = len(names) - MAX_NAMES_SHOWN
-    return ", ".join(names[:MAX_NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
-
-
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
     """Say which columns are missing, which are there, and the line of the study file that names them."""
     present = list(frame.columns)
-    if not columns and not sensor and (points := guess_points(present)):
+    if not columns and not sensor and (points := column_names.guess_points(present)):
         return (
             f"expected columns of times and positions but got {_listed(present)}; if these are forces at constant "
-            f"speeds, write {columns_line(points)} in its [[run]]"
+            f"speeds, write {column_names.columns_line(points)} in its [[run]]"
         )
     wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
     expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {_listed(present)}"
     proposed = propose_columns(frame, columns)
-    line = columns_line({key: header for key, header in proposed.items() if key in missing or not sensor})
+    line = column_names.columns_line({key: header for key, header in proposed.items() if key in missing or not sensor})
     if not proposed.keys() >= set(missing):
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
-    bare = any(stated_unit(proposed[key]) is None for key in missing)
+    bare = any(column_names.stated_unit(proposed[key]) is None for key in missing)
     return f"{expected}; to name them, write {where}" + (", with the units of the file in the brackets" if bare else "")
 
 
@@ -396,20 +339,28 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     """
     present = [str(header) for header in frame.columns]
     standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
-    found = guess_columns([header for header in present if header not in standard.values()]) | standard | dict(columns)
+    found = (
+        column_names.guess_columns([header for header in present if header not in standard.values()])
+        | standard
+        | dict(columns)
+    )
     numbers = {
         i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])
     }  # one may be there twice
-    clocks = [i for i, header in numbers.items() if may_hold(header, "t") and _rises_evenly(frame.iloc[:, i])]
+    clocks = [
+        i for i, header in numbers.items() if column_names.may_hold(header, "t") and _rises_evenly(frame.iloc[:, i])
+    ]
     if "t" not in found and len(clocks) == 1:
         found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
             "t": present[clocks[0]]
         }
-    for key in REQUIRED:
-        others = (header for header in numbers.values() if header not in found.values() and may_hold(header, key))
+    for key in column_names.REQUIRED:
+        others = (
+            header for header in numbers.values() if header not in found.values() and column_names.may_hold(header, key)
+        )
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
-    if "t" in found and stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
+    if "t" in found and column_names.stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
         steps = np.diff(_numbers(frame.iloc[:, present.index(found["t"])]))
         if len(steps) and 0 < np.median(steps) < MAX_STEP_OF_DAYS:
             found["t"] += " (d)"
@@ -435,9 +386,9 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
-    chosen = UNIT.search(written)
-    named = chosen[1] if chosen else stated_unit(header)
-    if unit == "m/s" and TURNS.fullmatch(named or header):
+    chosen = column_names.UNIT.search(written)
+    named = chosen[1] if chosen else column_names.stated_unit(header)
+    if unit == "m/s" and column_names.TURNS.fullmatch(named or header):
         raise FrictrackError(
             f'expected a sliding speed in m/s or mm/s but got "{header}", a turning speed; add a column of '
             "v = 2 pi r n / 60 with the radius r of the track and the turns n per minute"

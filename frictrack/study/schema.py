@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.polygons import Polygon, polygon, polygons
+from frictrack.base.polygons import Polygon, are_coordinates, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
 from frictrack.base.units import parse_quantity
 from frictrack.records import rolling_inertia
@@ -101,18 +101,25 @@ def _number(unit: str, **limits: float) -> BeforeValidator:
     return BeforeValidator(lambda raw, info: to_si(raw, unit, str(info.field_name), **limits)[0])
 
 
-def _span(unit: str) -> BeforeValidator:
-    """Return a validator of two values, the first below the second."""
+def _pair(unit: str, wanted: str, order: str, *, may_be_equal: bool = False, **limits: float) -> BeforeValidator:
+    """Return a validator of two values in a certain order."""
 
     def check(raw: Any, info: ValidationInfo) -> Pair:
         if not isinstance(raw, list) or len(raw) != 2:
-            raise ValueError(f"expected [start, end] in {unit} but got {raw!r}")
-        start, end = (to_si(part, unit, str(info.field_name))[0] for part in raw)
-        if start >= end:
-            raise ValueError(f"expected an end after the start but got {raw!r}")
-        return start, end
+            raise ValueError(f"expected {wanted} but got {raw!r}")
+        low, high = (to_si(part, unit, str(info.field_name), **limits)[0] for part in raw)
+        if low > high or (low == high and not may_be_equal):
+            raise ValueError(f"expected {order} but got {raw!r}")
+        return low, high
 
     return BeforeValidator(check)
+
+
+def _check_names(raw: Iterable[str], known: Iterable[str], where: str = "") -> None:
+    """Refuse the first name that is not known."""
+    for key in raw:
+        if key not in known:
+            raise ValueError(f'expected one of {", ".join(known)}{where} but got "{key}"; {suggest(key, known)}')
 
 
 def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
@@ -236,22 +243,12 @@ def _share(raw: Any, info: ValidationInfo) -> float:
 
 def _cost(raw: Any, info: ValidationInfo) -> float:
     """Read a cost: a number of at least 0, `inf` where a change is not possible; a film costs more than 0."""
-    is_number = isinstance(raw, int | float) and not isinstance(raw, bool)
-    if info.field_name in FREE_OF_CHARGE and not (is_number and raw >= 0):
-        raise ValueError(f"expected {info.field_name} as a cost of at least 0, or inf if not possible, but got {raw!r}")
-    if info.field_name not in FREE_OF_CHARGE and not (is_number and raw > 0):
-        raise ValueError(f"expected {info.field_name} as a cost above 0 but got {raw!r}; give a number without a unit")
+    is_number, name = isinstance(raw, int | float) and not isinstance(raw, bool), info.field_name
+    if name in FREE_OF_CHARGE and not (is_number and raw >= 0):
+        raise ValueError(f"expected {name} as a cost of at least 0, or inf if not possible, but got {raw!r}")
+    if name not in FREE_OF_CHARGE and not (is_number and raw > 0):
+        raise ValueError(f"expected {name} as a cost above 0 but got {raw!r}; give a number without a unit")
     return float(raw)
-
-
-def _speeds(raw: Any, info: ValidationInfo) -> Pair:
-    """Read the slowest and the fastest speed, m/s."""
-    if not isinstance(raw, list) or len(raw) != 2:
-        raise ValueError(f"expected speeds = [slowest, fastest] in m/s but got {raw!r}")
-    low, high = (to_si(part, "m/s", str(info.field_name), above=0.0)[0] for part in raw)
-    if low > high:
-        raise ValueError(f"expected the slowest speed first but got {raw!r}")
-    return low, high
 
 
 def _masses(raw: Any) -> tuple[float, ...]:
@@ -277,20 +274,16 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _are_numbers(raw: Any, count: int) -> bool:
-    """Return whether a value is a list of `count` numbers that can be pixel coordinates."""
-    return (
-        isinstance(raw, list)
-        and len(raw) == count
-        and all(type(v) in (int, float) and abs(v) < MAX_COORDINATE_PX for v in raw)
-    )
+def _is_rectangle(raw: Any) -> bool:
+    """Return whether a value is a list of four coordinates, the last two of which are a size."""
+    return are_coordinates(raw, 4) and min(raw[2:]) > 0
 
 
 def _target(raw: Any, info: ValidationInfo) -> Any:
     """Read a rectangle, a click, an outline or the path of a picture; `tracking` checks whether it fits the film."""
     if isinstance(raw, str) and raw:
         return _path(raw, info)
-    if _are_numbers(raw, 2) or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
+    if are_coordinates(raw, 2) or _is_rectangle(raw):
         return tuple(raw)
     if isinstance(raw, list) and raw and all(isinstance(corner, list) for corner in raw):
         return polygon(raw)
@@ -310,16 +303,14 @@ def _targets(raw: Any, info: ValidationInfo) -> Any:
 
 def _reference(raw: Any) -> Any:
     """Read the fixed reference: "auto", "none" or a rectangle."""
-    if raw in ("auto", "none") or (_are_numbers(raw, 4) and min(raw[2:]) > 0):
+    if raw in ("auto", "none") or _is_rectangle(raw):
         return raw if isinstance(raw, str) else tuple(raw)
     raise ValueError(f'expected "auto", "none" or a rectangle [x, y, width, height] in px but got {raw!r}')
 
 
 def _columns(raw: Any) -> Any:
     """Check that the short names of other headers are known."""
-    for key in raw if isinstance(raw, dict) else ():
-        if key not in (known := COLUMNS | POINT_COLUMNS):
-            raise ValueError(f'expected one of {", ".join(known)} but got "{key}"; {suggest(key, known)}')
+    _check_names(raw if isinstance(raw, dict) else (), COLUMNS | POINT_COLUMNS)
     if isinstance(raw, dict) and "v" in raw and (of_record := [key for key in raw if key not in POINT_COLUMNS]):
         raise ValueError(
             f"expected v with friction or mu, for points (v, F) at constant speeds, but got {', '.join(of_record)} as "
@@ -359,9 +350,7 @@ def _sensor(raw: Any, info: ValidationInfo) -> Any:
 
 def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ...], wanted: tuple[str, ...]) -> Any:
     """Read the table of a sensor with its keys; every value is checked, and files must exist."""
-    for key in raw:
-        if key not in keys:
-            raise ValueError(f'expected one of {", ".join(keys)} but got "{key}"; {suggest(key, keys)}')
+    _check_names(raw, keys)
     if ("table" in raw) == ("force" in raw):
         came = "both" if "table" in raw else "neither"
         both = 'table = "drive.csv" or force = "2.5 N"' if "force" in keys else 'table = "acc.csv"'
@@ -401,9 +390,7 @@ def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
     """Read the headers of a sensor's table by short name."""
     if not isinstance(raw, dict) or not all(isinstance(header, str) for header in raw.values()):
         raise ValueError(f'expected columns = {{t = "Time (ms)", {keys[1]} = "..."}} but got {raw!r}')
-    for key in raw:
-        if key not in keys:
-            raise ValueError(f'expected one of {", ".join(keys)} in columns but got "{key}"; {suggest(key, keys)}')
+    _check_names(raw, keys, " in columns")
     return raw
 
 
@@ -429,9 +416,7 @@ def _scale(raw: Any, info: ValidationInfo) -> Any:
     if not isinstance(raw, dict) or not raw:
         wanted = '"0.5 mm/px" or {points = [[x, y], [x, y]], length = "100 mm"}'
         raise ValueError(f"expected {wanted} but got {raw!r}")
-    for key in raw:
-        if key not in SCALE:
-            raise ValueError(f'expected one of {", ".join(SCALE)} but got "{key}"; {suggest(key, SCALE)}')
+    _check_names(raw, SCALE)
     if "board" not in raw:
         return raw
     board = raw["board"]
@@ -472,7 +457,6 @@ _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)
 MAX_CONDITION_LENGTH = 60  # characters
 FREE_OF_CHARGE = ("mass", "direction", "incline", "camera")  # changes that may cost nothing
 MIN_FRAMES_OF_FILM = 30  # fewer show no friction
-MAX_COORDINATE_PX = 1e6  # beyond any picture
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
 Repairs = Annotated[tuple[Repair, ...], BeforeValidator(read_repairs)]
@@ -498,12 +482,14 @@ Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Rolling = Annotated[float, BeforeValidator(rolling_inertia)]
 Angle = Annotated[Value, BeforeValidator(_angle)]
-Times = Annotated[Pair, _span("s")]
+Times = Annotated[Pair, _pair("s", "[start, end] in s", "an end after the start")]
 Pause = Annotated[float, _number("s", above=0.0)]
 
 
 Cost = Annotated[float, BeforeValidator(_cost)]
-Speeds = Annotated[Pair, BeforeValidator(_speeds)]
+Speeds = Annotated[
+    Pair, _pair("m/s", "speeds = [slowest, fastest] in m/s", "the slowest speed first", may_be_equal=True, above=0.0)
+]
 Masses = Annotated[tuple[float, ...], BeforeValidator(_masses)]
 FrameLimit = Annotated[float, BeforeValidator(_frame_limit)]
 

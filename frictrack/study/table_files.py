@@ -29,10 +29,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
+from frictrack.study import table_layout
 from frictrack.study.column_names import runs_of_columns
 from frictrack.study.schema import COLUMNS
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile, TrackColumns, read_limited, read_xml
-from frictrack.study.table_layout import bare_unit, find_layout, header_row, is_number, is_units_row, text_encoding
 from frictrack.study.track_formats import find_track_format
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ _TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
 _STANDARD_UNITS = {header: unit for header, unit in COLUMNS.values()}
 
 
-def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
+def open_table(path: Path, wanted: Collection[str] = ()) -> table_layout.TableFile:
     """Open a table; several runs that it has side by side become its tracks.
 
     Parameters
@@ -65,11 +64,11 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> TableFile:
 
     """
     table = _open_table(path, wanted)
-    runs = [TrackColumns(columns) for columns in runs_of_columns(list(map(str, table.frame.columns)))]
+    runs = [table_layout.TrackColumns(columns) for columns in runs_of_columns(list(map(str, table.frame.columns)))]
     return replace(table, tracks=runs, has_runs=True) if runs and not table.tracks else table
 
 
-def _open_table(path: Path, wanted: Collection[str]) -> TableFile:
+def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
     """Open a table, whatever program wrote it."""
     expected = "a table with a header line"
     try:
@@ -85,7 +84,7 @@ def _open_table(path: Path, wanted: Collection[str]) -> TableFile:
             return _table_of_rows(_workbook_rows(path), wanted)
         if path.suffix.lower() == ".xml":
             return _table_of_rows(_xml_rows(path), wanted)
-        with path.open(encoding=text_encoding(path)) as file:
+        with path.open(encoding=table_layout.text_encoding(path)) as file:
             if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
                 return _kinovea_text(KINOVEA_TEXT + file.read())
         return _text_table(path, wanted)
@@ -116,10 +115,10 @@ def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
     if path.suffix.lower() in (".xlsx", ".xls", ".xml") or _has_tracks(path):
         return tuple(map(str, open_table(path, wanted).frame.columns))
     try:
-        with path.open(encoding=text_encoding(path)) as file:
+        with path.open(encoding=table_layout.text_encoding(path)) as file:
             if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
                 return KINOVEA_COLUMNS
-        return find_layout(path, wanted).header
+        return table_layout.find_layout(path, wanted).header
     except (OSError, ValueError) as e:
         raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
 
@@ -131,10 +130,10 @@ def _has_tracks(path: Path) -> bool:
     return False
 
 
-def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
+def _text_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
-    layout = find_layout(path, wanted)
+    layout = table_layout.find_layout(path, wanted)
     how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "skiprows": layout.skipped or None}
     by_place = layout.in_comment or any("#" in name for name in layout.header)  # pandas would skip what follows a #
     if by_place:
@@ -142,7 +141,7 @@ def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
     frame = _named(pd.read_csv(path, comment="#", encoding=layout.encoding, skipinitialspace=True, **how))
     if by_place:
         frame.columns = [*layout.header, *map(str, frame.columns[len(layout.header) :])][: len(frame.columns)]
-    if all(is_number(name) for name in layout.header if name) and layout.header:
+    if all(table_layout.is_number(name) for name in layout.header if name) and layout.header:
         raise ValueError(f"the first line holds numbers; write the names {', '.join(_STANDARD_UNITS)} above them")
     if layout.units or layout.groups:
         names = _column_names(layout.header, layout.units, layout.groups)[: len(frame.columns)]
@@ -150,27 +149,27 @@ def _text_table(path: Path, wanted: Collection[str]) -> TableFile:
     return _recognised(frame, layout.groups)
 
 
-def _recognised(frame: pd.DataFrame, groups: Sequence[str]) -> TableFile:
+def _recognised(frame: pd.DataFrame, groups: Sequence[str]) -> table_layout.TableFile:
     """Return a table with the columns of Tracker, if it has its form: a name above the columns t, x, ..."""
     names = list(map(str, frame.columns))
     if len({group for group in groups if group}) == 1 and names[:1] == ["t"] and "x" in names:
         columns = {key: header for key, header in _TRACKER_COLUMNS.items() if key in names}
-        return TableFile(frame, columns, "Tracker")  # a frame that was not marked has no position
-    return TableFile(frame)
+        return table_layout.TableFile(frame, columns, "Tracker")  # a frame that was not marked has no position
+    return table_layout.TableFile(frame)
 
 
 def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[str]) -> list[str]:
     """Return the names of columns with their units; a name that occurs twice with the name of its group."""
     names = []
     for i, name in enumerate(header):
-        unit = bare_unit(units[i]) if i < len(units) else ""
+        unit = table_layout.bare_unit(units[i]) if i < len(units) else ""
         group = groups[i] if header.count(name) > 1 and i < len(groups) else ""
         shown = f" ({unit})" if unit and _STANDARD_UNITS.get(name) != unit else ""
         names.append(f"{group} {name}".strip() + shown)
     return names
 
 
-def _kinovea_text(text: str) -> TableFile:
+def _kinovea_text(text: str) -> table_layout.TableFile:
     """Read the rows of the one trajectory of Kinovea's export for gnuplot."""
     import pandas as pd  # noqa: PLC0415
 
@@ -182,30 +181,34 @@ def _kinovea_text(text: str) -> TableFile:
     if len(blocks) != 1:
         raise ValueError(f"it holds {len(blocks)} trajectories; export one trajectory per file")
     rows = [[cell.replace(",", ".") for cell in row] for row in blocks[0] if row]
-    return TableFile(pd.DataFrame([row[:3] for row in rows], columns=list(KINOVEA_COLUMNS)), program="Kinovea")
+    return table_layout.TableFile(
+        pd.DataFrame([row[:3] for row in rows], columns=list(KINOVEA_COLUMNS)), program="Kinovea"
+    )
 
 
-def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> TableFile:
+def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> table_layout.TableFile:
     """Return the table among the rows of a sheet; titles may stand above it, and further tables below it."""
     import pandas as pd  # noqa: PLC0415
 
     if not rows:
         raise ValueError("no rows")
     texts = [tuple("" if cell is None else str(cell).strip() for cell in row) for row in rows]
-    at = header_row(texts, wanted)
+    at = table_layout.header_row(texts, wanted)
     header = texts[at]
-    below = texts[at + 1] if at + 1 < len(texts) and is_units_row(header, texts[at + 1]) else ()
+    below = texts[at + 1] if at + 1 < len(texts) and table_layout.is_units_row(header, texts[at + 1]) else ()
     data = rows[at + 2 if below else at + 1 :]
     if at:  # a sheet with titles may hold further tables
-        end = next((i for i, row in enumerate(data) if not any(is_number(str(cell)) for cell in row)), len(data))
+        end = next(
+            (i for i, row in enumerate(data) if not any(table_layout.is_number(str(cell)) for cell in row)), len(data)
+        )
         data = data[:end]
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
-    return TableFile(frame) if coordinates is None else _kinovea_sheet(frame, texts, *coordinates.groups())
+    return table_layout.TableFile(frame) if coordinates is None else _kinovea_sheet(frame, texts, *coordinates.groups())
 
 
-def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> TableFile:
+def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> table_layout.TableFile:
     """Return the table of the one trajectory in a spreadsheet of Kinovea, with the units that it states."""
     count = sum(bool(_COORDINATES.match(cell)) for row in texts for cell in row)
     if count > 1:
@@ -214,13 +217,13 @@ def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: st
         raise ValueError("its times are time stamps of the file; export them as time in Kinovea")
     unit = {"pixels": "px"}.get(length, length)
     columns = {key: f"{key} ({unit})" for key in ("x", "y")}
-    return TableFile(frame, {"t": "t (s)"} | columns, "Kinovea")
+    return table_layout.TableFile(frame, {"t": "t (s)"} | columns, "Kinovea")
 
 
 def _xml_rows(path: Path) -> list[tuple[Any, ...]]:
     """Return the rows of an XML spreadsheet (Excel 2003)."""
     with path.open("rb") as file:
-        root = read_xml(read_limited(file))
+        root = table_layout.read_xml(table_layout.read_limited(file))
     rows = [tuple(data.text for data in row.iter(f"{SHEET_XML}Data")) for row in root.iter(f"{SHEET_XML}Row")]
     return [row for row in rows if any(row)]
 
@@ -232,7 +235,7 @@ def _workbook_rows(path: Path) -> list[tuple[Any, ...]]:
     try:
         with zipfile.ZipFile(path) as packed:
             unpacked = sum(part.file_size for part in packed.infolist())
-        if unpacked > MAX_UNPACKED_BYTES:
+        if unpacked > table_layout.MAX_UNPACKED_BYTES:
             raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
         with path.open("rb") as file:
             return list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))

@@ -1,4 +1,7 @@
-"""Find the layout of a text table: separator, decimal sign, lines before the header, and a row of units."""
+"""Find the layout of a text table: separator, decimal sign, lines before the header, and a row of units.
+
+`TableFile` holds the cells of a table and what its format says about the columns.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,64 @@ import codecs
 import csv
 import itertools
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
+from typing import IO, TYPE_CHECKING, TextIO
 
 from frictrack.base.units import is_ordinary_unit
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    import pandas as pd
+
+MAX_UNPACKED_BYTES = 256 << 20  # of a workbook, an XML file, or the tracks of another program
+
+
+@dataclass(frozen=True, eq=False)
+class TrackColumns:
+    """The columns of one track of a video program, or of one of several runs in a table."""
+
+    columns: Mapping[str, str]  # headers by short name, with "t" and "x"
+    note: str = ""  # what the user is to know about the frames of this track; empty if nothing
+
+
+@dataclass(frozen=True, eq=False)
+class TableFile:
+    """The cells of a table, and what the format of the file says about its columns."""
+
+    # the cells, with the headers of the file; a unit below a header stands in parentheses behind it
+    frame: pd.DataFrame
+    # headers by short name, of a program whose columns are known; empty for others
+    columns: Mapping[str, str] = field(default_factory=dict)
+    program: str = ""  # the program that wrote it, such as "Tracker" or "Kinovea"; empty if it is not known
+    # the tracks in a file of a video program, or the runs that a table has side by side. A row in which one has no
+    # position is missing in this track
+    tracks: Sequence[TrackColumns] = ()
+    has_runs: bool = False  # whether the tracks are runs of their own
+
+
+def read_limited(file: IO[bytes]) -> bytes:
+    """Return the bytes of an open file."""
+    content = file.read(MAX_UNPACKED_BYTES + 1)
+    if len(content) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"more than {MAX_UNPACKED_BYTES / 1e6:.0f} MB")
+    return content
+
+
+def read_xml(content: bytes) -> Element:
+    """Return the root element of an XML file."""
+    from xml.etree import ElementTree  # noqa: PLC0415 - most studies need no XML
+
+    letters = content.replace(b"\0", b"")  # of UTF-16, too
+    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
+        raise ValueError("it defines entities")
+    try:
+        return ElementTree.fromstring(content)  # without entities it cannot grow
+    except (ElementTree.ParseError, LookupError) as e:  # LookupError: an encoding that Python does not know
+        raise ValueError(str(e)) from e
+
 
 MAX_HEAD_LINES = 200  # lines in which the header is searched: titles and settings of an instrument may stand before it
 MAX_BYTES_DECODED = 1 << 20  # from which the encoding is found
@@ -32,52 +87,24 @@ Line = tuple[int, str]  # its number in the file, from 0, and its text
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Where the header of a table stands, and how its cells are written.
+    """Where the header of a table stands, and how its cells are written."""
 
-    Parameters
-    ----------
-    separator, decimal
-        Separator of the columns, and decimal sign.
-    header
-        Names in the header.
-    units
-        Units below the header, one per name; empty if there is no such row.
-    groups
-        Cells of the line above the header, one per name: what a program names a group of columns by.
-    skipped
-        Numbers of the lines, from 0, that are neither header nor data.
-    encoding
-        Encoding of the text.
-    line
-        Number of the line of the header, from 0.
-    in_comment
-        Whether the header is a comment.
-
-    """
-
-    separator: str
+    separator: str  # separator, decimal: separator of the columns, and decimal sign
     decimal: str
-    header: tuple[str, ...]
-    units: tuple[str, ...] = ()
+    header: tuple[str, ...]  # names in the header
+    units: tuple[str, ...] = ()  # units below the header, one per name; empty if there is no such row
+    # cells of the line above the header, one per name: what a program names a group of columns by
     groups: tuple[str, ...] = ()
-    skipped: tuple[int, ...] = ()
-    encoding: str = "utf-8-sig"
-    line: int = 0
-    in_comment: bool = False
+    skipped: tuple[int, ...] = ()  # numbers of the lines, from 0, that are neither header nor data
+    encoding: str = "utf-8-sig"  # encoding of the text
+    line: int = 0  # number of the line of the header, from 0
+    in_comment: bool = False  # whether the header is a comment
 
 
 def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
     """Find the layout of a text table. Empty lines and lines that begin with # do not count.
 
     If the first line holds numbers, the comment above it is the header, provided that it has as many names.
-
-    Parameters
-    ----------
-    path
-        The file.
-    wanted
-        Names that only stand in a header.
-
     """
     encoding = text_encoding(path)
     with path.open(encoding=encoding) as file:
@@ -122,12 +149,6 @@ def text_encoding(path: Path) -> str:
     """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in the West.
 
     Instruments still write the letters of "µm" and "°" in the last one.
-
-    Parameters
-    ----------
-    path
-        The file.
-
     """
     with path.open("rb") as file:
         head = file.read(MAX_BYTES_DECODED)
@@ -159,16 +180,7 @@ def find_header(lines: Sequence[str], wanted: Collection[str]) -> int:
 
 
 def header_row(rows: Sequence[Sequence[str]], wanted: Collection[str]) -> int:
-    """Return the place of the header among rows of cells; 0 if none can be found.
-
-    Parameters
-    ----------
-    rows
-        The first rows of a table.
-    wanted
-        Names that only stand in a header.
-
-    """
+    """Return the place of the header among rows of cells; 0 if none can be found."""
     for i, row in enumerate(rows):
         if set(row) & set(wanted):
             return i

@@ -1,4 +1,4 @@
-"""Write a study file from recordings; with comments for a new user."""
+"""Write a study file from recordings, with comments for a new user; change one key or table in the text of one."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import os
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import replace_text
@@ -52,65 +54,15 @@ known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100,
     ),
     "lens": ("lens.yml", "camera matrix and distortion, if the lens was calibrated before (OpenCV's yml or json)"),
 }
-RUN = """Optional keys of a run:
-mass = "0.70 kg"            if it differs from the mass in [study]
-target = [410, 232, 96, 64] position of the slider in the first frame (x, y, w, h), if it is not found automatically;
-                            or a click on it [x, y], or a picture of it "slider.png"; template = 30: in frame 30
-target = [[410, 232], [500, 236], [470, 290]]   its outline, corner by corner
-exclude = [[[430, 240], [450, 240], [450, 260]]]   polygons or rectangles in that frame that are not part of the target
-obstacles = [[600, 0, 24, 400]]    polygons or rectangles fixed in the picture, behind which the target passes
-repair = [{from = 120, to = 160, how = "track", target = [410, 232, 96, 64]}]   frames that were tracked wrongly: the
-                            target in frame 120 tells where it is; or how = "interpolate" or "leave_out"
-reference = [8, 80, 64, 32] a fixed object to measure camera shake, if the automatic choice is wrong; or "none"
-axis = "track"              +x along the path itself, if the course is not level in the picture; or [dx, dy]
-normal_load = "5 N"         where the friction was measured: gives its coefficient; no mass is needed
-incline = "22 deg"          the course rises toward +x; negative where it falls
-free = ["0.01 s", "0.2 s"]  the free section that is fitted, if the automatic choice is wrong
-cutoff = "120 Hz"           a plain low-pass, instead of separating trend, vibrations and events automatically
-filter = "butterworth"      another filter; or "savitzky-golay", "kalman", "gaussian-process" or "papers" (as in the two
-                            papers); with cutoff, order, window, causal = true; in [motion] for all runs
-drive = "drive.csv"         the drive force with its own clock (t_s, drive_N); or "2.5 N"; or a pressure
-                            {table = "p.csv", area = "3.14 cm^2", until = "release"}; then mass = "fit" is possible
-sensor = "acc.csv"          an accelerometer or load cell with its own clock (t_s, a_m_s2 or friction_N)
-impact_energy = "2 J"       energy of the hammer: the kinetic energy at release must be smaller
-role = "validation"         predicted only, not fitted
-plausible = "checked"       mass, scale, speed and incline were checked, although they look implausible"""
-
-EFFECT = """Settings of an effect, for every model that has it; `frictrack effects` lists the effects:
-[[effect]]
-effect = "vibration"
-fix = {frequency = 60}             fixed value; false frees a value that is fixed by default (stribeck's delta)
-bounds = {amplitude = [0, 2]}      in SI units
-prior = {frequency = [60, 0.5]}    known from another source: mean and standard deviation
-tie = {frequency = "2*vibration:2.frequency"}   equal to another parameter, or a multiple of it
-per_run = ["amplitude"]            one value per run; {phase = false}: one value for all runs
-A new effect, which `frictrack add` adds to the model. t, x, v, s (direction), L (load) and mass belong to the run;
-every other name is a parameter:
-[[effect]]
-effect = "magnet"
-formula = "F * s * exp(-((x - x_c)/w)^2)"
-units = {F = "N", x_c = "m", w = "m"}
-bounds = {w = [0.002, 0.05]}"""
 
 
 @dataclass(frozen=True)
 class NewRun:
-    """The entry of a run in a new study file.
+    """The entry of a run in a new study file."""
 
-    Parameters
-    ----------
-    recording
-        The film or table.
-    keys
-        Known keys of the ``[[run]]``, such as fps and columns.
-    comment
-        What the user is to fill in.
-
-    """
-
-    recording: Path
-    keys: Mapping[str, Any] = field(default_factory=dict)
-    comment: str = ""
+    recording: Path  # the film or table
+    keys: Mapping[str, Any] = field(default_factory=dict)  # known keys of the ``[[run]]``, such as fps and columns
+    comment: str = ""  # what the user is to fill in
 
 
 def find_recordings(folder: Path) -> list[Path]:
@@ -213,10 +165,8 @@ def write_study(
         for line in new.comment.splitlines():
             table.add(tomlkit.comment(line))
         document["run"].append(table)
-    text = tomlkit.dumps(document)
-    for words in (RUN, EFFECT) if commented else ():
-        text += "".join(f"\n# {line}" for line in words.splitlines()) + "\n"
-    return replace_text(path, text)
+    optional = files("frictrack").joinpath("study", "optional_keys.toml").read_text(encoding="utf-8")
+    return replace_text(path, tomlkit.dumps(document) + (optional if commented else ""))
 
 
 def refuse_existing(path: Path) -> None:
@@ -295,19 +245,7 @@ def _commented_table(
 
 
 def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = ()) -> list[dict[str, str]]:
-    """Return a ``[[run]]`` for every recording, with its path relative to the study's folder.
-
-    Parameters
-    ----------
-    recordings
-        The recordings.
-    folder
-        Folder of the study file.
-    taken
-        Names of other runs. A run is named by the stem of its recording, or by the whole name if the stem is not
-        unique; several runs of one recording are numbered.
-
-    """
+    """Return a ``[[run]]`` for every recording, with its path relative to the study's folder."""
     stems = [p.stem.casefold() for p in dict.fromkeys(recordings)] + [name.casefold() for name in taken]
     tables = []
     for i, p in enumerate(recordings):
@@ -322,3 +260,108 @@ def with_blank_line(table: Any) -> Any:
     """Return a table with an empty line before it."""
     table.trivia.indent = "\n"
     return table
+
+
+ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
+
+
+def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
+    """Set or remove one key.
+
+    Examples
+    --------
+    >>> lines = ["[study]  # steel on brass", "mass = 0.35"]
+    >>> print(with_key(chr(10).join(lines), "study", "mass", 0.7))
+    [study]  # steel on brass
+    mass = 0.7
+
+    """
+    document = _parse(text)
+    home = _find_table(document, table, which)
+    if value is None:
+        home.pop(key, None)
+    else:
+        home[key] = toml_item(value)
+    return tomlkit.dumps(document)
+
+
+def with_runs(text: str, folder: Path, recordings: list[Path]) -> str:
+    """Add a ``[[run]]`` for each recording.
+
+    Parameters
+    ----------
+    text
+        Text of the study file.
+    folder
+        Folder of the study file, to which paths are relative.
+    recordings
+        The recordings.
+
+    """
+    document = _parse(text)
+    runs = document.setdefault("run", tomlkit.aot())
+    for run in run_tables(recordings, folder, [name_of_table(run, "run") for run in runs]):
+        runs.append(with_blank_line(tomlkit.item(run)))
+    return tomlkit.dumps(document)
+
+
+def with_effect(text: str, effect: Mapping[str, Any]) -> str:
+    """Add an ``[[effect]]``; it replaces one of the same name.
+
+    Parameters
+    ----------
+    text
+        Text of the study file.
+    effect
+        Keys of the table, with "effect" for its name.
+
+    """
+    document = _parse(text)
+    home = _find_table(document, "effect", effect["effect"])
+    for key in [key for key in home if key not in effect]:
+        del home[key]
+    home.update({key: toml_item(value) for key, value in effect.items()})
+    return tomlkit.dumps(document)
+
+
+def without_run(text: str, name: str) -> str:
+    """Remove the ``[[run]]`` of a name.
+
+    Raises
+    ------
+    FrictrackError
+        (usage) If there is no such run.
+
+    """
+    document = _parse(text)
+    home = _find_table(document, "run", name)
+    document["run"].remove(home)
+    return tomlkit.dumps(document)
+
+
+def _parse(text: str) -> tomlkit.TOMLDocument:
+    try:
+        return tomlkit.parse(text)
+    except TOMLKitError as e:
+        raise FrictrackError(f"the study file is not valid TOML: {e}", usage=True) from e
+
+
+def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -> Any:
+    """Return the table that holds a key."""
+    if table not in ARRAY_TABLES:
+        return document.setdefault(table, tomlkit.table())
+    tables = document.setdefault(table, tomlkit.aot())
+    for one in tables:
+        if name_of_table(one, table) == which:
+            return one
+    if table == "run":
+        known = ", ".join(f'"{name_of_table(one, table)}"' for one in tables) or "none"
+        raise FrictrackError(f'expected a run of the study file but got "{which}"; it has {known}', usage=True)
+    tables.append(with_blank_line(tomlkit.item({ARRAY_TABLES[table]: which})))
+    return tables[-1]
+
+
+def name_of_table(table: Mapping[str, Any], kind: str) -> str:
+    """Return the name of a table; a run without a name has that of its recording."""
+    name = table.get(ARRAY_TABLES[kind])
+    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem

@@ -3,20 +3,19 @@
 The method is image correlation with a learnt template: zero-normalised cross-correlation finds the target, and
 Gauss-Newton refines its position and small rotation by weighted least squares on the grey values.
 
-driver              the sequence of steps: `track`, `learn_target`
+driver              the sequence of steps: `track`, `learn_target`, and targets that several films of a study show
 detection           what to track: moving bodies, clicks, rectangles, a fixed reference
 batch_tracker       predict, read and refine batches of frames; search where that fails
 template_learning   the template and the noise of its pixels; learning_rounds repeats it with measurement
 measure             positions in every frame, without pixels that do not fit; followed_target does it for all frames
-shared_target       a target that several films of a study show
 pose_tracker        targets that rotate by any angle
 checks              self-checks of a track
-show                contact sheet and overlay video
 """
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
 from frictrack.tracking.driver import (
+    align_track,
     learn_target,
     relearn_target,
     track,
@@ -24,7 +23,6 @@ from frictrack.tracking.driver import (
     track_in_parallel,
     track_same_target,
 )
-from frictrack.tracking.shared_target import align_track
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
 from frictrack.tracking.template import TargetModel
 

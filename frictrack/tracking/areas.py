@@ -166,21 +166,7 @@ def bounding_rectangle(outline: Polygon) -> tuple[int, int, int, int]:
 
 
 def with_obstacles(pattern: FixedPattern | None, obstacle_mask: Mask | None) -> FixedPattern | None:
-    """Combine a fixed pattern with the obstacles that the user has drawn.
-
-    Parameters
-    ----------
-    pattern : FixedPattern or None
-        Pattern that the film has shown; None for none.
-    obstacle_mask : array of bool (H, W) or None
-        Pixels of the picture that obstacles cover; None for none.
-
-    Returns
-    -------
-    FixedPattern or None
-        Weight 0 where an obstacle stands.
-
-    """
+    """Combine a fixed pattern with the obstacles (H, W) that the user has drawn: weight 0 where one stands."""
     if obstacle_mask is None:
         return pattern
     free = (~obstacle_mask).astype(np.float32)

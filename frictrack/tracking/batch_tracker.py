@@ -14,7 +14,7 @@ joined if they agree about these frames. From the first segment that does not fi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.correlation import Patch, Rectangle, best_match
+from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
-from frictrack.tracking.measure import MIN_REMAINING_SHARE, refine_robust
+from frictrack.tracking.measure import MIN_REMAINING_SHARE, refine_predicted
 from frictrack.tracking.subpixel_fit import (
     FLAT,
     LEAVES,
@@ -36,7 +36,7 @@ from frictrack.tracking.subpixel_fit import (
     refine_positions,
     template_products,
 )
-from frictrack.tracking.template import FixedPattern, Template
+from frictrack.tracking.template import FixedPattern, TargetModel, Template
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
@@ -58,6 +58,11 @@ MAX_LOST_FRAMES = 128  # after which the target may be anywhere
 MAX_OCCLUDED_FRAMES = 16  # after which the prediction is no longer used
 MAX_MISFIT_RATIO = 4.0  # misfit over the typical one, for the visible part of a partly hidden target
 PREDICTOR_FRAMES = 24  # last finds from which the next are predicted
+SEGMENT_FRAMES = 1000  # a search of one picture costs as much as following a few dozen frames
+OVERLAP_FRAMES = 8  # that two segments have in common
+# Of two segments about the same frame. A first template errs by a quarter of a pixel where edges are sharp; another
+# object, or the next period of a pattern, is farther away.
+MAX_DISAGREEMENT_PX = 1.0
 
 
 @dataclass
@@ -116,7 +121,7 @@ class BatchTracker:
     template : Template
         Template of the target.
     pattern : FixedPattern, optional
-        Obstacles and fixed pattern of the picture.
+        Obstacles before the target.
     typical_score : float
         Match score that the target has at first.
 
@@ -125,47 +130,20 @@ class BatchTracker:
     def __init__(
         self, film: Recording, template: Template, pattern: FixedPattern | None = None, typical_score: float = 1.0
     ) -> None:
-        self.film, self.template, self.pattern = film, template, pattern
+        self.film, self.template, self.pattern, self.first_score = film, template, pattern, typical_score
         self.size = template.weight.shape
         self.max_corner = np.array(film.shape[::-1]) - np.array(self.size[::-1])
-        self.first_score = typical_score
-        self.typical_score, self.typical_misfit = typical_score, np.inf  # score and misfit of the last finds
-        self.template_frame, self.start = 0, np.zeros(2)
-        low = template.image
-        self.patch = np.clip(np.rint(low), 0, 2**film.bit_depth - 1).astype(
-            np.uint8 if film.bit_depth == 8 else np.uint16
-        )
+        grey = np.uint8 if film.bit_depth == 8 else np.uint16
+        self.patch = np.clip(np.rint(template.image), 0, 2**film.bit_depth - 1).astype(grey)
 
     @property
     def min_score(self) -> float:
         """Match score that a find must reach."""
         return max(MIN_SCORE, MIN_SCORE_SHARE * self.typical_score)
 
-    def follow(self, start: Array, template: int = 0, progress: Progress | None = None) -> RawTrack:
-        """Follow the target through all frames, both ways from the frame in which it is given.
-
-        Parameters
-        ----------
-        start : array (2,)
-            Corner of the target's rectangle in frame `template`, px.
-        template : int
-            Number of that frame.
-        progress : callable, optional
-            Called as ``progress(done, total, step)``.
-
-        Returns
-        -------
-        RawTrack
-            One row per frame.
-
-        """
-        result, self.template_frame, self.start = empty_track(self.film.n_frames), template, np.asarray(start)
-        self._follow_direction(np.arange(template, self.film.n_frames), start, result, progress)
-        if template:
-            self._follow_direction(np.arange(template, -1, -1), start, result, progress)
-        return result
-
-    def follow_order(self, order: NDArray[np.int64], start: Array, template: int) -> RawTrack:
+    def follow(
+        self, order: NDArray[np.int64], start: Array, template: int, progress: Progress | None = None
+    ) -> RawTrack:
         """Follow the target through some frames.
 
         Parameters
@@ -176,6 +154,8 @@ class BatchTracker:
             Corner of the target's rectangle in the first of them, px.
         template : int
             Number of the frame that made the first template.
+        progress : callable, optional
+            Called as ``progress(done, total, step)``.
 
         Returns
         -------
@@ -184,13 +164,7 @@ class BatchTracker:
 
         """
         result, self.template_frame, self.start = empty_track(self.film.n_frames), template, np.asarray(start)
-        self._follow_direction(order, start, result)
-        return result[order]
-
-    def _follow_direction(
-        self, order: NDArray[np.int64], start: Array, result: RawTrack, progress: Progress | None = None
-    ) -> None:
-        """Follow the target through frames in this order; it is at `start` in the first of them."""
+        self.typical_score, self.typical_misfit = self.first_score, np.inf  # score and misfit of the last finds
         path, n = _PathPredictor(int(order[-1] >= order[0]) * 2 - 1), len(order)
         path.restart(int(order[0]), np.asarray(start, dtype=np.float64))
         self._follow_batch(order[:1], path, result)
@@ -209,6 +183,7 @@ class BatchTracker:
             if not self._find_occluded(int(order[i]), path, result):
                 self._search(int(order[i]), path, result)
             batch, i = BATCH_FRAMES[0], i + 1
+        return result[order]
 
     def _follow_batch(self, frames: NDArray[np.int64], path: _PathPredictor, result: RawTrack) -> tuple[int, bool]:
         """Measure a batch of frames at their predicted positions.
@@ -239,16 +214,12 @@ class BatchTracker:
         if path.age(i) > MAX_OCCLUDED_FRAMES or np.isinf(self.typical_misfit):
             return False
         frames = np.array([i])
-        predicted = path.predicted(frames)
-        corner = np.rint(predicted).astype(np.int64).clip(0, self.max_corner)
+        predicted, last = path.predicted(frames), result.fit[np.array([path.frame[-1]])]
+        model = TargetModel(self.template, self.pattern)
         try:
-            cuts = self.film.cut(frames, corner, self.size)
+            corner, fit = refine_predicted(self.film, frames, predicted, last, model, self.typical_misfit)
         except FrictrackError:
             return False
-        last = result.fit[np.array([path.frame[-1]])]
-        guess = replace(last, position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
-        share = None if self.pattern is None else self.pattern.pixel_shares(corner, self.size)
-        fit, _ = refine_robust(cuts, guess, self.template, share, self.typical_misfit)
         near = np.max(np.abs(corner + fit.position - predicted)) < MAX_PREDICTION_ERROR_PX
         if not (near and self.accepted(corner, fit)[0] and fit.misfit[0] < MAX_MISFIT_RATIO * self.typical_misfit):
             return False
@@ -275,7 +246,7 @@ class BatchTracker:
             Fit on these cut-outs.
 
         """
-        corner = np.rint(predicted).astype(np.int64).clip(0, self.max_corner)
+        corner = nearest_corner(predicted, self.film.shape, self.size)
         fit = self._refined(frames, corner, np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
         previous = corner.copy()
         for _ in range(MAX_RECENTRINGS):
@@ -286,8 +257,7 @@ class BatchTracker:
                 break
             start = np.clip((corner + fit.position - recentred)[moved], -MAX_SHIFT_PX, MAX_SHIFT_PX)
             previous[moved], corner[moved] = corner[moved], recentred[moved]
-            refitted = self._refined(frames[moved], corner[moved], start)
-            fit.put(moved, refitted)
+            fit.put(moved, self._refined(frames[moved], corner[moved], start))
         return corner, fit
 
     def _refined(self, frames: NDArray[np.int64], corner: NDArray[np.int64], start: Array) -> SubpixelFit:
@@ -299,29 +269,13 @@ class BatchTracker:
         share = self.pattern.pixel_shares(corner, self.size)
         rows = np.flatnonzero(np.any(share < 1, axis=(1, 2)))
         if len(rows):
-            fit.put(
-                rows,
-                refine_positions(template_products(cuts[rows], self.template, share[rows]), start[rows], self.template),
-            )
+            products = template_products(cuts[rows], self.template, share[rows])
+            fit.put(rows, refine_positions(products, start[rows], self.template))
             fit.converged[rows] &= _visible_share(share[rows], self.template) > MIN_REMAINING_SHARE
         return fit
 
     def accepted(self, corner: NDArray[np.int64], fit: SubpixelFit) -> Mask:
-        """Decide which finds can be trusted.
-
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        fit : SubpixelFit
-            Fit on these cut-outs.
-
-        Returns
-        -------
-        array of bool (n,)
-            True where the fit converged, matches well and lies in the picture.
-
-        """
+        """Decide which finds can be trusted: converged, a good match, and in the picture, (n,)."""
         inside = np.all((corner + fit.position > -0.5) & (corner + fit.position < self.max_corner + 0.5), axis=1)
         within = np.all(np.abs(fit.position) < MAX_SHIFT_PX + 0.05, axis=1)
         return fit.converged & (fit.score >= self.min_score) & inside & within
@@ -362,7 +316,7 @@ class BatchTracker:
 
     def _check_other_places(self, i: int, path: _PathPredictor, score: float) -> None:
         """Continue from another place where it matches clearly better: a poor match may be a false find."""
-        place, best = self._match(self.film.frame(i), None)
+        place, best = self.match(self.film.frame(i), None)
         is_elsewhere = np.max(np.abs(place - path.position[-1])) > MAX_PREDICTION_ERROR_PX
         if best > score + CLEARLY_BETTER_SCORE and is_elsewhere and not self._is_static(place, best):
             path.restart(i, place)
@@ -387,7 +341,7 @@ class BatchTracker:
             near = self._match_near(frame, predicted, SEARCH_RADIUS_PX)
             if near[1] >= 0.8 * self.typical_score:
                 return near
-        anywhere = self._match(frame, None)
+        anywhere = self.match(frame, None)
         return (
             near
             if near is not None and near[1] >= max(MIN_DISTANT_SCORE_SHARE, anywhere[1] - CLEARLY_BETTER_SCORE)
@@ -398,9 +352,9 @@ class BatchTracker:
         """The best match within `reach` px of a place."""
         low = np.clip(np.rint(place) - reach, 0, self.max_corner).astype(int)
         high = np.clip(np.rint(place) + reach, low, self.max_corner).astype(int) + self.size[::-1]
-        return self._match(frame, (int(low[0]), int(low[1]), *(high - low).tolist()))
+        return self.match(frame, (int(low[0]), int(low[1]), *(high - low).tolist()))
 
-    def _match(self, frame: Frame, part: Rectangle | None) -> tuple[Array, float]:
+    def match(self, frame: Frame, part: Rectangle | None) -> tuple[Array, float]:
         """The best match in a frame or a `part` of it: corner (x, y) px and score."""
         x, y, w, h = part or (0, 0, frame.shape[1], frame.shape[0])
         corner, score = best_match(frame[y : y + h, x : x + w], self.patch, self.template.mask)
@@ -411,13 +365,6 @@ def _visible_share(share: Patch, template: Template) -> Array:
     """Share (n,) of the target's pixels that no obstacle covers."""
     counts = template.weight > 0
     return np.asarray(share[:, counts].mean(axis=1))
-
-
-SEGMENT_FRAMES = 1000  # a search of one picture costs as much as following a few dozen frames
-OVERLAP_FRAMES = 8  # that two segments have in common
-# Of two segments about the same frame. A first template errs by a quarter of a pixel where edges are sharp; another
-# object, or the next period of a pattern, is farther away.
-MAX_DISAGREEMENT_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -471,28 +418,22 @@ def follow_film(tracker: BatchTracker, start: Array, frame: int, work: Work) -> 
 
     """
     n = tracker.film.n_frames
-    both = [np.arange(frame, n), *([np.arange(frame, -1, -1)] if frame else [])]
-    if max(len(order) for order in both) < 2 * SEGMENT_FRAMES:
-        return tracker.follow(start, frame, work.progress)
-    what = tracker.film, tracker.template, tracker.pattern, tracker.first_score
     result = empty_track(n)
-    for order in both:
-        segments = [_Segment(*what, piece, frame, None if k else start) for k, piece in enumerate(_cut_order(order))]
-        _join(segments, [*work.run(_follow_segment, [(segment,) for segment in segments], "follow")], result)
+    for order in [np.arange(frame, n), *([np.arange(frame, -1, -1)] if frame else [])]:
+        segments = _cut_order(order)
+        if len(segments) == 1:
+            result.put(order, tracker.follow(order, start, frame, work.progress))
+            continue
+        tasks = [(tracker, segment, None if k else start, frame) for k, segment in enumerate(segments)]
+        found: list[RawTrack] = [*work.run(_follow_segment, tasks, "follow")]
+        for k, (segment, part) in enumerate(zip(segments, found, strict=True)):
+            if k and not _fits(found[k - 1], part):  # the rest is followed frame by frame
+                rest = np.concatenate([segments[k - 1], *[later[OVERLAP_FRAMES:] for later in segments[k:]]])
+                begin = start if k == 1 else found[k - 1].position[0]
+                result.put(rest, tracker.follow(rest, begin, frame))
+                break
+            result.put(segment, part)
     return result
-
-
-@dataclass(frozen=True)
-class _Segment:
-    """Frames in order, and where the target is in the first of them; None where it is to be searched."""
-
-    film: Recording
-    template: Template
-    pattern: FixedPattern | None
-    first_score: float
-    order: NDArray[np.int64]
-    template_frame: int
-    start: Array | None
 
 
 def _cut_order(order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -502,45 +443,21 @@ def _cut_order(order: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     return [order[a : b + OVERLAP_FRAMES] for a, b in pairwise(cuts)]
 
 
-def _follow_segment(segment: _Segment) -> RawTrack | None:
-    """Follow the target through a segment: one row per frame; None where it is not in the first frame."""
-    order, tracker = segment.order, BatchTracker(segment.film, segment.template, segment.pattern, segment.first_score)
-    start = segment.start if segment.start is not None else _searched(tracker, int(order[0]))
-    return None if start is None else tracker.follow_order(order, start, segment.template_frame)
+def _follow_segment(tracker: BatchTracker, order: NDArray[np.int64], start: Array | None, frame: int) -> RawTrack:
+    """Follow the target through a segment, from a clear match in its first frame where no `start` is given."""
+    if start is None:
+        try:
+            corner, score = tracker.match(tracker.film.frame(int(order[0])), None)
+        except FrictrackError:
+            score = -1.0
+        if score < CONFIDENT_SCORE:
+            return empty_track(len(order))
+        start = np.rint(corner)
+    return tracker.follow(order, start, frame)
 
 
-def _searched(tracker: BatchTracker, frame: int) -> Array | None:
-    """Corner (2,) px of the best match in a whole frame; None where it is no clear match."""
-    try:
-        picture = tracker.film.frame(frame)
-    except FrictrackError:
-        return None
-    corner, score = best_match(picture, tracker.patch, tracker.template.mask)
-    return np.rint(corner) if score >= CONFIDENT_SCORE else None
-
-
-def _join(tasks: Sequence[_Segment], found: Sequence[RawTrack | None], result: RawTrack) -> None:
-    """Put segments together; from the first that does not fit to the one before it, follow the rest frame by frame."""
-    for k, (task, part) in enumerate(zip(tasks, found, strict=True)):
-        if k and not _fits(found[k - 1], part):
-            before = tasks[k - 1]
-            rest = np.concatenate([before.order, *[t.order[OVERLAP_FRAMES:] for t in tasks[k:]]])
-            begun = found[k - 1]
-            assert begun is not None
-            start = begun.position[0] if before.start is None else before.start
-            whole = _follow_segment(replace(before, order=rest, start=start))
-            assert whole is not None
-            result.put(rest, whole)
-            return
-        assert part is not None
-        result.put(task.order, part)
-
-
-def _fits(before: RawTrack | None, part: RawTrack | None) -> bool:
+def _fits(before: RawTrack, part: RawTrack) -> bool:
     """Whether a segment begins where the one before it ends."""
-    if before is None or part is None:
-        return False
     old, new = before[slice(-OVERLAP_FRAMES, None)], part[slice(0, OVERLAP_FRAMES)]
-    if not (old.found.all() and new.found.all()):
-        return False
-    return bool(np.max(np.abs(old.position - new.position)) < MAX_DISAGREEMENT_PX)
+    near = np.max(np.abs(old.position - new.position)) < MAX_DISAGREEMENT_PX
+    return bool(near and old.found.all() and new.found.all())

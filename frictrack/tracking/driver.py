@@ -1,9 +1,15 @@
-"""Run the steps of tracking: find the target, follow it roughly, learn its template, measure every frame."""
+"""Run the steps of tracking: find the target, follow it roughly, learn its template, measure every frame.
+
+A target learnt from one film may be the same in another: same body, scale, light and sharpness. The film is followed
+with its template, and the mean residual of many frames is compared with their noise: what is different in the other
+film stays in the mean, while noise averages out. Else the averaged pictures of the two targets show by how much their
+rectangles differ, so that positions along the course refer to the same point of the same body.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,11 +18,12 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Work, follow_film
-from frictrack.tracking.correlation import Patch, Rectangle
+from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Progress, Work, follow_film
+from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
+from frictrack.tracking.measure import residual_images, sigma_inflation, systematic_covariance
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import (
     has_marks,
@@ -24,21 +31,30 @@ from frictrack.tracking.pose_tracker import (
     min_frames_if_rotating,
     outline_template,
     track_disc,
-    track_known_rotating,
     track_rotating,
 )
-from frictrack.tracking.shared_target import adapt_known_target, match_near, place_known_target
-from frictrack.tracking.subpixel_fit import RawTrack
-from frictrack.tracking.template import TargetModel
-from frictrack.tracking.template_learning import template_from_frame
+from frictrack.tracking.subpixel_fit import RawTrack, refine_positions, template_products
+from frictrack.tracking.template import TargetModel, Template
+from frictrack.tracking.template_learning import template_from_frame, without_border
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
 
-Progress = Callable[[int, int, str], None]
 
 MIN_CONTRAST = 3  # grey values
 MAX_STRAIGHT_ANGLE = 0.05  # rad, of a track up to which its target does not rotate
+MIN_SHARED_SCORE = 0.9  # of the known target's picture in the other film
+SEARCH_SHARE = 0.5  # of the target's sides, around the place where a moving body was found
+MIN_FRAMES = 24  # whose mean residual is compared
+MAX_FRAMES = 96  # more show no smaller difference
+# Largest mean square of a mean residual over that of the noise. Positions absorb what is a shift; the rest, unrelated
+# to the slopes, moves them by the root of it: 0.14 standard deviations of a frame, about as much as the systematic
+# error that every position is given. The noise of a template learnt from n frames alone makes 1/n of it.
+MAX_DIFFERENCE = 0.02
+MAX_OFFSET_SHARE = 0.25  # of the target's sides
+MIN_SAME_BODY_SCORE = 0.8  # correlation of two pictures of the same body
+MIN_CORRECTION_PX = 0.02  # a smaller offset is not corrected
+MIN_CORE_PX = 12  # shortest side of the compared part
 
 
 def track(
@@ -88,15 +104,11 @@ def track(
     (150, 59.0)
 
     """
-    drawn = target if isinstance(target, Areas) else Areas(target)
+    drawn, work = _areas(target), Work(progress)
     once = _single_pass(recording, drawn.target, template, known)
     with random_access(recording, once=once) as film:
-        if known is None:
-            followed = _learn_and_track(film, drawn, template, Work(progress))
-        else:
-            followed = _follow_known_target(film, drawn, template, known, Work(progress))
-        followed = replace(followed, rereadable=not once)
-        track = measure_track(recording, film, followed, name, Work(progress))
+        followed = replace(_follow(film, drawn, template, known, work), rereadable=not once)
+        track = measure_track(recording, film, followed, name, work)
         if drawn.target is None and (fault := rests_while_others_move(film, track)):
             raise FrictrackError(f"{recording.path.name}: {fault}")
         return track
@@ -141,14 +153,19 @@ def track_in_parallel(
     ...     track = track_in_parallel(open_recording("long.mraw"), pool=pool)
 
     """
-    drawn = target if isinstance(target, Areas) else Areas(target)
     work = Work(progress, pool if recording.direct else None)
     with random_access(recording) as film:
-        if known is None:
-            followed = _learn_and_track(film, drawn, template, work)
-        else:
-            followed = _follow_known_target(film, drawn, template, known, work)
-        return measure_track(recording, film, followed, "target", work)
+        return measure_track(recording, film, _follow(film, _areas(target), template, known, work), "target", work)
+
+
+def _rectangle_at(corner: Array, known: TargetModel) -> Rectangle:
+    """Rectangle of a known target whose upper left corner is at (2,) px."""
+    h, w = known.template.weight.shape
+    return round(float(corner[0])), round(float(corner[1])), w, h
+
+
+def _areas(target: Target | Areas) -> Areas:
+    return target if isinstance(target, Areas) else Areas(target)
 
 
 def track_same_target(
@@ -183,28 +200,32 @@ def track_same_target(
         return None  # a fixed pattern is that of one film
     with random_access(recording) as film:
         rectangle, template = resolve_target(film, target.target, template)
-        placed = place_known_target(film, rectangle, template, known)
-        if placed is None:
+        corner, score = match_near(film, rectangle, template, known.template)
+        if score < MIN_SHARED_SCORE:
             return None
-        work = Work(progress, pool)
+        placed, work = _rectangle_at(corner, known), Work(progress, pool)
         raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, work)
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
             return None
-        followed = Followed(Areas(), placed, template, raw_track, adapted, np.arange(0))
+        followed = Followed(Areas(), placed, template, raw_track, adapted, remeasure=False)
         return measure_track(recording, film, followed, "target", work), adapted
 
 
-def _follow_known_target(film: Recording, drawn: Areas, template: int, known: TargetModel, work: Work) -> Followed:
-    """Follow a target with a known model."""
-    rectangle, template = _locate_known(film, drawn.target, template, known)
+def _follow(film: Recording, drawn: Areas, template: int, known: TargetModel | None, work: Work) -> Followed:
+    """Follow a target with a known model, or learn its model first."""
+    if known is None:
+        return _learn_and_track(film, drawn, template, work)
+    h, w = known.template.weight.shape
+    target = known.template.image if drawn.target is None else drawn.target
+    rectangle, template = resolve_target(film, target, template)
+    if rectangle[2:] != (w, h):
+        raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
     drawn.check(film.shape)
     blocked = drawn.obstacle_mask(film.shape)
     target_model = replace(known, pattern=with_obstacles(known.pattern, blocked))
-    raw_track = follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
-    can_follow = target_model.pattern is not None and not target_model.rotates
-    rows = np.flatnonzero(raw_track.found & can_follow)
-    return Followed(drawn, rectangle, template, raw_track, target_model, rows)
+    raw_track = _follow_known(film, target_model, blocked, np.array(rectangle[:2]), template, work)
+    return Followed(drawn, rectangle, template, raw_track, target_model, target_model.pattern is not None)
 
 
 def learn_target(
@@ -245,8 +266,7 @@ def learn_target(
 
     """
     with random_access(recording) as film:
-        drawn = target if isinstance(target, Areas) else Areas(target)
-        return _learn_and_track(film, drawn, template, Work(progress, pool)).target_model
+        return _learn_and_track(film, _areas(target), template, Work(progress, pool)).target_model
 
 
 def relearn_target(recording: Recording, track: Track) -> TargetModel:
@@ -287,39 +307,37 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
     first_template = template_from_frame(cut, mask)
     rotatable, start = RotatableTemplate(first_template, blocked), np.array([x, y])
     is_round = mask is not None and is_disc(mask)
-    turns = is_round and has_marks(cut)
-    if turns and mask is not None:
-        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
-    else:
-        raw_track = follow_film(
-            BatchTracker(film, first_template, with_obstacles(None, blocked)), start, template, work
-        )
     pose_track = None
-    if turns:
+    if is_round and has_marks(cut):
+        assert mask is not None
+        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
         pose_track = track_disc(film, rotatable, raw_track, template)
-    elif may_rotate and not is_round:
-        min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
-        if min_frames is not None:
-            pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
+    else:
+        obstacles = with_obstacles(None, blocked)
+        raw_track = follow_film(BatchTracker(film, first_template, obstacles), start, template, work)
+        if may_rotate and not is_round:
+            min_frames = min_frames_if_rotating(film, raw_track, rotatable, start, template)
+            if min_frames is not None:
+                pose_track = track_rotating(film, rotatable, start, template, min_frames, work.progress)
     if pose_track is not None and (not is_round or pose_track.explains_more(raw_track)):
         model = TargetModel(pose_track.template, rotates=True)
-        return Followed(drawn, rectangle, template, pose_track.to_raw_track(), model, np.arange(0))
-    model = learn_target_model(film, raw_track, first_template, blocked)
-    model = replace(model, rotation_seen=not is_round)
-    return Followed(drawn, rectangle, template, raw_track, model, np.flatnonzero(raw_track.found))
+        return Followed(drawn, rectangle, template, pose_track.to_raw_track(), model)
+    model = replace(learn_target_model(film, raw_track, first_template, blocked), rotation_seen=not is_round)
+    return Followed(drawn, rectangle, template, raw_track, model)
 
 
-def follow_known(
+def _follow_known(
     film: Recording, known: TargetModel, blocked: Mask | None, start: Array, template: int, work: Work
 ) -> RawTrack:
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
-    mask = known.template.mask
+    mask, rotatable = known.template.mask, RotatableTemplate(known.template, blocked)
     if known.rotates and mask is not None and is_disc(mask):
         upright = _follow_outline(film, (known.template.image, mask), blocked, (start, template), work)
-        rotatable = RotatableTemplate(known.template, blocked)
         return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
     if known.rotates:
-        return track_known_rotating(film, RotatableTemplate(known.template, blocked), start, template, work.progress)
+        found = track_rotating(film, rotatable, start, template, progress=work.progress)
+        assert found is not None
+        return found.to_raw_track()
     return follow_film(BatchTracker(film, known.template, with_obstacles(None, blocked)), start, template, work)
 
 
@@ -331,15 +349,6 @@ def _follow_outline(
     shown = outline.weight > 0
     score = float(np.corrcoef(outline.image[shown], disc[0][shown])[0, 1])
     return follow_film(BatchTracker(film, outline, with_obstacles(None, blocked), score), *where, work)
-
-
-def _locate_known(film: Recording, target: Target, template: int, known: TargetModel) -> tuple[Rectangle, int]:
-    """Locate a target of known size in the film: its rectangle and the frame of that."""
-    h, w = known.template.weight.shape
-    rectangle, template = resolve_target(film, known.template.image if target is None else target, template)
-    if rectangle[2:] != (w, h):
-        raise FrictrackError(f"expected a target of the known {w}x{h} px but got {rectangle[2]}x{rectangle[3]} px")
-    return rectangle, template
 
 
 def _single_pass(film: Recording, target: Target, template: int, known: TargetModel | None) -> bool:
@@ -385,20 +394,160 @@ def track_frames(
         Where the target is not recognised near `box`, or found in fewer than two frames.
 
     """
-    part = FrameRange(film, frames.start, frames.stop)
+    part, at = FrameRange(film, frames.start, frames.stop), frame - frames.start
     drawn = obstacles or Areas()
     if known.rotates:  # its angle in this frame is unknown: the tracker searches it
         start, score = np.array(box[:2]) + (np.array(box[2:]) + 1 - known.template.weight.shape[::-1]) / 2, 1.0
     else:
-        start, score = match_near(part, box, frame - frames.start, known.template)
+        start, score = match_near(part, box, at, known.template)
     if score < MIN_SCORE:
         raise FrictrackError(
             f"expected the target near its drawn place in frame {frame} but it is not recognised "
             "there; draw it in a frame that shows it well"
         )
-    at = frame - frames.start
-    raw_track = follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
-    rows = np.flatnonzero(raw_track.found & (not known.rotates))
-    h, w = known.template.weight.shape
-    rectangle = (round(float(start[0])), round(float(start[1])), w, h)
-    return measure_track(part, part, Followed(Areas(), rectangle, at, raw_track, known, rows), "target", Work())
+    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
+    followed = Followed(Areas(), _rectangle_at(start, known), at, raw_track, known)
+    return measure_track(part, part, followed, "target", Work())
+
+
+def match_near(
+    film: Recording, near: tuple[float, float, float, float], frame: int, template: Template
+) -> tuple[Array, float]:
+    """Corner (2,) px and score of the best match of a template about a rectangle, which may be as large or larger."""
+    size, room = np.array(template.weight.shape[::-1]), np.array(film.shape[::-1])
+    if np.any(room < size):
+        return np.zeros(2), -1.0
+    middle = np.array(near[:2]) + np.array(near[2:]) / 2
+    half = size / 2 + np.ceil(np.maximum(SEARCH_SHARE * size, np.array(near[2:]) / 2 - size / 2))
+    low = np.clip(np.floor(middle - half), 0, room - size).astype(int)
+    high = np.clip(np.ceil(middle + half), low + size, room).astype(int)
+    window = film.frame(frame)[low[1] : high[1], low[0] : high[0]]
+    corner, score = best_match(window.astype(np.float32), template.image.astype(np.float32), template.mask)
+    return low + corner, score
+
+
+def adapt_known_target(film: Recording, raw_track: RawTrack, known: TargetModel) -> TargetModel | None:
+    """Adapt the model of a target to another film, in which it was followed.
+
+    Parameters
+    ----------
+    film : Recording
+        The other film, with random access.
+    raw_track : RawTrack
+        Track with the known template.
+    known : TargetModel
+        Model learnt from the first film.
+
+    Returns
+    -------
+    TargetModel or None
+        The same template with the position errors of this film; None where the target looks different.
+
+    """
+    found = np.flatnonzero(raw_track.found & raw_track.fit.converged)
+    if len(found) < MIN_FRAMES:
+        return None
+    rows = np.unique(found[np.linspace(0, len(found) - 1, MAX_FRAMES).astype(int)])
+    size = known.template.weight.shape
+    corner = nearest_corner(raw_track.position[rows], film.shape, size)
+    fit = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
+    cuts = film.cut(rows, corner, size)
+    if _mean_difference(residual_images(cuts, fit, known.template), known.template.weight) > MAX_DIFFERENCE:
+        return None
+    systematic = systematic_covariance(cuts, fit, known.template)
+    if np.any(systematic):  # the appearance changes along the path, which a template of its own follows better
+        return None
+    return replace(known, sigma_inflation=sigma_inflation(cuts, fit, known.template))
+
+
+def _mean_difference(residuals: Array, weight: Array) -> float:
+    """Mean square of the mean residual (n, h, w) that noise does not explain, over the noise's mean square."""
+    used = residuals[:, weight > 0].astype(np.float64)
+    noise = float(np.mean(np.var(used, axis=0, ddof=1)))
+    return float(np.mean(np.mean(used, axis=0) ** 2)) / max(noise, 1e-300) - 1 / len(used)
+
+
+@dataclass(frozen=True)
+class TargetOffset:
+    """Offset from the centre of one target's picture to the centre of the other's, with its error, px."""
+
+    dx: float
+    dy: float
+    sigma_x: float
+    sigma_y: float
+
+
+def align_track(track: Track, reference: Track, name: str = "the reference") -> Track:
+    """Move a track to the point of the body that a reference track follows.
+
+    Parameters
+    ----------
+    track, reference : Track
+        Tracks with the pictures of their targets.
+    name : str
+        What the notes call the reference.
+
+    Returns
+    -------
+    Track
+        With a note of what was done; unchanged, with a note, where the pictures do not show the same body.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> film = ft.open_recording(ft.samples.films_folder() / "fast.avi")
+    >>> track = ft.track(film)
+    >>> aligned = ft.align_track(track, track)
+    >>> bool(abs(aligned.x_px - track.x_px)[:140].max() < 0.01)
+    True
+
+    """
+    found = target_offset(track.picture, reference.picture)
+    if found is None:
+        note = (
+            f"its target does not look like that of {name}: it has an origin of its own along the course, which agrees "
+            "with the other only as well as the two rectangles do, about a pixel; x_offset corrects it"
+        )
+        return replace(track, notes=(*track.notes, note))
+    if np.hypot(found.dx, found.dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(found.sigma_x, found.sigma_y)):
+        return track
+    note = (
+        f"tracked point moved by ({found.dx:+.3f} +/- {found.sigma_x:.3f}, {found.dy:+.3f} +/- {found.sigma_y:.3f}) px "
+        f"to that of {name}"
+    )
+    return replace(track, x_px=track.x_px + found.dx, y_px=track.y_px + found.dy, notes=(*track.notes, note))
+
+
+def target_offset(picture: Array | None, reference: Array | None) -> TargetOffset | None:
+    """Measure the offset between two pictures of the same body.
+
+    The middle of one picture is located in the other by cross-correlation, then refined as a target in a frame is.
+
+    Parameters
+    ----------
+    picture, reference : array (h, w) or None
+        Averaged pictures of the targets, DN.
+
+    Returns
+    -------
+    TargetOffset or None
+        None where they do not show the same body or are too small.
+
+    """
+    if picture is None or reference is None:
+        return None
+    edge = np.maximum((MAX_OFFSET_SHARE * np.array(picture.shape)).astype(int), 1)
+    core = picture[edge[0] : -edge[0], edge[1] : -edge[1]].astype(np.float32)
+    reference_image = reference.astype(np.float32)
+    if min(core.shape) < MIN_CORE_PX or np.any(np.array(reference_image.shape) < np.array(core.shape) + 2):
+        return None
+    corner, score = best_match(reference_image, core)
+    if score < MIN_SAME_BODY_SCORE:
+        return None
+    x, y = np.rint(corner).astype(int)
+    template = without_border(template_from_frame(core))
+    cut = reference_image[None, y : y + core.shape[0], x : x + core.shape[1]]
+    fit = refine_positions(template_products(cut, template), np.zeros((1, 2)), template)
+    # The core has the same centre as the picture from which it was cut.
+    dx, dy = (np.array(reference_image.shape[::-1]) - core.shape[::-1]) / 2 - (x, y) - fit.position[0]
+    return TargetOffset(float(dx), float(dy), float(fit.sigma[0, 0]), float(fit.sigma[0, 1]))

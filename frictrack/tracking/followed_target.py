@@ -8,6 +8,7 @@ misfit. From a position predicted by frames that show the target well, the objec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +19,10 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, SEGMENT_FRAMES, Work
-from frictrack.tracking.checks import at_rest, interlacing_note, key_frame_notes
+from frictrack.tracking.checks import at_rest, interlacing_note
 from frictrack.tracking.correlation import Rectangle, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
-from frictrack.tracking.measure import measure_frames, refine_robust, unexplained_share
+from frictrack.tracking.measure import measure_frames, refine_predicted, unexplained_share
 from frictrack.tracking.subpixel_fit import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.template import TargetModel
 from frictrack.tracking.template_learning import peak_locking_correction
@@ -32,6 +33,20 @@ MAX_ROUNDS = 64  # of predicting from the frames of the round before
 MAX_UNEXPLAINED_SHARE = 0.03  # of the picture's variance beyond the noise; more shows another object
 MAX_PREDICTION_SIGMAS = 4.0  # standard deviations between position and prediction
 OCCLUDED = "too much of the target is hidden"
+CHUNK_FRAMES = 256  # measured at once
+MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
+MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
+# Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
+# that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
+# of noise.
+SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
+MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
+UNKNOWN_ANGLE_SIGMA = np.pi / np.sqrt(3)  # rad, of any angle in a turn
+ROTATION_UNSEEN = (
+    "the target is round and shows no marks that can be followed: whether and how far it turns is not seen; "
+    "a rolling body needs a mark for that"
+)
+MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
 
 
 def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> None:
@@ -52,41 +67,45 @@ def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: Targe
     if not suspect.any() or np.isnan(limit):
         return
     good = raw_track.found & ~suspect
-    visited = ~suspect
-    for _ in range(MAX_ROUNDS):
+
+    def remeasure(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        return _remeasure(film, raw_track, rows, known, target_model)
+
+    _spread(good, ~suspect, remeasure, MAX_ROUNDS)
+    share = unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
+    _accept_gradual(raw_track, good, share)
+    raw_track.reason[suspect & ~good] = OCCLUDED
+
+
+def _spread(
+    good: Mask, visited: Mask, judge: Callable[[NDArray[np.int64], NDArray[np.int64]], Mask], max_rounds: int
+) -> None:
+    """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
+    for _ in range(max_rounds):
         rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
-        good[rows] = _remeasure(film, raw_track, rows, np.flatnonzero(good), target_model)
-    _accept_gradual(
-        raw_track, good, unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
-    )
-    raw_track.reason[suspect & ~good] = OCCLUDED
+        good[rows] = judge(rows, np.flatnonzero(good))
 
 
 def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
     """Accept frames whose unexplained `share` (n,) hardly exceeds that of neighbouring good frames.
 
     Light and background change gradually along the path, while an occluding object appears at once. The position must
-    also
-    agree with the prediction from the neighbours, within its own standard deviation.
+    also agree with the prediction from the neighbours, within its own standard deviation.
     """
-    visited = good | ~raw_track.found
-    for _ in range(len(good)):
-        rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
-        if len(rows) == 0:
-            break
-        visited[rows] = True
-        good_rows = np.flatnonzero(good)
-        typical = np.array(
-            [np.median(share[good_rows[np.argsort(np.abs(good_rows - row))[:MAX_NEIGHBOURS]]]) for row in rows]
-        )
-        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, good_rows)[0])
+
+    def is_gradual(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        near = [known[np.argsort(np.abs(known - row))[:MAX_NEIGHBOURS]] for row in rows]
+        typical = np.array([np.median(share[some]) for some in near])
+        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, known)[0])
         agrees = np.all(off < MAX_PREDICTION_SIGMAS * raw_track.fit.sigma[rows, :2], axis=1)
-        little_unexplained = share[rows] <= MAX_UNEXPLAINED_SHARE
-        good[rows] = little_unexplained | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
-    good |= raw_track.found & ~visited & (share <= MAX_UNEXPLAINED_SHARE)
+        return little[rows] | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
+
+    little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
+    _spread(good, visited, is_gradual, len(good))
+    good |= raw_track.found & ~visited & little
 
 
 def _distance(good: Mask) -> NDArray[np.int64]:
@@ -103,17 +122,9 @@ def _remeasure(
     film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], good: NDArray[np.int64], target_model: TargetModel
 ) -> Mask:
     """Measure frames (m,) from predictions by the good ones; return which of them succeeded."""
-    template = target_model.template
-    size = template.weight.shape
-    max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
     predicted, nearest = _predict_from_neighbours(raw_track.position, rows, good)
-    corner = np.rint(predicted).astype(np.int64).clip(0, max_corner)
-    guess = replace(raw_track.fit[nearest], position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
-    cuts, share = film.cut(rows, corner, size), None
-    if target_model.pattern is not None:
-        cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
-    typical = max(target_model.typical_misfit, template.min_misfit)
-    fit, _ = refine_robust(cuts, guess, template, share, typical)
+    typical = max(target_model.typical_misfit, target_model.template.min_misfit)
+    corner, fit = refine_predicted(film, rows, predicted, raw_track.fit[nearest], target_model, typical)
     fit = replace(fit, sigma=fit.sigma * target_model.sigma_inflation)
     accepted = (
         fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical) & np.all(np.abs(fit.position) < MAX_SHIFT_PX, axis=1)
@@ -137,11 +148,6 @@ def _predict_from_neighbours(
         powers = np.vander((near - row) / MAX_NEIGHBOUR_DISTANCE, min(3, 1 + len(near) // 3), increasing=True)
         places[k] = np.linalg.lstsq(powers, at[near], rcond=None)[0][0]
     return places, nearest
-
-
-CHUNK_FRAMES = 256  # measured at once
-MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
-MIN_SCORE_SHARE = 0.7  # of the film's typical score, that a trusted frame reaches
 
 
 def measure_all(
@@ -214,24 +220,11 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
     return list(np.select([case for case, _ in cases], [np.asarray(words) for _, words in cases], ""))
 
 
-# Slow position errors, rms, as a share of a frame's standard deviation and in px: the noise of the template, and blur
-# that changes with the speed. Measured on films of known truth, with sharp and blurred targets and 0.001 to 0.005 px
-# of noise.
-SYSTEMATIC_SHARE, MIN_SYSTEMATIC_PX = 0.12, 2e-4
-MIN_REPORTED_PEAK_LOCKING_PX = 0.01  # amplitude
-UNKNOWN_ANGLE_SIGMA = np.pi / np.sqrt(3)  # rad, of any angle in a turn
-ROTATION_UNSEEN = (
-    "the target is round and shows no marks that can be followed: whether and how far it turns is not seen; "
-    "a rolling body needs a mark for that"
-)
-MIN_SIGMA = 1e-6  # px and rad; equal pictures without noise would give 0
-
-
 @dataclass(frozen=True)
 class Followed:
-    """A target that was followed: its areas and rectangle in frame `template`, track, model, frames to measure again.
+    """A target that was followed: its areas and rectangle in frame `template`, track and model.
 
-    `rereadable` tells whether any frame can still be read.
+    `remeasure` tells whether frames are measured again with the model, `rereadable` whether any can still be read.
     """
 
     drawn: Areas
@@ -239,23 +232,17 @@ class Followed:
     template: int
     raw_track: RawTrack
     target_model: TargetModel
-    rows: NDArray[np.int64]
+    remeasure: bool = True
     rereadable: bool = True
 
 
 def measure_track(recording: Recording, film: Recording, followed: Followed, name: str, work: Work) -> Track:
     """Measure the frames of a target that was followed, and state the errors of its positions."""
-    drawn, target_model, template, rectangle = (
-        followed.drawn,
-        followed.target_model,
-        followed.template,
-        followed.rectangle,
-    )
-    raw_track = followed.raw_track
-    measured = raw_track if target_model.rotates else measure_all(film, raw_track, followed.rows, target_model, work)
-    change = _frame_changes(film) if recording.interframe else None
-    result = _to_track(recording, measured, rectangle, name)
-    result = _with_systematic_error(result, target_model)
+    target_model, measured = followed.target_model, followed.raw_track
+    if not target_model.rotates:
+        rows = np.flatnonzero(measured.found & followed.remeasure)
+        measured = measure_all(film, measured, rows, target_model, work)
+    result = _with_systematic_error(_to_track(recording, measured, followed.rectangle, name), target_model)
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(
@@ -263,21 +250,19 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
         )
     if np.count_nonzero(result.found) < 2:
         raise FrictrackError(
-            f"{recording.path.name}: the target {list(rectangle)} is found in fewer than two frames; "
+            f"{recording.path.name}: the target {list(followed.rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
-    result = _with_reference_sigma(result, template)
-    codec_notes = () if change is None else key_frame_notes(change, result.x_px, result.y_px)
+    result = _with_reference_sigma(result, followed.template)
     line_notes = interlacing_note(film, result) if followed.rereadable else ()
-    notes = (*result.notes, *codec_notes, *line_notes, *at_rest(result))
     return replace(
         result,
-        template=template,
+        template=followed.template,
         picture=target_model.template.image,
-        notes=notes,
-        outline=drawn.outline,
-        exclude=tuple(drawn.exclude),
-        obstacles=tuple(drawn.obstacles),
+        notes=(*result.notes, *line_notes, *at_rest(result)),
+        outline=followed.drawn.outline,
+        exclude=tuple(followed.drawn.exclude),
+        obstacles=tuple(followed.drawn.obstacles),
     )
 
 
@@ -350,14 +335,3 @@ def _peak_locking_note(size: Array) -> tuple[str, ...]:
         f"peak locking of {np.max(size):.3f} px was corrected: the target is sharper "
         "than the sensor resolves; a slight defocus would avoid it",
     )
-
-
-def _frame_changes(film: Recording) -> Array:
-    """Rms change (n,) from each frame to the next beyond a uniform change of light, on every fourth pixel."""
-    change, before = np.full(film.n_frames, np.nan), None
-    for i, frame in enumerate(film.frames()):
-        sparse = frame[::4, ::4].astype(np.float32)
-        if before is not None:
-            change[i] = np.std(sparse - before)
-        before = sparse
-    return change

@@ -14,7 +14,7 @@ from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.measure import measure_frames, model_images, sigma_inflation, systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
-from frictrack.tracking.template import FixedPattern, PatternSums, TargetModel, Template, fit_fixed_pattern
+from frictrack.tracking.template import FixedPattern, TargetModel, Template, fit_fixed_pattern, pattern_sums
 from frictrack.tracking.template_learning import (
     WIDE_RIM_PX,
     SmoothPath,
@@ -43,20 +43,32 @@ RESIDUAL_FRAMES = 64  # whose residuals are examined
 
 
 @dataclass(frozen=True, eq=False)
-class _CutOuts:
-    """Cut-outs (n, h, w) of some frames, their corners (n, 2), and the static background of the film."""
+class _Round:
+    """Cut-outs (n, h, w) of some frames and their corners (n, 2), with template, fit and share of a round."""
 
     film: Recording
-    rows: NDArray[np.int64]
+    background: Patch | None  # (H, W), median of the film
+    frames: NDArray[np.int64]
     cuts: Patch
     corner: NDArray[np.int64]
-    background: Patch | None  # (H, W), median of the film
+    template: Template
+    fit: SubpixelFit
+    share: Patch | None = None  # (n, h, w), of the weight that pixels keep because they fit
 
-    @classmethod
-    def around(cls, film: Recording, rows: NDArray[np.int64], at: Array, size: tuple[int, int]) -> _CutOuts:
-        """Read the cut-outs of these frames whose corners are nearest to `at` (n, 2) px."""
-        corner = nearest_corner(at, film.shape, size)
-        return cls(film, rows, film.cut(rows, corner, size), corner, _median_background(film))
+    def __getitem__(self, rows: Mask | slice | NDArray[np.int64]) -> _Round:
+        names = ("frames", "cuts", "corner", "fit") + (() if self.share is None else ("share",))
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @property
+    def usable(self) -> Mask:
+        """Frames (n,) from which the template can be learnt."""
+        typical_misfit = max(float(np.median(self.fit.misfit)), self.template.min_misfit)
+        return self.fit.converged & (self.fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
+
+    @property
+    def position(self) -> Array:
+        """Corner of the target's rectangle (n, 2) px."""
+        return self.corner + self.fit.position
 
     @property
     def scene(self) -> Patch | None:
@@ -66,19 +78,16 @@ class _CutOuts:
         h, w = self.cuts.shape[1:]
         return np.stack([self.background[y : y + h, x : x + w] for x, y in self.corner])
 
+    def measured(self, template: Template, pattern: FixedPattern | None) -> _Round:
+        """Measure the positions again with another template."""
+        fit, share = measure_frames(self.cuts, self.corner, self.fit, TargetModel(template, pattern))
+        return replace(self, template=template, fit=fit, share=share)
 
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """Result of one round: template, fit on the cut-outs, and the share (n, h, w) of its pixels that fit."""
-
-    template: Template
-    fit: SubpixelFit
-    share: Patch | None
-
-    @property
-    def usable(self) -> Mask:
-        """Frames (n,) from which the template can be learnt."""
-        return _usable_frames(self.fit, self.template)
+    def without(self, pattern: FixedPattern | None) -> Patch:
+        """Cut-outs (n, h, w) without the fixed pattern."""
+        if pattern is None:
+            return self.cuts
+        return pattern.corrected(self.cuts, self.corner, self.fit.gain, self.fit.offset)[0]
 
 
 def learn_target_model(
@@ -107,88 +116,82 @@ def learn_target_model(
     if len(rows) < MIN_FRAMES:
         return TargetModel(without_border(template), pattern)
     size = template.weight.shape
-    cut_outs = _CutOuts.around(film, rows, raw_track.position[rows], size)
-    fit = raw_track.fit[rows].moved(raw_track.corner[rows] - cut_outs.corner)
-    found = _Round(
-        template, *measure_frames(cut_outs.cuts, cut_outs.corner, fit, TargetModel(without_border(template), pattern))
-    )
-    path = _first_smooth_path(raw_track, rows)
+    corner = nearest_corner(raw_track.position[rows], film.shape, size)
+    fit = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
+    found = _Round(film, _median_background(film), rows, film.cut(rows, corner, size), corner, template, fit)
+    found = replace(found.measured(without_border(template), pattern), template=template)
+    frames = np.flatnonzero(raw_track.found)
+    path = smooth_path(frames, raw_track.position[frames], rows)
     for k in range(MAX_ROUNDS):
         if np.count_nonzero(found.usable) < MIN_USABLE_FRAMES:
             break
-        cut_outs, found = _recentre(cut_outs, found)
-        found = _run_round(cut_outs, found, path, pattern)
+        found = _run_round(_recentre(found), path, pattern)
         if k == 1:
-            found, path = _try_super_resolution(cut_outs, found, path)
+            found, path = _try_super_resolution(found, path)
         if pattern is None and k >= ROUNDS - 1:
             break
         if 0 < k < MAX_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
-            pattern = with_obstacles(_estimate_pattern(film, cut_outs, found), blocked)
-    return _final_model(cut_outs, found, pattern)
+            pattern = with_obstacles(_estimate_pattern(found), blocked)
+    return _final_model(found, pattern)
 
 
-def _recentre(cut_outs: _CutOuts, found: _Round) -> tuple[_CutOuts, _Round]:
+def _recentre(found: _Round) -> _Round:
     """Read cut-outs again where the target lies more than half a pixel off their corner."""
-    fit, size = found.fit, cut_outs.cuts.shape[1:]
+    fit, size = found.fit, found.cuts.shape[1:]
     near = fit.converged & np.all(np.abs(fit.position) < MAX_SHIFT_PX + 1, axis=1)
-    corner = nearest_corner(cut_outs.corner + np.where(near[:, None], fit.position, 0.0), cut_outs.film.shape, size)
-    moved = np.flatnonzero(np.any(corner != cut_outs.corner, axis=1))
+    corner = nearest_corner(found.corner + np.where(near[:, None], fit.position, 0.0), found.film.shape, size)
+    moved = np.flatnonzero(np.any(corner != found.corner, axis=1))
     if len(moved) == 0:
-        return cut_outs, found
-    cuts, share = cut_outs.cuts.copy(), None if found.share is None else found.share.copy()
-    cuts[moved] = cut_outs.film.cut(cut_outs.rows[moved], corner[moved], size)
+        return found
+    cuts, share = found.cuts.copy(), None if found.share is None else found.share.copy()
+    cuts[moved] = found.film.cut(found.frames[moved], corner[moved], size)
     if share is not None:
         share[moved] = 1.0
-    return replace(cut_outs, cuts=cuts, corner=corner), replace(
-        found, fit=fit.moved(cut_outs.corner - corner), share=share
-    )
+    return replace(found, cuts=cuts, corner=corner, fit=fit.moved(found.corner - corner), share=share)
 
 
-def _run_round(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> _Round:
+def _run_round(found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> _Round:
     """Learn the template from the positions of the last round, and measure the positions again."""
-    template = _learn(cut_outs, found, path, pattern)
-    return _Round(template, *measure_frames(cut_outs.cuts, cut_outs.corner, found.fit, TargetModel(template, pattern)))
+    return found.measured(_learn(found, path, pattern), pattern)
 
 
-def _learn(cut_outs: _CutOuts, found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> Template:
+def _learn(found: _Round, path: SmoothPath, pattern: FixedPattern | None) -> Template:
     """Learn the template that fits the frames best at the positions of the last round."""
-    placed = path.with_path_positions(found.fit, cut_outs.corner, found.template)
+    placed = path.with_path_positions(found.fit, found.corner, found.template)
     usable = found.usable & np.all(np.abs(placed.unrotated()) <= MAX_SHIFT_PX, axis=1)
     if np.count_nonzero(usable) < MIN_USABLE_FRAMES:
         return found.template
-    places = placed[usable]
-    scene, share = (None if v is None else v[usable] for v in (cut_outs.scene, found.share))
-    corner = cut_outs.corner[usable]
-    cleaned = _remove_pattern(cut_outs.cuts[usable], corner, found.fit[usable], pattern)
+    used = found[usable]
+    share = used.share
     if share is not None:  # what most frames do not show was something else in the first template, such as a hand
-        open_share = np.ones_like(share) if pattern is None else pattern.pixel_shares(corner, share.shape[1:])
+        open_share = np.ones_like(share) if pattern is None else pattern.pixel_shares(used.corner, share.shape[1:])
         wrong = np.mean((share < 0.5) & (open_share >= 0.5), axis=0) > MAX_OUTLIER_SHARE
         share = np.where(wrong, open_share, share)
-    return learn_template(cleaned, places, found.template, scene, share)
+    return learn_template(used.without(pattern), placed[usable], found.template, used.scene, share)
 
 
-def _try_super_resolution(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> tuple[_Round, SmoothPath]:
+def _try_super_resolution(found: _Round, path: SmoothPath) -> tuple[_Round, SmoothPath]:
     """Add waves shorter than two pixels to the template, where these make the positions more precise."""
     if not path.axes.any():
         return found, path
-    path = path.updated(cut_outs.corner + found.fit.position)
+    path = path.updated(found.position)
     with np.errstate(all="ignore"):  # a picture that runs away shows nothing, which is answered below
-        if not (_shows_short_waves(cut_outs, found, path) and _cross_validates(cut_outs, found, path)):
+        if not (_shows_short_waves(found, path) and _cross_validates(found, path)):
             return found, path
-        refined = _run_round(cut_outs, replace(found, template=path.widened(found.template)), path, None)
-    better_path = path.updated(cut_outs.corner + refined.fit.position)
-    refined = _run_round(cut_outs, refined, better_path, None)
+        refined = _run_round(replace(found, template=path.widened(found.template)), path, None)
+    better_path = path.updated(refined.position)
+    refined = _run_round(refined, better_path, None)
     keep = _mostly_found(refined.fit, found.fit) and improves_positions(refined.fit, found.fit, path.axes)
     return (refined, better_path) if keep else (found, path)
 
 
-def _shows_short_waves(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> bool:
+def _shows_short_waves(found: _Round, path: SmoothPath) -> bool:
     """Whether two halves of the frames agree that the template lacks short waves: fitting these takes far longer."""
     wide = path.widened(found.template)
-    placed = path.with_path_positions(found.fit, cut_outs.corner, wide)
+    placed = path.with_path_positions(found.fit, found.corner, wide)
     usable = np.flatnonzero(found.usable & np.all(np.abs(placed.unrotated()) <= MAX_SHIFT_PX, axis=1))
-    half = _odd_stretches(len(cut_outs.cuts))[usable]
-    evidence = short_wave_evidence(cut_outs.cuts[usable], placed[usable], found.template, wide, half)
+    half = _odd_stretches(len(found.cuts))[usable]
+    evidence = short_wave_evidence(found.cuts[usable], placed[usable], found.template, wide, half)
     return evidence > MIN_SHORT_WAVE_EVIDENCE
 
 
@@ -202,69 +205,46 @@ def _mostly_found(refitted: SubpixelFit, before: SubpixelFit) -> bool:
     return bool(np.count_nonzero(refitted.converged) >= max(MIN_FOUND_SHARE * np.count_nonzero(before.converged), 1))
 
 
-def _cross_validates(cut_outs: _CutOuts, found: _Round, path: SmoothPath) -> bool:
+def _cross_validates(found: _Round, path: SmoothPath) -> bool:
     """Whether short waves learnt from every second stretch of the path improve the fit to the other stretches.
 
     Light that changes along the path, or a video codec, makes such waves too, but different ones in each stretch.
     """
-    odd = _odd_stretches(len(cut_outs.cuts))
-    half = replace(cut_outs, cuts=cut_outs.cuts[~odd], corner=cut_outs.corner[~odd], rows=cut_outs.rows[~odd])
+    odd = _odd_stretches(len(found.cuts))
     half_path = replace(path, frames=path.frames[~odd], position=path.position[~odd])
-    share = None if found.share is None else found.share[~odd]
-    usable = _Round(path.widened(found.template), found.fit[~odd], share)
-    refined = replace(_learn(half, usable, half_path, None), weight=found.template.weight)
+    half = replace(found[~odd], template=path.widened(found.template))
+    refined = replace(_learn(half, half_path, None), weight=found.template.weight)
     tested = np.flatnonzero(odd & found.usable & (found.fit.misfit <= np.median(found.fit.misfit[found.usable])))
     tested = tested[:: max(1, len(tested) // RESIDUAL_FRAMES)]
     band_limited, refitted = (
-        refine_positions(template_products(cut_outs.cuts[tested], t), found.fit.position[tested], t)
+        refine_positions(template_products(found.cuts[tested], t), found.fit.position[tested], t)
         for t in (found.template, refined)
     )
     return _mostly_found(refitted, band_limited) and bool(np.median(refitted.misfit) < np.median(band_limited.misfit))
 
 
-def _final_model(cut_outs: _CutOuts, found: _Round, pattern: FixedPattern | None) -> TargetModel:
+def _final_model(found: _Round, pattern: FixedPattern | None) -> TargetModel:
     """Assemble the model of the last round, with the inflation of its standard deviations."""
-    fit, template, share = found.fit, found.template, found.share
-    if not _border_slopes_known(cut_outs, found):
-        template = without_border(template, WIDE_RIM_PX)
-    target_model = TargetModel(template, pattern, float(np.median(fit.misfit)))
-    usable = np.flatnonzero(found.usable)
-    cleaned = _remove_pattern(cut_outs.cuts[usable], cut_outs.corner[usable], fit[usable], pattern)
-    keep = None if share is None else share[usable]
-    subset = slice(None, None, max(1, len(usable) // RESIDUAL_FRAMES))
-    factor = sigma_inflation(cleaned[subset], fit[usable[subset]], template, None if keep is None else keep[subset])
-    return replace(
-        target_model,
-        sigma_inflation=factor,
-        systematic_covariance=systematic_covariance(cleaned, fit[usable], template, keep),
-    )
+    template = found.template if _border_slopes_known(found) else without_border(found.template, WIDE_RIM_PX)
+    used = found[found.usable]
+    some = used[:: max(1, len(used.cuts) // RESIDUAL_FRAMES)]
+    factor = sigma_inflation(some.without(pattern), some.fit, template, some.share)
+    systematic = systematic_covariance(used.without(pattern), used.fit, template, used.share)
+    return TargetModel(template, pattern, float(np.median(found.fit.misfit)), factor, systematic)
 
 
-def _border_slopes_known(cut_outs: _CutOuts, found: _Round) -> bool:
+def _border_slopes_known(found: _Round) -> bool:
     """Whether the target has moved far enough, along one axis, for the slopes at its border to be learnt.
 
     Inside, a single frame shows the slopes. At the border only shifts determine them, to the standard deviation of the
     slope of a line through the frames, which must be a small part of the slopes of the picture.
     """
-    fit = found.fit[found.usable]
-    at = cut_outs.corner[found.usable] + fit.position
-    moved = np.sum((at - at.mean(axis=0)) ** 2 - fit.sigma[:, :2] ** 2, axis=0)
+    at, sigma = found.position[found.usable], found.fit.sigma[found.usable, :2]
+    moved = np.sum((at - at.mean(axis=0)) ** 2 - sigma**2, axis=0)
     weight = found.template.weight
     noise = 1 / float(np.median(weight[weight > 0])) if np.any(weight > 0) else np.inf
     slopes = [float(np.mean(np.gradient(found.template.image, axis=axis) ** 2)) for axis in (1, 0)]
     return bool(np.any(moved * slopes * MAX_BORDER_SLOPE_ERROR**2 > noise))
-
-
-def _first_smooth_path(raw_track: RawTrack, rows: NDArray[np.int64]) -> SmoothPath:
-    """Smooth path of the first track in these frames."""
-    frames = np.flatnonzero(raw_track.found)
-    return smooth_path(frames, raw_track.position[frames], rows)
-
-
-def _usable_frames(fit: SubpixelFit, template: Template) -> Mask:
-    """Frames that show the target and nothing else."""
-    typical_misfit = max(float(np.median(fit.misfit)), template.min_misfit)
-    return fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical_misfit)
 
 
 def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
@@ -282,15 +262,10 @@ def _spread_frames(raw_track: RawTrack, size: int) -> NDArray[np.int64]:
     return found[np.unique(at.clip(0, len(found) - 1))]
 
 
-def _remove_pattern(cuts: Patch, corner: NDArray[np.int64], fit: SubpixelFit, pattern: FixedPattern | None) -> Patch:
-    """Correct cut-outs for the fixed pattern."""
-    return cuts if pattern is None else pattern.corrected(cuts, corner, fit.gain, fit.offset)[0]
-
-
-def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> FixedPattern | None:
+def _estimate_pattern(found: _Round) -> FixedPattern | None:
     """Estimate the fixed pattern of the picture from the residuals of the frames."""
-    sums, usable, template = PatternSums(film.shape), found.usable, found.template
-    cuts, corner, fit = cut_outs.cuts[usable], cut_outs.corner[usable], found.fit[usable]
+    used, template = found[found.usable], found.template
+    cuts, fit = used.cuts, used.fit
     gain = fit.gain.astype(np.float32)[:, None]
     offset = (fit.offset - template.level).astype(np.float32)[:, None]
     model = (model_images(fit, template) - offset) / gain
@@ -299,7 +274,7 @@ def _estimate_pattern(film: Recording, cut_outs: _CutOuts, found: _Round) -> Fix
     typical_misfit = float(np.median(template.weight[template.weight > 0]))
     # Differences at the target's edge come from the scene behind it and not from an obstacle.
     inside = np.asarray(template.weight > 0.5 * typical_misfit, dtype=np.float64)
-    sums.add(corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
+    sums = pattern_sums(used.film.shape, used.corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
     return fit_fixed_pattern(sums, 1 / typical_misfit)
 
 

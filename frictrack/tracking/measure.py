@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.distributions import robust_std
+from frictrack.recording import Recording
 from frictrack.records import Array
-from frictrack.tracking.correlation import Patch
+from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import TargetModel, Template
@@ -39,6 +40,13 @@ BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit, above which mor
 BORDERLESS_SHARE = 0.5  # of the remaining share, without borders
 MIN_OUTLIER_SHARE = 0.02  # of the pixels; fewer outliers are noise and have no border
 NEIGHBOUR_SHARES = 0.5, 0.8  # share of fitting neighbours below which a pixel has no weight, and below which less
+BLOCK_SIDES_PX = (4, 8, 16)  # px
+MIN_BLOCKS = 8  # whose scatter is an estimate
+N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
+PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
+MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
+MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
+MIN_SIGNIFICANCE = 4.0  # standard errors above one
 
 
 def measure_frames(
@@ -131,9 +139,8 @@ def refine_robust(
         enough_pixels &= share.mean(axis=(1, 2)) > MIN_REMAINING_SHARE * float(counts.mean())
         enough_pixels &= np.all(share.reshape(len(cuts), -1) @ texture.T >= least, axis=1)
         start = np.clip(np.nan_to_num(fit.unrotated()), -MAX_SHIFT_PX, MAX_SHIFT_PX)
-        share[~enough_pixels] = initial_share[
-            ~enough_pixels
-        ]  # nothing sensible is left; the whole picture is as good as any
+        lost = ~enough_pixels  # nothing sensible is left; the whole picture is as good as any
+        share[lost] = initial_share[lost]
         better = refine_positions(template_products(cuts, template, share), start, template)
         failed = ~better.converged  # what went nowhere is no ground to stand on: the last place is
         better.put(failed, replace(fit[failed], converged=better.converged[failed]))
@@ -142,6 +149,24 @@ def refine_robust(
         fit, share = _erode_outliers(cuts, fit, template, share, initial_share, typical_misfit)
         enough_pixels &= share.mean(axis=(1, 2)) > BORDERLESS_SHARE * MIN_REMAINING_SHARE * float(counts.mean())
     return replace(fit, converged=fit.converged & enough_pixels), share
+
+
+def refine_predicted(
+    film: Recording,
+    frames: NDArray[np.int64],
+    predicted: Array,
+    guess: SubpixelFit,
+    target_model: TargetModel,
+    typical_misfit: float,
+) -> tuple[NDArray[np.int64], SubpixelFit]:
+    """Fit frames robustly from predicted positions (n, 2) px, with the light of a guess; return corners and fit."""
+    size = target_model.template.weight.shape
+    corner = nearest_corner(predicted, film.shape, size)
+    guess = replace(guess, position=np.clip(predicted - corner, -MAX_SHIFT_PX, MAX_SHIFT_PX))
+    cuts, share = film.cut(frames, corner, size), None
+    if target_model.pattern is not None:
+        cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
+    return corner, refine_robust(cuts, guess, target_model.template, share, typical_misfit)[0]
 
 
 def _erode_outliers(
@@ -200,42 +225,12 @@ def unexplained_share(score: Any, misfit: Any, typical_misfit: float) -> Any:
 
 
 def residual_images(cuts: Patch, fit: SubpixelFit, template: Template) -> Array:
-    """Compute what the target does not explain of cut-outs.
-
-    Parameters
-    ----------
-    cuts : array (n, h, w)
-        Grey values.
-    fit : SubpixelFit
-        Fit on these cut-outs.
-    template : Template
-        Template of the target.
-
-    Returns
-    -------
-    array (n, h, w)
-        Residuals in standard deviations of the template's pixel noise.
-
-    """
+    """Compute what the target does not explain of cut-outs (n, h, w), in standard deviations of the pixel noise."""
     return (template.weighted(cuts) - model_images(fit, template) * template.root_weight).reshape(cuts.shape)
 
 
 def model_images(fit: SubpixelFit, template: Template) -> Array:
-    """Compute what cut-outs should show.
-
-    Parameters
-    ----------
-    fit : SubpixelFit
-        Positions, rotation, gain and offset in n frames.
-    template : Template
-        Template of the target.
-
-    Returns
-    -------
-    array (n, h w)
-        Grey values above the level of the template, DN.
-
-    """
+    """Compute what cut-outs should show: grey values above the level of the template (n, h w), DN."""
     columns = template.design(fit.unrotated())
     ones = np.ones_like(fit.gain)
     parts = np.stack([fit.gain, fit.offset - template.level, 0 * ones, 0 * ones, fit.gain * fit.angle], axis=1)
@@ -259,33 +254,19 @@ def inlier_weights(standardised: Patch, initial_share: Patch) -> Patch:
         1 for pixels that fit, 0 for outliers, linear in between.
 
     """
-    weights = np.empty_like(standardised)
+    weights, (low, high) = np.empty_like(standardised), NEIGHBOUR_SHARES
     for k, picture in enumerate(standardised):
         local_mean = 3 * np.abs(cv2.blur(picture, (3, 3)))  # the mean of nine: a standard deviation of one third
-        weights[k] = np.clip(
-            (ZERO_WEIGHT_SIGMAS - np.maximum(np.abs(picture), local_mean)) / (ZERO_WEIGHT_SIGMAS - FULL_WEIGHT_SIGMAS),
-            0,
-            1,
-        )
+        deviation = np.maximum(np.abs(picture), local_mean)
+        fitting = np.clip((ZERO_WEIGHT_SIGMAS - deviation) / (ZERO_WEIGHT_SIGMAS - FULL_WEIGHT_SIGMAS), 0, 1)
         # A fitting pixel among many outliers fits by chance.
-        neighbour_share = cv2.blur(weights[k] * (initial_share[k] > 0), (5, 5)) / np.maximum(
-            cv2.blur(initial_share[k], (5, 5)), 0.1
-        )
-        weights[k] *= np.clip(
-            (neighbour_share - NEIGHBOUR_SHARES[0]) / (NEIGHBOUR_SHARES[1] - NEIGHBOUR_SHARES[0]), 0, 1
-        )
+        around = np.maximum(cv2.blur(initial_share[k], (5, 5)), 0.1)
+        neighbour_share = cv2.blur(fitting * (initial_share[k] > 0), (5, 5)) / around
+        weights[k] = fitting * np.clip((neighbour_share - low) / (high - low), 0, 1)
     return weights
 
 
 Rows = NDArray[np.intp]
-
-BLOCK_SIDES_PX = (4, 8, 16)  # px
-MIN_BLOCKS = 8  # whose scatter is an estimate
-N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
-PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
-MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
-MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
-MIN_SIGNIFICANCE = 4.0  # standard errors above one
 
 
 def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:

@@ -18,7 +18,13 @@ from frictrack.base.distributions import robust_std
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
-from frictrack.tracking.measure import MISFIT_RATIO, inlier_weights, unexplained_share
+from frictrack.tracking.measure import (
+    MAX_REWEIGHTINGS,
+    MIN_REMAINING_SHARE,
+    MISFIT_RATIO,
+    inlier_weights,
+    unexplained_share,
+)
 from frictrack.tracking.subpixel_fit import MIN_GAIN, N_UNKNOWNS, NormalEquations
 from frictrack.tracking.template import Template
 
@@ -26,8 +32,6 @@ SAMPLES_PER_PX = 3  # of the table: cubic splines through it err by less than 1e
 MAX_STEPS = 12  # of Gauss-Newton
 STEP_TOLERANCE_PX = 1e-3  # last step
 CYCLE_TOLERANCE_PX = 5e-3  # last step where the iteration cycles, as pixels at the border enter and leave
-MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals
-MIN_REMAINING_SHARE = 0.25  # of the texture
 MIN_TEXTURE_RATIO = 0.1  # to the mean squared slope
 MARGIN_PX = 6.0  # round the target
 MAX_PLAIN_FIT_UNEXPLAINED = 0.005  # share of the picture's variance; less is the error of the rotated template
@@ -112,15 +116,10 @@ class RotatableTemplate:
     @cached_property
     def _tables(self) -> list[Array]:
         """Spline coefficients of the template and of its slopes along x and y."""
-        (y, dy), (x, dx) = (
-            _sampled(n, count) for n, count in zip(self.template.weight.shape, self._n_coefficients, strict=True)
-        )
         coefficients = self.template.coefficients
+        sides = zip(self.template.weight.shape, coefficients.shape, strict=True)
+        (y, dy), (x, dx) = (_sampled(n, count) for n, count in sides)
         return [spline_filter(rows @ coefficients @ columns.T) for rows, columns in ((y, x), (y, dx), (dy, x))]
-
-    @property
-    def _n_coefficients(self) -> tuple[int, int]:
-        return self.template.coefficients.shape[0], self.template.coefficients.shape[1]
 
     def read(self, at: Array) -> Array:
         """Read values and slopes of the template.
@@ -262,9 +261,9 @@ def refine_pose(
 def _noise_misfit(window: _Window, pose: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> float:
     """Misfit of pixels that show only target and noise, from the better half of them."""
     standardised, slopes = _standardised_residuals(window, pose, rotatable)
-    textured = _textured(slopes)
-    level = max(_residual_scale(standardised[textured]) ** 2 if textured.any() else 0.0, rotatable.template.min_misfit)
-    return level if np.isnan(typical_misfit) else min(level, typical_misfit)
+    textured = standardised[_textured(slopes)]
+    level = max(robust_std(textured) ** 2 if len(textured) else 0.0, rotatable.template.min_misfit)
+    return float(level) if np.isnan(typical_misfit) else min(float(level), typical_misfit)
 
 
 def _widen_sigma(pose: Pose, other: Pose) -> Pose:
@@ -272,11 +271,6 @@ def _widen_sigma(pose: Pose, other: Pose) -> Pose:
     x, y = other.centre - pose.centre
     sigma = np.hypot(pose.sigma, (x, y, other.angle - pose.angle))
     return replace(pose, sigma=(float(sigma[0]), float(sigma[1]), float(sigma[2])))
-
-
-def _residual_scale(standardised: Array) -> float:
-    """Standard deviation of residuals, from their median."""
-    return float(robust_std(standardised))
 
 
 def _fit_pose(window: _Window, start: Pose, rotatable: RotatableTemplate, share: Array | None) -> Pose:
@@ -341,14 +335,14 @@ def _refine_robust(window: _Window, start: Pose, rotatable: RotatableTemplate, t
 
     The remaining pixels must hold enough of the texture that determines the pose: a plain background fits anywhere.
     """
-    pose, share = start, np.ones(window.pixels.size)
+    pose, share, shape = start, np.ones(window.pixels.size), (1, *window.pixels.shape)
     for k in range(MAX_REWEIGHTINGS):
         standardised, slopes = _standardised_residuals(window, pose, rotatable)
         inside = slopes > 0
-        scale = (
-            2 * np.sqrt(typical_misfit) if k == 0 else _residual_scale(standardised[(share > 0.5) & _textured(slopes)])
-        )
-        share = _inlier_share(window, standardised / max(scale, 1e-6), inside)
+        used = standardised[(share > 0.5) & _textured(slopes)]
+        scale = max(2 * np.sqrt(typical_misfit) if k == 0 else float(robust_std(used)), 1e-6)
+        weights = inlier_weights(*(q.reshape(shape).astype(np.float32) for q in (standardised / scale, inside)))
+        share = weights.ravel() * inside
         if share @ slopes < MIN_REMAINING_SHARE * np.sum(slopes):
             return replace(pose, converged=False)
         next_pose = _fit_pose(window, pose, rotatable, share)
@@ -369,14 +363,6 @@ def _standardised_residuals(window: _Window, pose: Pose, rotatable: RotatableTem
 def _textured(slopes: Array) -> Mask:
     """Pixels (n,) that would not fit at a wrong pose."""
     return np.asarray(slopes > MIN_TEXTURE_RATIO * np.mean(slopes))
-
-
-def _inlier_share(window: _Window, standardised: Array, inside: Mask) -> Array:
-    shape = (1, *window.pixels.shape)
-    solution: Array = inlier_weights(
-        standardised.reshape(shape).astype(np.float32), inside.reshape(shape).astype(np.float32)
-    )
-    return solution.ravel() * inside
 
 
 def derotate(frame: Patch, pose: Pose, rotatable: RotatableTemplate) -> NDArray[np.float32]:

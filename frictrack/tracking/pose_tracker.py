@@ -6,7 +6,7 @@ Only films in which the target rotates too far for the small angles of `subpixel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
-from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE
+from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE, Progress
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.followed_target import MAX_UNEXPLAINED_SHARE, OCCLUDED
@@ -31,6 +31,28 @@ SEARCH_RADIUS_PX = 24  # round the prediction
 GOOD_SCORE_SHARE = 0.8  # of the typical score; such a match near the prediction ends the search
 # Pictures are reduced for searching to this shorter side of the target and this number of pixels in a frame, px.
 SEARCH_TARGET_PX, SEARCH_FRAME_PX = 20, 400_000
+SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
+MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
+MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
+N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
+CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
+CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
+MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
+# What changes when a disc is rotated is a mark: in a blurred picture, within this share of the radius, by this many
+# standard deviations of noise and this share of the contrast to the surroundings.
+N_ANGLES = 256  # of a disc that are compared
+MARK_BLUR, MARKED_RADIUS, MIN_MARK_SIGMAS, MIN_MARK_SHARE = 1.0, 0.7, 1.3, 0.04
+NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
+MAX_TRUSTED_GAP = 3  # frames from the last find, over which a prediction is trusted
+MIN_VISIBLE_SHARE = 0.8  # of the target's rectangle that must lie in the picture
+MAX_LOST_FRAMES = 8  # after which the whole picture is searched in every eighth frame only
+# smallest and largest number of frames from which the template is learnt
+MIN_LEARNING_FRAMES, MAX_LEARNING_FRAMES = 24, 60
+SINGLE_FRAME_BAND = 0.25  # cycles/px; a single frame does not determine shorter waves
+ROUNDS = 3  # of learning the template and measuring these frames again
+# The typical misfit is this quantile over so many frames: many of them may be partly hidden.
+N_MISFIT_FRAMES, MISFIT_QUANTILE = 24, 0.1
 
 
 def search_pose(
@@ -66,45 +88,43 @@ def search_pose(
 
     """
     step = 2.0 / rotatable.radius
-    likely_angles = predicted.angle + np.arange(-MAX_ANGULAR_STEP, MAX_ANGULAR_STEP + step / 2, step)
-    rounds = [
-        (likely_angles, SEARCH_RADIUS_PX),
-        (likely_angles, 0),
-        (predicted.angle + np.arange(0, 2 * np.pi, step), 0),
-    ]
+    likely = predicted.angle + np.arange(-MAX_ANGULAR_STEP, MAX_ANGULAR_STEP + step / 2, step)
+    rounds = [(likely, SEARCH_RADIUS_PX), (likely, np.inf), (predicted.angle + np.arange(0, 2 * np.pi, step), np.inf)]
     best: Pose | None = None
     for angles, reach in rounds if everywhere else rounds[:1]:
-        start = _match_rotations(frame, predicted, rotatable, angles, reach)
-        found = None if start is None else _refine_match(frame, start, rotatable, typical_misfit)
-        if found is not None and (best is None or (found.converged, found.score) > (best.converged, best.score)):
+        found = _match_rotations(frame, predicted, rotatable, angles, reach)
+        if found is None:
+            continue
+        found = refine_pose(frame, found, rotatable, trusted=True)
+        if found.converged and not np.isnan(typical_misfit):  # at first, its own residuals set the scale
+            found = refine_pose(frame, found, rotatable, typical_misfit, trusted=True)
+        if best is None or (found.converged, found.score) > (best.converged, best.score):
             best = found
-        if best is not None and best.converged and best.score >= GOOD_SCORE_SHARE * typical_score:
+        if best.converged and best.score >= GOOD_SCORE_SHARE * typical_score:
             break
     return best
 
 
-def _refine_match(frame: Patch, start: Pose, rotatable: RotatableTemplate, typical_misfit: float) -> Pose:
-    """Refine a rough match, first by its own residual scale and then by the typical misfit."""
-    rough = refine_pose(frame, start, rotatable, trusted=True)
-    if np.isnan(typical_misfit) or not rough.converged:
-        return rough
-    return refine_pose(frame, rough, rotatable, typical_misfit, trusted=True)
-
-
 def _match_rotations(
-    frame: Patch, predicted: Pose, rotatable: RotatableTemplate, angles: Array, reach: int
+    frame: Patch, predicted: Pose, rotatable: RotatableTemplate, angles: Array, reach: float
 ) -> Pose | None:
-    """The best match of the template at some angles, within `reach` px of a prediction, or anywhere for 0."""
-    scale = _scale(rotatable, frame)
-    low, part = _crop(frame, predicted.centre, rotatable.radius + reach if reach else np.inf)
-    small = cv2.resize(part.astype(np.float32), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    """The best match of the template at some angles, within `reach` px of a prediction, on a reduced picture."""
+    side = min(rotatable.template.weight.shape)
+    least = np.sqrt(SEARCH_FRAME_PX / frame.size) if side > 2 * SEARCH_TARGET_PX else 0.0
+    scale = float(np.clip(least, SEARCH_TARGET_PX / side, 1.0)) if side > SEARCH_TARGET_PX else 1.0
+    around = np.clip(predicted.centre + np.array([[-1], [1]]) * (rotatable.radius + reach), 0, frame.shape[::-1])
+    low, high = np.floor(around[0]).astype(int), np.ceil(around[1]).astype(int) + 1
+    part = frame[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    if not part.size:
+        return None
+    small = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     best, where, angle = -np.inf, np.zeros(2), 0.0
     for one in angles:
         patch, mask = _rotated_patch(rotatable, float(one), scale)
         if patch.shape[0] > small.shape[0] or patch.shape[1] > small.shape[1]:
             continue
         scores = cv2.matchTemplate(small, patch, cv2.TM_CCOEFF_NORMED, mask=mask)
-        scores[~np.isfinite(scores) | (np.abs(scores) > 1.001)] = -1
+        scores[~(np.abs(scores) <= 1.001)] = -1
         _, score, _, (x, y) = cv2.minMaxLoc(scores)
         if score > best:
             best, angle = score, float(one)
@@ -112,64 +132,22 @@ def _match_rotations(
     return None if not np.isfinite(best) else replace(predicted, centre=where, angle=angle)
 
 
-def _scale(rotatable: RotatableTemplate, frame: Patch) -> float:
-    """Factor by which pictures are reduced for searching."""
-    side = min(rotatable.template.weight.shape)
-    return min(
-        1.0,
-        max(
-            SEARCH_TARGET_PX / side,
-            np.sqrt(SEARCH_FRAME_PX / frame.size) if side > 2 * SEARCH_TARGET_PX else SEARCH_TARGET_PX / side,
-        ),
-    )
-
-
-def _crop(frame: Patch, centre: Array, reach: float) -> tuple[Array, Patch]:
-    """Part of a frame within reach of a centre, and its upper left corner."""
-    if np.isinf(reach):
-        return np.zeros(2), frame
-    low = np.floor(centre - reach).astype(int).clip(0, np.array(frame.shape[::-1]) - 1)
-    high = np.ceil(centre + reach).astype(int) + 1
-    high = np.maximum(high, low + 1)
-    return low.astype(np.float64), frame[low[1] : high[1], low[0] : high[0]]
-
-
 def _rotated_patch(rotatable: RotatableTemplate, angle: float, scale: float) -> tuple[Patch, Patch]:
     """Template rotated and reduced, and its mask of 1 and 0."""
-    corners = _corners(rotatable, Pose(np.zeros(2), angle))
-    w, h = (int(v) for v in 2 * np.ceil(np.abs(corners).max(axis=1) * scale) + 1)
+    c, s = abs(np.cos(angle)), abs(np.sin(angle))
+    w, h = (2 * np.ceil(np.array([[c, s], [s, c]]) @ rotatable.middle * scale) + 1).astype(int).tolist()
     x, y = (np.arange(n) - (n - 1) / 2 for n in (w, h))
     places = np.stack(np.meshgrid(x, y)).reshape(2, -1) / scale
     at = to_target_frame(places, np.zeros(2), angle) + rotatable.middle[:, None]
     shown = rotatable.weight(at) > 0
-    image = cv2.GaussianBlur(rotatable.template.image.astype(np.float32), (0, 0), 0.4 / scale) if scale < 1 else None
-    if image is None:
-        values = np.where(shown, rotatable.read(at)[0], 0.0)
-    else:
+    if scale < 1:
+        image = cv2.GaussianBlur(rotatable.template.image.astype(np.float32), (0, 0), 0.4 / scale)
         i, j = (np.rint(q).astype(int).clip(0, n - 1) for q, n in zip(at[::-1], image.shape, strict=True))
-        values = np.where(shown, image[i, j], 0.0)
-    return values.reshape(h, w).astype(np.float32), shown.reshape(h, w).astype(np.float32)
-
-
-def _corners(rotatable: RotatableTemplate, pose: Pose) -> Array:
-    """Corners (2, 4) px of the rotated rectangle."""
-    x, y = rotatable.middle
-    return to_target_frame(np.array([[-x, x, x, -x], [-y, -y, y, y]]), np.zeros(2), -pose.angle) + pose.centre[:, None]
-
-
-SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
-MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
-MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
-N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
-CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
-CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
-MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
-# What changes when a disc is rotated is a mark: in a blurred picture, within this share of the radius, by this many
-# standard deviations of noise and this share of the contrast to the surroundings.
-N_ANGLES = 256  # of a disc that are compared
-MARK_BLUR, MARKED_RADIUS, MIN_MARK_SIGMAS, MIN_MARK_SHARE = 1.0, 0.7, 1.3, 0.04
-NOISE_FILTER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-MAX_UNEXPLAINED_RATIO = 0.25  # ... or unexplained variance of the rotated template over that of the upright one
+        values = image[i, j]
+    else:
+        values = rotatable.read(at)[0]
+    values = np.where(shown, values, 0.0).reshape(h, w)
+    return values.astype(np.float32), shown.reshape(h, w).astype(np.float32)
 
 
 def is_disc(mask: Mask) -> bool:
@@ -202,11 +180,9 @@ def has_marks(cut: Patch) -> bool:
     contrast = abs(float(np.median(picture[inside])) - float(np.median(picture[distance > side - 1])))
     noise = robust_std(cv2.filter2D(picture, -1, NOISE_FILTER)[1:-1, 1:-1]) / 6  # Immerkaer 1996, CVIU 64:300
     least = max(MIN_MARK_SIGMAS * noise, MIN_MARK_SHARE * contrast, 1.0)
-    for degrees in (60, 120, 180):
-        turned = cv2.warpAffine(smooth, cv2.getRotationMatrix2D(middle, degrees, 1.0), (w, h))
-        if np.quantile(np.abs(turned - smooth)[inside], 0.97) > least:
-            return True
-    return False
+    turns = (cv2.getRotationMatrix2D(middle, degrees, 1.0) for degrees in (60, 120, 180))
+    changes = (np.abs(cv2.warpAffine(smooth, turn, (w, h)) - smooth)[inside] for turn in turns)
+    return any(np.quantile(change, 0.97) > least for change in changes)
 
 
 def min_frames_if_rotating(
@@ -239,70 +215,50 @@ def min_frames_if_rotating(
         None where the target does not rotate.
 
     """
-    angle = raw_track.fit.angle[raw_track.found]
-    found = float(np.sum(raw_track.found))
+    angle, found = raw_track.fit.angle[raw_track.found], float(np.sum(raw_track.found))
     if np.mean(np.abs(angle - np.median(angle)) * rotatable.radius > MAX_CORNER_MOTION_PX) > MIN_LARGE_ROTATION_SHARE:
         return SAME_COUNT_RATIO * found
-    rotates = _rotated_where_lost(film, raw_track, rotatable, start, first)
-    return (
-        CLEARLY_MORE_RATIO * found
-        if rotates and _may_recover(film, raw_track, rotatable, CLEARLY_MORE_RATIO * found)
-        else None
-    )
+    first_lost = [*np.flatnonzero(~raw_track.found[first:])[:1] + first, *np.flatnonzero(~raw_track.found[:first])[-1:]]
+    lost = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
+    rotates = any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost)
+    if not (rotates and _may_recover(film, raw_track, rotatable, CLEARLY_MORE_RATIO * found)):
+        return None
+    return CLEARLY_MORE_RATIO * found
 
 
 def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, min_frames: float) -> bool:
     """Whether enough of the lost frames may show a rotated target to reach `min_frames` finds.
 
-    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence, therefore
-    half
-    of the required share is enough.
+    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence: half of the
+    required share is enough.
     """
-    lost_frames, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
-    share = (min_frames - len(found)) / max(len(lost_frames), 1)
-    if share > 1 or len(lost_frames) <= 2 * N_SAMPLED_FRAMES:
+    lost, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
+    share = (min_frames - len(found)) / max(len(lost), 1)
+    if share > 1 or len(lost) <= 2 * N_SAMPLED_FRAMES:
         return share <= 1
     typical_score = float(np.median(raw_track.fit.score[found]))
     misses_left = (1 - 0.5 * share) * N_SAMPLED_FRAMES
-    for i in np.random.default_rng(0).permutation(
-        lost_frames[np.linspace(0, len(lost_frames) - 1, N_SAMPLED_FRAMES).astype(int)]
-    ):
-        misses_left -= not _is_found(
-            film, int(i), Pose(_nearest(raw_track, found, i) + rotatable.middle, 0.0), rotatable, typical_score
-        )
+    sampled = lost[np.linspace(0, len(lost) - 1, N_SAMPLED_FRAMES).astype(int)]
+    for i in np.random.default_rng(0).permutation(sampled).tolist():
+        nearest = raw_track.position[found[np.argmin(np.abs(found - i))]]
+        misses_left -= _search_rotated(film, i, nearest, rotatable, typical_score) is None
         if misses_left < 0:
             return False
     return True
 
 
-def _nearest(raw_track: RawTrack, found: NDArray[np.int64], i: int) -> Array:
-    """Corner (2,) px of the target in the nearest frame in which it was found."""
-    return np.asarray(raw_track.position[found[np.argmin(np.abs(found - i))]])
-
-
-def _is_found(film: Recording, i: int, near: Pose, rotatable: RotatableTemplate, typical_score: float) -> bool:
-    """Whether a rotated template matches frame `i` anywhere, as well as the target typically does."""
+def _search_rotated(
+    film: Recording, i: int, corner: Array, rotatable: RotatableTemplate, typical_score: float
+) -> Pose | None:
+    """Find a rotated target in frame `i`, from a corner (2,) px on; None without a match as good as is typical."""
     try:
         frame = film.frame(i)
     except FrictrackError:
-        return False
-    pose = None if frame.min() == frame.max() else search_pose(frame, near, rotatable, typical_score)
-    return pose is not None and pose.converged and pose.score >= MIN_SCORE_SHARE * typical_score
-
-
-def _rotated_where_lost(
-    film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, start: Array, first: int
-) -> bool:
-    """Whether a rotated template matches clearly better where the target was lost first."""
-    lost_frames = [i for i in _first_lost_frames(raw_track, first) if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
-    return any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost_frames)
-
-
-def _first_lost_frames(raw_track: RawTrack, first: int) -> list[int]:
-    """Frames in which the target was lost first, forward and backward."""
-    found = raw_track.found
-    after, before = np.flatnonzero(~found[first:]) + first, np.flatnonzero(~found[:first])
-    return [*after[:1].tolist(), *before[-1:].tolist()]
+        return None
+    if frame.min() == frame.max():
+        return None
+    pose = search_pose(frame, Pose(corner + rotatable.middle, 0.0), rotatable, typical_score)
+    return pose if pose and pose.converged and pose.score >= MIN_SCORE_SHARE * typical_score else None
 
 
 def _has_rotated(
@@ -311,25 +267,10 @@ def _has_rotated(
     """Whether a rotated template matches frame `i` clearly better than the upright one."""
     near = i - 1 if i > first else i + 1
     at = raw_track.position[near] if raw_track.found[near] else np.asarray(start, dtype=np.float64)
-    frame = film.frame(i)
-    found = search_pose(frame, Pose(at + rotatable.middle, 0.0), rotatable, 1.0)
-    upright = float(np.nan_to_num(raw_track.fit.score[i]))
-    if found is None or not found.converged or found.score < MIN_SCORE_SHARE:
+    found, upright = _search_rotated(film, i, at, rotatable, 1.0), float(np.nan_to_num(raw_track.fit.score[i]))
+    if found is None:
         return False
     return found.score > upright + CLEARLY_BETTER_SCORE or 1 - found.score**2 < MAX_UNEXPLAINED_RATIO * (1 - upright**2)
-
-
-Progress = Callable[[int, int, str], None]
-
-MAX_TRUSTED_GAP = 3  # frames from the last find, over which a prediction is trusted
-MIN_VISIBLE_SHARE = 0.8  # of the target's rectangle that must lie in the picture
-MAX_LOST_FRAMES = 8  # after which the whole picture is searched in every eighth frame only
-# smallest and largest number of frames from which the template is learnt
-MIN_LEARNING_FRAMES, MAX_LEARNING_FRAMES = 24, 60
-SINGLE_FRAME_BAND = 0.25  # cycles/px; a single frame does not determine shorter waves
-ROUNDS = 3  # of learning the template and measuring these frames again
-# The typical misfit is this quantile over so many frames: many of them may be partly hidden.
-N_MISFIT_FRAMES, MISFIT_QUANTILE = 24, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,6 +297,11 @@ class PoseTrack:
         """Number of frames in which the target was found."""
         return sum(pose is not None for pose in self.poses)
 
+    def some(self, found: list[int], count: int) -> list[tuple[int, Pose]]:
+        """Frames and poses, `count` of the frames `found`, evenly spread."""
+        rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, count).astype(int))] if found else []
+        return [(i, pose) for i in rows if (pose := self.poses[i]) is not None]
+
     def explains_more(self, upright: RawTrack) -> bool:
         """Whether rotation leaves clearly less of the pictures unexplained than the `upright` template does."""
         score = np.array([pose.score for pose in self.poses if pose is not None])
@@ -364,19 +310,15 @@ class PoseTrack:
 
     def to_raw_track(self) -> RawTrack:
         """Convert to a track of the upper left corner of the rectangle; the rectangle itself does not rotate."""
-        out = empty_track(len(self.poses))
+        out, middle = empty_track(len(self.poses)), RotatableTemplate(self.template).middle
         out.reason[:] = self.reason
-        middle = RotatableTemplate(self.template).middle
+        values = [f.name for f in fields(SubpixelFit) if f.name != "position"]
         for i, pose in enumerate(self.poses):
-            if pose is None:
-                continue
-            at = pose.centre - middle
-            out.corner[i] = np.rint(at)
-            row = SubpixelFit(
-                (at - out.corner[i])[None], *(np.array([q]) for q in (pose.angle, pose.sigma, pose.score)),
-                *(np.array([q]) for q in (pose.gain, pose.offset, pose.misfit, pose.converged)),
-            )  # fmt: skip
-            out.fit.put(np.array([i]), row)
+            if pose is not None:
+                at = pose.centre - middle
+                out.corner[i] = np.rint(at)
+                row = SubpixelFit((at - out.corner[i])[None], *(np.array([getattr(pose, name)]) for name in values))
+                out.fit.put(np.array([i]), row)
         return out
 
 
@@ -427,8 +369,7 @@ class _PoseTracker:
         trusted = len(last_found) > 1 and abs(i - last_found[-1][0]) <= MAX_TRUSTED_GAP
         pose = refine_pose(frame, predicted, self.rotatable, self.misfit, trusted=trusted)
         if not self._is_good(pose):
-            age = abs(i - last_found[-1][0])
-            everywhere = age <= MAX_LOST_FRAMES or i % MAX_LOST_FRAMES == 0
+            everywhere = abs(i - last_found[-1][0]) <= MAX_LOST_FRAMES or i % MAX_LOST_FRAMES == 0
             searched = search_pose(
                 frame, predicted, self.rotatable, self.score, everywhere=everywhere, typical_misfit=self.misfit
             )
@@ -437,12 +378,8 @@ class _PoseTracker:
             return None, LEAVES
         if self._is_good(pose):
             return pose, self._doubt_reason(pose)
-        return (
-            None,
-            NOT_CONVERGED
-            if pose.score >= self._min_score
-            else f"match score {pose.score:.2f} below {self._min_score:.2f}",
-        )
+        low = f"match score {pose.score:.2f} below {self._min_score:.2f}"
+        return None, NOT_CONVERGED if pose.score >= self._min_score else low
 
     @property
     def _min_score(self) -> float:
@@ -484,23 +421,24 @@ def track_rotating(
     rotatable: RotatableTemplate,
     start: Array,
     first: int,
-    min_frames: float,
+    min_frames: float | None = None,
     progress: Progress | None = None,
 ) -> PoseTrack | None:
-    """Track a rotating target and learn its template from the film.
+    """Track a rotating target, and learn its template from the film where it is not known.
 
     Parameters
     ----------
     film : Recording
         Film with random access.
     rotatable : RotatableTemplate
-        First template, from one frame.
+        Template of the target.
     start : array (2,)
         Corner of the target's rectangle in frame `first`, px.
     first : int
         Number of that frame.
-    min_frames : float
-        Number of finds below which the target is not tracked as rotating (`min_frames_if_rotating`).
+    min_frames : float, optional
+        Number of finds below which the target is not tracked as rotating (`min_frames_if_rotating`), for a template
+        that is made of one frame. None for a template learnt from another film.
     progress : callable, optional
         Called as ``progress(done, total, step)``.
 
@@ -510,19 +448,15 @@ def track_rotating(
         None where there are fewer finds.
 
     """
-    start_pose, first_template = (
-        _start_pose(rotatable, start),
-        rotatable.with_template(without_border(rotatable.template)),
-    )
-    rough = _PoseTracker(film, first_template).follow(start_pose, first, progress, min_frames)
-    if rough.count < min_frames:
-        return None
-    learnt = _learn_rotatable(film, rough, rotatable, first) or first_template
-    typical_misfit = _typical_misfit(film, rough, learnt, first)
-    track = _PoseTracker(film, learnt, typical_misfit).follow(
-        rough.poses[first] or start_pose, first, progress, min_frames
-    )
-    return track if track.count >= min_frames else None
+    origin = Pose(np.asarray(start, dtype=np.float64) + rotatable.middle, 0.0, offset=rotatable.template.level)
+    least = min_frames or 0.0
+
+    def follow(template: RotatableTemplate, misfit: float, rough: PoseTrack | None) -> PoseTrack:
+        begin = (rough and rough.poses[first]) or origin
+        return _PoseTracker(film, template, misfit).follow(begin, first, progress, least)
+
+    track = _track_twice(film, rotatable, first, follow, learn=min_frames is not None, min_frames=least)
+    return track if track.count >= least else None
 
 
 def track_disc(
@@ -549,10 +483,30 @@ def track_disc(
         In the frames in which the disc was found.
 
     """
+
+    def follow(template: RotatableTemplate, misfit: float, rough: PoseTrack | None) -> PoseTrack:
+        return _disc_poses(film, template, raw_track, misfit)
+
+    return _track_twice(film, rotatable, first, follow, learn=learn)
+
+
+def _track_twice(
+    film: Recording,
+    rotatable: RotatableTemplate,
+    first: int,
+    follow: Callable[[RotatableTemplate, float, PoseTrack | None], PoseTrack],
+    *,
+    learn: bool,
+    min_frames: float = 0.0,
+) -> PoseTrack:
+    """Track roughly, learn template and typical misfit from that, and track again if there are `min_frames` finds."""
     inner = rotatable.with_template(without_border(rotatable.template)) if learn else rotatable
-    rough = _disc_poses(film, inner, raw_track, np.nan)
-    learnt = (_learn_rotatable(film, rough, rotatable, first) if learn else None) or inner
-    return _disc_poses(film, learnt, raw_track, _typical_misfit(film, rough, learnt, first))
+    rough = follow(inner, np.nan, None)
+    if rough.count < min_frames:
+        return rough
+    found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
+    learnt = (_learn_rotatable(film, rough, rotatable, found) if learn else None) or inner
+    return follow(learnt, _typical_misfit(film, rough, learnt, found), rough)
 
 
 def _disc_poses(film: Recording, rotatable: RotatableTemplate, raw_track: RawTrack, misfit: float) -> PoseTrack:
@@ -587,69 +541,27 @@ def _marks(picture: Patch, centre: Array, radius: float) -> Array:
     return np.asarray((unrolled - unrolled.mean(axis=0)) * np.sqrt(np.arange(size[0])), dtype=np.float64)
 
 
-def track_known_rotating(
-    film: Recording, rotatable: RotatableTemplate, start: Array, first: int, progress: Progress | None = None
-) -> RawTrack:
-    """Track a rotating target with a template learnt from another film.
-
-    Parameters
-    ----------
-    film : Recording
-        Film with random access.
-    rotatable : RotatableTemplate
-        Learnt template.
-    start : array (2,)
-        Corner of the target's rectangle in frame `first`, px.
-    first : int
-        Number of that frame.
-    progress : callable, optional
-        Called as ``progress(done, total, step)``.
-
-    Returns
-    -------
-    RawTrack
-        One row per frame.
-
-    """
-    start_pose = _start_pose(rotatable, start)
-    rough = _PoseTracker(film, rotatable).follow(start_pose, first, progress)
-    typical_misfit = _typical_misfit(film, rough, rotatable, first)
-    return (
-        _PoseTracker(film, rotatable, typical_misfit)
-        .follow(rough.poses[first] or start_pose, first, progress)
-        .to_raw_track()
-    )
-
-
-def _start_pose(rotatable: RotatableTemplate, start: Array) -> Pose:
-    """Pose of a rectangle whose corner is at `start` (2,) px."""
-    return Pose(np.asarray(start, dtype=np.float64) + rotatable.middle, 0.0, offset=rotatable.template.level)
-
-
-def _typical_misfit(film: Recording, rough: PoseTrack, rotatable: RotatableTemplate, first: int) -> float:
-    """Misfit of frames that show only target and noise: a low quantile over some frames."""
-    found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
-    rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, N_MISFIT_FRAMES).astype(int))] if found else []
-    poses = [refine_pose(film.frame(i), pose, rotatable) for i in rows if (pose := rough.poses[i]) is not None]
+def _typical_misfit(film: Recording, rough: PoseTrack, rotatable: RotatableTemplate, found: list[int]) -> float:
+    """Misfit of frames that show only target and noise: a low quantile over some of the frames `found`."""
+    poses = [refine_pose(film.frame(i), pose, rotatable) for i, pose in rough.some(found, N_MISFIT_FRAMES)]
     misfit = [pose.misfit for pose in poses if pose.converged]
     return max(float(np.quantile(misfit, MISFIT_QUANTILE)), rotatable.template.min_misfit) if misfit else np.nan
 
 
 def _learn_rotatable(
-    film: Recording, rough: PoseTrack, rotatable: RotatableTemplate, first: int
+    film: Recording, rough: PoseTrack, rotatable: RotatableTemplate, found: list[int]
 ) -> RotatableTemplate | None:
-    """Learn the template from frames spread over the film; None where there are too few."""
-    found = [i for i, pose in enumerate(rough.poses) if pose is not None and i != first]
+    """Learn the template from some of the frames `found`; None where there are too few."""
     if len(found) < MIN_LEARNING_FRAMES:
         return None
-    rows = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, MAX_LEARNING_FRAMES).astype(int))]
-    frames = [film.frame(i) for i in rows]
-    poses, template = [pose for i in rows if (pose := rough.poses[i]) is not None], _low_pass(rotatable.template)
+    chosen = rough.some(found, MAX_LEARNING_FRAMES)
+    frames, poses = [film.frame(i) for i, _ in chosen], [pose for _, pose in chosen]
+    template = _low_pass(rotatable.template)
     for _ in range(ROUNDS):
         template = _learn(frames, poses, rotatable.with_template(template))
         inner = rotatable.with_template(without_border(template))
         poses = [refine_pose(frame, pose, inner) for frame, pose in zip(frames, poses, strict=True)]
-    return rotatable.with_template(without_border(template))
+    return inner
 
 
 def _low_pass(template: Template) -> Template:
@@ -667,10 +579,7 @@ def _learn(frames: list[Patch], poses: list[Pose], rotatable: RotatableTemplate)
     limit = MISFIT_RATIO * float(np.median([pose.misfit for pose in poses]))
     chosen = [(f, p) for f, p in zip(frames, poses, strict=True) if p.converged and p.misfit <= limit]
     cuts = np.stack([derotate(frame, pose, rotatable) for frame, pose in chosen])
+    light = {name: np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset")}
     n = len(chosen)
-    gain, offset = (np.array([getattr(pose, name) for _, pose in chosen]) for name in ("gain", "offset"))
-    at_rest = np.zeros((n, 2))
-    fit = SubpixelFit(
-        at_rest, np.zeros(n), np.zeros((n, 3)), np.ones(n), gain, offset, np.ones(n), np.ones(n, np.bool_)
-    )
+    fit = replace(empty_track(n).fit, position=np.zeros((n, 2)), angle=np.zeros(n), **light)
     return learn_template(cuts, fit, rotatable.template)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,6 +28,21 @@ BLACK = "#000000"
 
 Rectangle = tuple[float, float, float, float]  # left, top, width, height
 Point = tuple[float, float]
+N_FRAMES = 5  # and one panel for the target itself
+WIDTH_PX, MIN_HEIGHT_PX, MAX_HEIGHT_PX = 1280, 400, 1280
+# Around the panels, px: headline above, tick labels at the left, the line for the study file below.
+TOP_PX, LEFT_PX, RIGHT_PX, BOTTOM_PX = 72, 45, 13, 80
+COLUMN_GAP_PX, ROW_GAP_PX = 58, 48
+TITLE_PX, LABEL_PX, LINE_PX, NAME_PX = 16, 13, 20, 12  # sizes of the texts
+CHARACTER_WIDTH = 0.602  # of the fixed-width font over its size
+TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
+OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
+MAX_FRAMES = 400  # written, so that the file stays small
+PLAYBACK_FPS = 30.0  # 1/s
+CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
+MIN_WIDTH_PX = 640  # smaller pictures are enlarged
+TEXT_BAR_PX = 22  # below the picture, for each track
+COLOURS = (TARGET_COLOUR, PATH_COLOUR, *OTHER_COLOURS[:2])  # of the tracks
 
 
 class Canvas:
@@ -102,14 +117,12 @@ class Panel:
         grey = np.full((height, width), 255, np.uint8)
         grey[above : above + part.shape[0], left : left + part.shape[1]] = part
         shown = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA if self._scale < 1 else cv2.INTER_NEAREST)
-        self._pixels[:] = shown[:, :, None]
+        self._pixels[:] = cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB)
 
     def line(self, points: Array, colour: str, *, width: int = 1, closed: bool = True) -> None:
         """Draw a line through points (n, 2) of the picture, as far as they are in the view."""
-        inside = np.ascontiguousarray(self._pixels)
         at = [_fixed_point(self._on_canvas(points) - self._corner)]
-        cv2.polylines(inside, at, closed, _rgb(colour), width, cv2.LINE_AA, SUBPIXEL_BITS)
-        self._pixels[:] = inside
+        cv2.polylines(self._pixels, at, closed, _rgb(colour), width, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def hatch(self, polygon: Array, colour: str) -> None:
         """Hatch a polygon (n, 2) of the picture, and draw its outline."""
@@ -193,17 +206,6 @@ def _font_folder() -> Path:
 
         folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
     return folder
-
-
-N_FRAMES = 5  # and one panel for the target itself
-WIDTH_PX, MIN_HEIGHT_PX, MAX_HEIGHT_PX = 1280, 400, 1280
-# Around the panels, px: headline above, tick labels at the left, the line for the study file below.
-TOP_PX, LEFT_PX, RIGHT_PX, BOTTOM_PX = 72, 45, 13, 80
-COLUMN_GAP_PX, ROW_GAP_PX = 58, 48
-TITLE_PX, LABEL_PX, LINE_PX, NAME_PX = 16, 13, 20, 12  # sizes of the texts
-CHARACTER_WIDTH = 0.602  # of the fixed-width font over its size
-TARGET_COLOUR, PATH_COLOUR, EXCLUDED_COLOUR = "#ff9f1c", "#2ec4ff", "#e63946"
-OTHER_COLOURS = ("#78dc5a", "#ff78c8", "#ffe14d")  # reference and further targets
 
 
 def target_line(track: Track) -> str:
@@ -327,17 +329,23 @@ def _frame_panel(canvas: Canvas, place: Rectangle, picture: Frame, bit_depth: in
     """A panel that shows a whole frame."""
     height, width = picture.shape
     panel = Panel(canvas, place, (0, 0, width, height))
-    panel.show(_grey(picture, bit_depth))
+    panel.show(_grey(picture, _grey_limits(picture, bit_depth)))
     panel.label_edges(LABEL_PX)
     return panel
 
 
-def _draw_frame(panel: Panel, track: Track, i: int) -> None:
-    """Draw the path, the target in frame i and what is excluded there."""
-    found = np.flatnonzero(track.found)
+def _draw_path(panel: Panel, track: Track, colour: str, n_frames: int) -> None:
+    """Draw the path in the first frames, interrupted where the target was lost."""
+    found = np.flatnonzero(track.found[:n_frames])
     path = np.stack([track.x_px, track.y_px], axis=1)
     for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-        panel.line(path[part], PATH_COLOUR, closed=False)
+        if len(part) > 1:
+            panel.line(path[part], colour, closed=False)
+
+
+def _draw_frame(panel: Panel, track: Track, i: int) -> None:
+    """Draw the path, the target in frame i and what is excluded there."""
+    _draw_path(panel, track, PATH_COLOUR, len(track))
     panel.line(corners(track, i), TARGET_COLOUR, width=2)
     for area in drawn_areas(track, i):
         panel.hatch(np.asarray(area), EXCLUDED_COLOUR)
@@ -358,7 +366,7 @@ def _draw_target(canvas: Canvas, place: Rectangle, film: tuple[Frame, int], trac
     x, y, w, h = _rectangle(track)
     margin = round(0.3 * max(w, h))
     panel = Panel(canvas, place, (x - margin, y - margin, w + 2 * margin, h + 2 * margin))
-    panel.show(_grey(*film))
+    panel.show(_grey(film[0], _grey_limits(*film)))
     panel.line(np.asarray(track.outline or box(track), dtype=float), TARGET_COLOUR, width=2)
     for area in (*track.exclude, *track.obstacles):
         panel.hatch(np.asarray(area, dtype=float), EXCLUDED_COLOUR)
@@ -367,23 +375,16 @@ def _draw_target(canvas: Canvas, place: Rectangle, film: tuple[Frame, int], trac
     panel.title(f"target, sigma {sigma:.4f} px, frame {track.template}", TITLE_PX)
 
 
-def _grey(picture: Frame, bit_depth: int) -> NDArray[np.uint8]:
-    """Grey values from 0 to 255."""
+def _grey_limits(picture: Frame, bit_depth: int) -> tuple[float, float]:
+    """Grey values shown black and white; a flat picture stays flat."""
     low, high = np.percentile(picture, [0.5, 99.5])
-    high = max(high, low + 2 ** (bit_depth - 6))  # a flat picture stays flat
+    return float(low), float(max(high, low + 2 ** (bit_depth - 6)))
+
+
+def _grey(picture: Frame, limits: tuple[float, float]) -> NDArray[np.uint8]:
+    """Grey values from 0 to 255."""
+    low, high = limits
     return np.clip((picture.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-
-
-MAX_FRAMES = 400  # written, so that the file stays small
-PLAYBACK_FPS = 30.0  # 1/s
-CODECS = {".avi": "MJPG", ".mp4": "mp4v"}
-MIN_WIDTH_PX = 640  # smaller pictures are enlarged
-TEXT_BAR_PX = 22  # below the picture, for each track
-# Blue, green, red: orange for the target, then blue, green and pink.
-COLOURS = ((28, 159, 255), (255, 196, 46), (90, 220, 120), (200, 120, 255))
-EXCLUDED_IN_FILM = (60, 60, 230)  # red
-
-Picture = NDArray[np.uint8]
 
 
 def overlay_video(
@@ -422,33 +423,27 @@ def overlay_video(
     stride = max(1, -(-recording.n_frames // max(frames, 1)))
     zoom = max(1, -(-MIN_WIDTH_PX // recording.shape[1]))
     with atomic_write(path) as part:
-        _write_video(part, recording.frames(step=stride), (zoom, stride), tracks)
+        _write_video(part, recording, (zoom, stride), tracks)
     return path
 
 
-def _write_video(path: Path, frames: Iterator[Frame], steps: tuple[int, int], tracks: Sequence[Track]) -> None:
+def _write_video(path: Path, recording: Recording, steps: tuple[int, int], tracks: Sequence[Track]) -> None:
     """Write every frame with its targets; `steps` are the zoom and the number of frames from one to the next."""
     zoom, stride = steps
-    writer: cv2.VideoWriter | None = None
-    low, high = 0.0, 1.0
+    writer, limits = None, (0.0, 1.0)
     try:
-        for k, frame in enumerate(frames):
+        for k, frame in enumerate(recording.frames(step=stride)):
+            if writer is None:  # the same limits for the whole film, so that flicker stays visible
+                limits = _grey_limits(frame, recording.bit_depth)
+            picture = _overlay_frame(_grey(frame, limits), tracks, k * stride, zoom)
             if writer is None:
-                low, high = _grey_limits(frame)
-                rows, columns = frame.shape[:2]
-                size = (_even(columns * zoom), _even(rows * zoom + TEXT_BAR_PX * len(tracks)))
-                writer = _writer(path, size)
-            picture = _draw_into_frame(_canvas(frame, (low, high), zoom), tracks, k * stride, zoom)
-            writer.write(_pad_even(picture, size))
+                writer = _writer(path, (picture.shape[1], picture.shape[0]))
+            writer.write(picture)
     finally:
         if writer is not None:
             writer.release()
     if writer is None:
         raise FrictrackError("expected frames to draw on but none can be read")
-
-
-def _even(length: int) -> int:
-    return length + length % 2
 
 
 def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
@@ -459,40 +454,24 @@ def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
     return writer
 
 
-def _grey_limits(frame: Frame) -> tuple[float, float]:
-    """Grey values shown black and white, the same for the whole film, so that flicker stays visible."""
-    low, high = np.percentile(frame, [0.2, 99.8])
-    return float(low), float(max(high, low + 1))
-
-
-def _canvas(frame: Frame, limits: tuple[float, float], zoom: int) -> Picture:
-    low, high = limits
-    grey = np.clip((frame.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    if zoom > 1:
-        grey = np.repeat(np.repeat(grey, zoom, axis=0), zoom, axis=1)
-    return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-
-
-def _pad_even(picture: Picture, size: tuple[int, int]) -> Picture:
-    """Pad to even sides, which codecs require."""
-    right, below = size[0] - picture.shape[1], size[1] - picture.shape[0]
-    return np.asarray(np.pad(picture, ((0, below), (0, right), (0, 0))))
-
-
-def _draw_into_frame(picture: Picture, tracks: Sequence[Track], i: int, zoom: int) -> Picture:
-    """Draw all tracks of frame i, with a line of text for each."""
-    bar = np.zeros((TEXT_BAR_PX * len(tracks), picture.shape[1], 3), np.uint8)
+def _overlay_frame(grey: NDArray[np.uint8], tracks: Sequence[Track], i: int, zoom: int) -> NDArray[Any]:
+    """Draw all tracks of frame i, with a line of text for each; blue, green, red and of even sides."""
+    height, width = grey.shape
+    bars = TEXT_BAR_PX * len(tracks)
+    canvas = Canvas(2 * (-(-width * zoom // 2)), 2 * (-(-(height * zoom + bars) // 2)))
+    canvas.pixels[:] = 0
+    panel = Panel(canvas, (0, 0, width * zoom, height * zoom), (0, 0, width, height))
+    panel.show(grey)
     for k, track in enumerate(tracks):
         colour = COLOURS[k % len(COLOURS)]
-        _trail(picture, track, i, zoom, colour)
+        _draw_path(panel, track, colour, i + 1)
         if i < len(track) and track.found[i] and track.target is not None:
-            cv2.polylines(picture, [_to_opencv(corners(track, i), zoom)], True, colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
-            areas = [_to_opencv(one, zoom) for one in drawn_areas(track, i)]
-            cv2.polylines(picture, areas, True, EXCLUDED_IN_FILM, 1, cv2.LINE_AA, SUBPIXEL_BITS)
-        cv2.putText(
-            bar, _caption(track, i), (6, TEXT_BAR_PX * k + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA
-        )
-    return np.vstack([picture, bar])
+            panel.line(corners(track, i), colour, width=2)
+            for area in drawn_areas(track, i):
+                panel.line(area, EXCLUDED_COLOUR)
+        at, font = (6, height * zoom + TEXT_BAR_PX * k + 16), cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(canvas.pixels, _caption(track, i), at, font, 0.45, _rgb(colour), 1, cv2.LINE_AA)
+    return cv2.cvtColor(canvas.pixels, cv2.COLOR_RGB2BGR)
 
 
 def corners(track: Track, i: int) -> Array:
@@ -549,32 +528,14 @@ def _place_polygon(track: Track, outline: Polygon, i: int) -> Array:
     return np.asarray(off @ turn.T + (track.x_px[i], track.y_px[i]), dtype=np.float64)
 
 
-def _trail(picture: Picture, track: Track, i: int, zoom: int, colour: tuple[int, int, int]) -> None:
-    """Draw the path up to frame i, interrupted where the target was lost."""
-    at = np.stack([track.x_px, track.y_px], axis=1)[: i + 1]
-    found = np.flatnonzero(track.found[: i + 1])
-    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-        if len(part) > 1:
-            cv2.polylines(picture, [_to_opencv(at[part], zoom)], False, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
-
-
-def _to_opencv(at: Array, zoom: int) -> NDArray[Any]:
-    """Positions (n, 2) px in OpenCV's fixed-point coordinates of the enlarged picture; pixel centres are integers."""
-    return np.rint(((at + 0.5) * zoom - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
-
-
-def _angle_sigma(track: Track, i: int) -> str:
-    """Standard deviation of the angle in frame i, degrees."""
-    return "" if track.sigma_angle is None else f" +/- {np.degrees(track.sigma_angle[i]):.2g}"
-
-
 def _caption(track: Track, i: int) -> str:
     if i >= len(track):
         return track.name
     head = f"{track.name}  frame {i}  {1e3 * track.t[i]:.2f} ms  "
     if not track.found[i]:
         return f"{head}lost: {track.reason[i]}"
-    turned = f"  {np.degrees(track.angle[i]):+.2f}{_angle_sigma(track, i)} deg" if np.isfinite(track.angle[i]) else ""
+    sigma = "" if track.sigma_angle is None else f" +/- {np.degrees(track.sigma_angle[i]):.2g}"
+    turned = f"  {np.degrees(track.angle[i]):+.2f}{sigma} deg" if np.isfinite(track.angle[i]) else ""
     return (
         f"{head}x {track.x_px[i]:.3f}  y {track.y_px[i]:.3f} px  sigma {track.sigma_px[i]:.4f}  "
         f"score {track.score[i]:.3f}{turned}"

@@ -29,6 +29,11 @@ STEP_TOLERANCE_PX = 2e-3  # the next step of Gauss-Newton would be a few percent
 N_UNKNOWNS = 5  # gain, offset, x, y, angle
 MIN_GAIN = 1e-3  # a target with less is not visible
 _RIDGE = 1e-9 * np.eye(N_UNKNOWNS)  # a picture without contrast has no position, which its score shows
+# Reasons for which a frame has no position; the user reads them.
+UNREAD = "frame cannot be read"
+FLAT = "picture without contrast"
+LEAVES = "target leaves the frame"
+NOT_CONVERGED = "sub-pixel fit did not converge"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,19 +72,7 @@ class SubpixelFit:
         return SubpixelFit(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def moved(self, by: NDArray[Any]) -> SubpixelFit:
-        """Express the positions on cut-outs whose corners lie further up and left.
-
-        Parameters
-        ----------
-        by : array (n, 2)
-            How far the corners move, px.
-
-        Returns
-        -------
-        SubpixelFit
-            The same places in the picture.
-
-        """
+        """Express the positions on cut-outs whose corners lie further up and left by (n, 2) px."""
         return replace(self, position=self.position + by)
 
     def unrotated(self) -> Array:
@@ -87,16 +80,7 @@ class SubpixelFit:
         return self.position - _rotation_offset(self.angle, self.position)
 
     def put(self, rows: np.ndarray | slice, part: SubpixelFit) -> None:
-        """Replace some rows.
-
-        Parameters
-        ----------
-        rows : array or slice
-            Rows to replace.
-        part : SubpixelFit
-            New values of these rows.
-
-        """
+        """Replace some rows."""
         for f in fields(self):
             getattr(self, f.name)[rows] = getattr(part, f.name)
 
@@ -300,13 +284,6 @@ def _rotation_offset(angle: Array, at: Array) -> Array:
     return angle[:, None] * np.stack([-at[:, 1], at[:, 0]], axis=1)
 
 
-# Reasons for which a frame has no position; the user reads them.
-UNREAD = "frame cannot be read"
-FLAT = "picture without contrast"
-LEAVES = "target leaves the frame"
-NOT_CONVERGED = "sub-pixel fit did not converge"
-
-
 @dataclass(frozen=True, eq=False)
 class RawTrack:
     """Position of the target in every frame, on cut-outs.
@@ -330,16 +307,7 @@ class RawTrack:
         return RawTrack(self.corner[rows], self.fit[rows], self.reason[rows])
 
     def put(self, rows: np.ndarray | slice, part: RawTrack) -> None:
-        """Replace some rows.
-
-        Parameters
-        ----------
-        rows : array or slice
-            Rows to replace.
-        part : RawTrack
-            New values of these rows.
-
-        """
+        """Replace some rows."""
         self.corner[rows], self.reason[rows] = part.corner, part.reason
         self.fit.put(rows, part.fit)
 

@@ -33,6 +33,7 @@ MIN_SLOPE = 0.3  # below it a pixel does not show the target
 FULL_WEIGHT_SHARE = 0.7  # squared slope from which a pixel keeps its full weight
 MIN_SCATTER_EXCESS = 0.15  # over the expected scatter
 CHI2_1_MEDIAN, CHI2_2_MEDIAN = 0.455, 1.386  # median of chi^2 with one and two degrees of freedom
+MIN_MISFIT_SHARE = 5e-4  # of the picture's variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,21 +79,7 @@ class FixedPattern:
         return b + (cuts - b - a * level) / slope, self.pixel_shares(corner, size)
 
     def pixel_shares(self, corner: NDArray[np.int64], size: tuple[int, ...]) -> Patch:
-        """Cut the share of the weights out at given corners.
-
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        size : tuple of int
-            Height and width, px.
-
-        Returns
-        -------
-        array (n, h, w)
-            Share of its weight that each pixel keeps.
-
-        """
+        """Cut the share of the weights out at corners (n, 2): (n, h, w)."""
         return _cut(self.share, corner, size)
 
 
@@ -101,48 +88,42 @@ def _cut(picture: Patch, corner: NDArray[np.int64], size: tuple[int, ...]) -> Pa
     return np.stack([picture[y : y + h, x : x + w] for x, y in corner])
 
 
-class PatternSums:
-    """Sums over frames for every pixel of the picture: n, M, d, M^2, d M, d^2."""
+def pattern_sums(
+    shape: tuple[int, int], corner: NDArray[np.int64], model: Patch, difference: Patch, inside: Array
+) -> Array:
+    """Sum over frames for every pixel of the picture: n, M, d, M^2, d M, d^2.
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._total = np.zeros((6, *shape), np.float32)
+    Parameters
+    ----------
+    shape : tuple of int
+        Height and width of the picture, px.
+    corner : array of int (n, 2)
+        Corners of the cut-outs, px.
+    model, difference : array (n, h, w)
+        What the frames should show and how they differ from it, at the same light, DN.
+    inside : array (h, w)
+        1 for pixels that show the target, 0 for others.
 
-    def add(self, corner: NDArray[np.int64], model: Patch, difference: Patch, inside: Array) -> None:
-        """Add frames.
+    Returns
+    -------
+    array (6, H, W)
+        The sums.
 
-        Parameters
-        ----------
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        model, difference : array (n, h, w)
-            What the frames should show and how they differ from it, at the same light, DN.
-        inside : array (h, w)
-            1 for pixels that show the target, 0 for others.
-
-        """
-        h, w = model.shape[1:]
-        parts = np.empty((6, h, w), np.float32)
-        parts[0] = inside
-        for (x, y), m, d in zip(corner.tolist(), model * parts[0], difference * parts[0], strict=True):
-            parts[1], parts[2] = m, d
-            np.multiply(m, m, out=parts[3])
-            np.multiply(d, m, out=parts[4])
-            np.multiply(d, d, out=parts[5])
-            self._total[:, y : y + h, x : x + w] += parts
-
-    @property
-    def totals(self) -> Array:
-        """The six sums (6, H, W)."""
-        return self._total.astype(np.float64)
+    """
+    h, w = model.shape[1:]
+    total, shown = np.zeros((6, *shape), np.float32), inside.astype(np.float32)
+    for (x, y), m, d in zip(corner.tolist(), model * shown, difference * shown, strict=True):
+        total[:, y : y + h, x : x + w] += (shown, m, d, m * m, d * m, d * d)
+    return total.astype(np.float64)
 
 
-def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
+def fit_fixed_pattern(sums: Array, noise: float) -> FixedPattern | None:
     """Fit the fixed pattern to sums over frames.
 
     Parameters
     ----------
-    sums : PatternSums
-        Sums over all frames.
+    sums : array (6, H, W)
+        Sums over all frames (`pattern_sums`).
     noise : float
         Variance of a pixel, DN^2.
 
@@ -152,7 +133,7 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
         None where nothing significant stands still.
 
     """
-    n, m, d, mm, dm, dd = sums.totals
+    n, m, d, mm, dm, dd = sums
     covered, n = n >= MIN_FRAMES, np.maximum(n, 1)
     if not covered.any():
         return None
@@ -165,9 +146,8 @@ def fit_fixed_pattern(sums: PatternSums, noise: float) -> FixedPattern | None:
     residual = np.maximum(dd / n - level**2 - slope**2 * scatter, 0.0)
     # A moving object, such as a hand, scatters more about the line than noise and is no fixed pattern.
     covered &= residual * n < MAX_RESIDUAL_RATIO * noise * np.maximum(n - 2, 1)  # the line has taken two of the n terms
-    if not covered.any() or not _is_significant(
-        level[covered], (slope**2 * scatter)[covered], noise / n[covered], n[covered]
-    ):
+    seen = (q[covered] for q in (level, slope**2 * scatter, noise / n, n))
+    if not covered.any() or not _is_significant(*seen):
         return None
     level = _shrink(level, noise / n, covered)
     slope = 1 + _shrink(slope, noise / (n * scatter), covered)
@@ -192,9 +172,6 @@ def _shrink(values: Array, error: Array, covered: Mask) -> Array:
     typical = max(float(np.median((values**2)[covered])) / CHI2_1_MEDIAN - float(np.median(error[covered])), 0.0)
     prior = np.maximum(typical, values**2 - 4 * error)
     return np.where(covered, values * prior / np.maximum(prior + error, 1e-300), 0.0)
-
-
-MIN_MISFIT_SHARE = 5e-4  # of the picture's variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,19 +209,7 @@ class Template:
         return shift_expansion((self.weight.shape[0], self.weight.shape[1]), self.bands)
 
     def widened(self, bands: tuple[float, float]) -> Template:
-        """Extend the band of the template to shorter waves; the new coefficients are zero.
-
-        Parameters
-        ----------
-        bands : tuple of float
-            Highest spatial frequencies along y and x, cycles/px.
-
-        Returns
-        -------
-        Template
-            The same picture.
-
-        """
+        """Extend the band to shorter waves along y and x, cycles/px; the new coefficients are zero."""
         h, w = shift_expansion((self.weight.shape[0], self.weight.shape[1]), bands).n_coefficients
         coefficients = np.zeros((h, w))
         coefficients[: self.coefficients.shape[0], : self.coefficients.shape[1]] = self.coefficients

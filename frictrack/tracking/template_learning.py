@@ -44,6 +44,19 @@ LEAK_PX = 2  # from the background, over which lens and sub-pixel shifts mix it 
 MIN_INSIDE_CONTRAST = 0.5  # share of the contrast inside; with less the outline is used as well
 MAX_NOISE_RATIO = 1.5  # variance of a pixel over the photon transfer line; above it the scene changes there
 ROUNDING_VARIANCE = 1 / 12  # of rounding to whole grey values, which a film without noise still has
+STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
+# frames to either side, and from first to last, of a stretch that a parabola follows
+MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
+PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
+MIN_FRAMES = 100  # from which short waves can be learnt
+MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
+# of the differences that show the noise of positions, and the least noise in px
+DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
+MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
+MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
+MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
+MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
+MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
 
 
 def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
@@ -344,21 +357,6 @@ def _photon_transfer_line(variance: Array, image: Array) -> Array:
     return line
 
 
-STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
-# frames to either side, and from first to last, of a stretch that a parabola follows
-MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
-PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
-MIN_FRAMES = 100  # from which short waves can be learnt
-MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
-# of the differences that show the noise of positions, and the least noise in px
-DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
-MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
-MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
-MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
-MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
-MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
-
-
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
     """Smooth path of the target in some frames.
@@ -382,40 +380,12 @@ class SmoothPath:
         return np.asarray((known.mean(axis=0) > MIN_SMOOTH_SHARE) & (known.sum(axis=0) >= MIN_FRAMES))
 
     def updated(self, at: Array) -> SmoothPath:
-        """Compute the smooth path again from better positions.
-
-        Parameters
-        ----------
-        at : array (n, 2)
-            Positions in the same frames, px.
-
-        Returns
-        -------
-        SmoothPath
-            Old values stay where the new ones are NaN.
-
-        """
+        """Compute the path again from better positions (n, 2) px; old values stay where the new ones are NaN."""
         better = smooth_path(self.frames, at, self.frames).position
         return replace(self, position=np.where(np.isfinite(better), better, self.position))
 
     def with_path_positions(self, fit: SubpixelFit, corner: NDArray[np.int64], template: Template) -> SubpixelFit:
-        """Replace measured positions by those of the path, along the axes on which the template has short waves.
-
-        Parameters
-        ----------
-        fit : SubpixelFit
-            Fit on cut-outs of the same frames.
-        corner : array of int (n, 2)
-            Corners of the cut-outs, px.
-        template : Template
-            Template with its band limits.
-
-        Returns
-        -------
-        SubpixelFit
-            Positions at which the template is learnt.
-
-        """
+        """Replace positions by those of the path, along the axes on which the template has short waves."""
         short = np.array(template.bands[::-1]) > BAND_LIMIT
         return replace(fit, position=np.where(short & np.isfinite(self.position), self.position - corner, fit.position))
 
@@ -479,19 +449,23 @@ def smooth_path(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64])
         Path in the wanted frames.
 
     """
-    rows = np.searchsorted(frames, wanted)
-    each = [_smooth_axis(frames, at[:, axis], rows) for axis in range(2)]
-    return SmoothPath(wanted, np.stack(each, axis=1))
+    rows, path = np.searchsorted(frames, wanted), np.full((len(wanted), 2), np.nan)
+    for axis in range(2):
+        series, smooth, deviations = _deviations(frames, at[:, axis], rows)
+        if len(deviations) <= deviations.shape[1] or _is_noise_only(deviations, series[:, 0]):
+            path[:, axis] = smooth
+    return SmoothPath(wanted, path)
 
 
-def _smooth_axis(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> Array:
-    """Smooth positions (n,) in some rows (m,); NaN where more than noise and pixel harmonics remains."""
+def _deviations(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Positions (n,) with their pixel harmonics (n, 5), their smooth path in some rows (m,), and what differs from it.
+
+    The deviations of positions and harmonics (k, 5) are those of the rows in which there is a path.
+    """
     series = np.column_stack([at, _pixel_harmonics(at)])
     path = _parabolas(frames, at, series, rows)
-    deviations = series[rows] - path
-    deviations = deviations[np.isfinite(deviations[:, 0])]
-    is_shaken = len(deviations) > deviations.shape[1] and not _is_noise_only(_without_harmonics(deviations), at)
-    return np.full(len(rows), np.nan) if is_shaken else path[:, 0]
+    known = np.isfinite(path[:, 0])
+    return series, path[:, 0], (series[rows] - path)[known]
 
 
 def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
@@ -519,43 +493,35 @@ def peak_locking_correction(frames: NDArray[np.int64], at: Array) -> tuple[Array
     rows = np.arange(0, len(frames), -(-len(frames) // MAX_SAMPLED_FRAMES))
     locking_error, amplitude = np.zeros_like(at), np.zeros(2)
     for axis in range(2):
-        series = np.column_stack([at[:, axis], _pixel_harmonics(at[:, axis])])
-        deviations = series[rows] - _parabolas(frames, at[:, axis], series, rows)
-        deviations = deviations[np.isfinite(deviations[:, 0])]
+        series, _, deviations = _deviations(frames, at[:, axis], rows)
         is_determined = (
             len(deviations) >= max(MIN_FRAMES, MIN_SMOOTH_SHARE * len(rows))
             and np.linalg.cond(deviations[:, 1:]) < MAX_CONDITION
         )
-        if is_determined and _is_noise_only(_without_harmonics(deviations), at[:, axis]):
+        if is_determined and _is_noise_only(deviations, at[:, axis]):
             coefficients = _shrunk_fit(deviations[:, 1:], deviations[:, 0])
             locking_error[:, axis], amplitude[axis] = series[:, 1:] @ coefficients, np.hypot(*coefficients[:2])
     return locking_error, amplitude
 
 
-def _without_harmonics(deviations: Array) -> Array:
-    """Deviations (n,) without the part that the harmonics, in the further columns, explain."""
-    return np.asarray(
-        deviations[:, 0] - deviations[:, 1:] @ np.linalg.lstsq(deviations[:, 1:], deviations[:, 0], rcond=None)[0]
-    )
+def _is_noise_only(deviations: Array, at: Array) -> bool:
+    """Whether hardly more than the noise of the positions (n,) remains about a path: no shake of target or camera.
 
-
-def _is_noise_only(residuals: Array, at: Array) -> bool:
-    """Whether hardly more than the noise of the positions (n,) remains about a path: no shake of target or camera."""
-    noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (
-        0.6745 * np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
-    )
+    The part of the deviations that the harmonics, in the further columns, explain does not count.
+    """
+    harmonics = deviations[:, 1:]
+    residuals = deviations[:, 0] - harmonics @ np.linalg.lstsq(harmonics, deviations[:, 0], rcond=None)[0]
+    binomial = np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
+    noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (0.6745 * binomial)
     return bool(np.std(residuals) < MAX_ROUGHNESS_RATIO * max(noise, MIN_NOISE_PX))
 
 
 def _shrunk_fit(harmonics: Array, deviations: Array) -> Array:
     """Coefficients (k,) of deviations (n,) on harmonics (n, k), shrunk by the probability that all is noise."""
     coefficients = np.linalg.lstsq(harmonics, deviations, rcond=None)[0]
-    is_determined = harmonics @ coefficients
-    strength = (
-        float(is_determined @ is_determined)
-        * (len(deviations) - len(coefficients))
-        / max(float(np.sum((deviations - is_determined) ** 2)), 1e-300)
-    )
+    explained = harmonics @ coefficients
+    left = max(float(np.sum((deviations - explained) ** 2)), 1e-300)
+    strength = float(explained @ explained) * (len(deviations) - len(coefficients)) / left
     return np.asarray(coefficients * max(1 - len(coefficients) / max(strength, 1e-300), 0.0))
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from frictrack.base.errors import FrictrackError
+from frictrack.workbench import jobs
 from frictrack.workbench.errors import MissingError, OutdatedError
-
-if TYPE_CHECKING:
-    from frictrack.workbench.jobs import Job
-    from frictrack.workbench.live_study import LiveStudy
+from frictrack.workbench.live_study import LiveStudy
 
 AUTHOR = "page"  # of changes, in the history of the study
 CHANGES = ("edit", "take_in", "leave_out", "define", "use", "undo", "redo")
@@ -32,32 +30,14 @@ CHANGED_INPUT = ("edit", "take_in", "leave_out", "define")  # changes after whic
 
 
 def list_effects(snapshot: Any) -> Any:
-    """List all effects, and those that the study defines.
-
-    Parameters
-    ----------
-    snapshot : Snapshot or None
-        The study as it was read last.
-
-    """
+    """List all effects, and those that the study defines."""
     from frictrack.workbench.summaries import effect_library  # noqa: PLC0415
 
     return effect_library(snapshot.study if snapshot else None)
 
 
 def check(snapshot: Any, fields: Any, run: str | None) -> Any:
-    """Read numbers as they are typed.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The study as it was read last.
-    fields : dict
-        Texts of mass, fps and scale.
-    run : str or None
-        Name of the run that they are for.
-
-    """
+    """Read numbers as they are typed."""
     from frictrack.workbench.summaries import check_fields  # noqa: PLC0415
 
     texts = {key: "" if text is None else str(text) for key, text in _mapping(fields, "fields").items()}
@@ -91,8 +71,9 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
         If the change is refused.
 
     """
+    from frictrack.base.number_format import upper_first  # noqa: PLC0415 - loads NumPy
     from frictrack.flow import CommandHistory, Session, open_study  # noqa: PLC0415
-    from frictrack.workbench.summaries import refuse_implausible  # noqa: PLC0415
+    from frictrack.workbench.summaries import change_words, refuse_implausible  # noqa: PLC0415
 
     if do not in CHANGES:
         raise FrictrackError(f"expected one of the changes {', '.join(CHANGES)} but got {do!r}", usage=True)
@@ -109,25 +90,14 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
         raise
     except TypeError as e:
         raise FrictrackError(f"expected other arguments of {do}: {e}", usage=True) from e
-    revision = CommandHistory(study.output).revision
+    history = CommandHistory(study.output)
     live.resumes_background = False
-    _end_useless_work(live, do, revision)
-    return {"revision": revision, "words": _describe_change(do, given)}
-
-
-def _describe_change(do: str, given: Mapping[str, Any]) -> str:
-    """What was changed, in one sentence."""
-    if do == "edit":
-        where = f" of {given['which']}" if given.get("which") else ""
-        return f"{given.get('key')}{where}: {'removed' if given.get('value') is None else 'changed'}."
-    done = {"undo": "Undone.", "redo": "Redone.", "leave_out": f"{given.get('run')} is left out."}
-    return done.get(do, f"{do}: done.")
+    _end_useless_work(live, do, history.revision)
+    return {"revision": history.revision, "words": f"{upper_first(change_words(history.changes[-1]))}."}
 
 
 def _end_useless_work(live: LiveStudy, do: str, revision: int) -> None:
     """Cancel work on the former state of the study; measurements and runs begin again with the new one."""
-    from frictrack.workbench import jobs  # noqa: PLC0415
-
     job = live.running_job()
     if job is None:
         return
@@ -171,9 +141,7 @@ def start_job(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, 
     return {"job": _start(live, do, given, seen).summary}
 
 
-def _start(live: LiveStudy, do: str, arguments: Mapping[str, Any], seen: int | None) -> Job:
-    from frictrack.workbench import jobs  # noqa: PLC0415
-
+def _start(live: LiveStudy, do: str, arguments: Mapping[str, Any], seen: int | None) -> jobs.Job:
     return jobs.start(live.path, live.output, jobs.JobSpec(do, arguments, seen, AUTHOR), live.launcher.launch)
 
 
@@ -206,29 +174,8 @@ def try_effect(live: LiveStudy, effect: str) -> None:
     _start(live, "attempt", {"effect": effect}, None)
 
 
-def resume_background(live: LiveStudy) -> None:
-    """Start the background work again that the fit of a candidate has interrupted.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
-    live.resumes_background = False
-    if live.running_job() is None and live.path.exists():
-        _start(live, "background", {}, None)
-
-
 def cancel(live: LiveStudy) -> dict[str, Any]:
-    """Cancel the running job; finished steps are kept.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
+    """Cancel the running job; finished steps are kept."""
     job, live.resumes_background = live.running_job(), False
     if job is not None:
         job.cancel()
@@ -236,18 +183,7 @@ def cancel(live: LiveStudy) -> dict[str, Any]:
 
 
 def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
-    """Write a study file for some recordings, or take them into the study.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-    recordings : list of str
-        File names in the folder of the study.
-    fields : dict
-        Texts of mass, fps and scale; may be empty.
-
-    """
+    """Write a study file for some recordings, or take them into the study."""
     from frictrack.flow import CommandHistory  # noqa: PLC0415
     from frictrack.workbench.summaries import new_study  # noqa: PLC0415
 
@@ -263,14 +199,7 @@ def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
 
 
 def copy_sample(live: LiveStudy) -> dict[str, Any]:
-    """Copy the sample films and their study file into the folder, if it has neither a study nor recordings.
-
-    Parameters
-    ----------
-    live : LiveStudy
-        The study.
-
-    """
+    """Copy the sample films and their study file into the folder, if it has neither a study nor recordings."""
     from frictrack import samples  # noqa: PLC0415
     from frictrack.study import list_files  # noqa: PLC0415
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from frictrack.results import Results
     from frictrack.study import Study
 
+DOWNLOADS = ("report.html", "report.pdf", "tables.zip", "hdf5.zip", "repeat.py", "figures.zip")
 FIGURE_FORMATS = ("svg", "png", "pdf")
 MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
 CONTENT_TYPES = {
@@ -30,34 +31,7 @@ Content = IO[bytes]
 
 
 def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | None = None) -> Content:
-    """Make a file for download.
-
-    Parameters
-    ----------
-    what : str
-        Name of the file; one of `DOWNLOADS`.
-    snapshot : Snapshot
-        The study and its results as they were read last.
-    form : str
-        Format of figures; one of `FIGURE_FORMATS`.
-    outdated : str, optional
-        Why the report is outdated, if it is to be refused then.
-
-    Returns
-    -------
-    file
-        Open file at its beginning; the caller closes it.
-
-    Raises
-    ------
-    FrictrackError
-        If there is no such file.
-    OutdatedError
-        If the report is outdated.
-    MissingError
-        If there are no results yet.
-
-    """
+    """Make a file for download."""
     if what not in DOWNLOADS or form not in FIGURE_FORMATS:
         known = f"{', '.join(DOWNLOADS)} (figures as {', '.join(FIGURE_FORMATS)})"
         raise FrictrackError(f"expected one of the files {known} but got {what!r} as {form!r}", usage=True)
@@ -65,69 +39,32 @@ def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | N
         raise MissingError(f"expected results for {what} but there are none; press Run first")
     if what.startswith("report") and outdated:
         raise OutdatedError(f"{outdated.rstrip('.')}; write it again or download it as it is")
-    return DOWNLOADS[what](snapshot.study, snapshot.results, form)
+    return _content(what, snapshot.study, snapshot.results, form)
 
 
-def _report_path(study: Study) -> Path:
+def _content(what: str, study: Study, results: Results, form: str) -> Content:
+    """Make one of the files that exist or can be made of the results."""
+    from frictrack.flow import replay_script  # noqa: PLC0415
+    from frictrack.present import export  # noqa: PLC0415
+
+    if what == "repeat.py":
+        return BytesIO(replay_script(study).encode())
+    if what == "tables.zip":
+        return zip_files((path.name, path) for path in export.write(results, "csv"))
+    if what == "hdf5.zip":
+        return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
+    from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
+
+    if what == "figures.zip":
+        return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
     path = study.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
-    return path
-
-
-def _report_html(study: Study, results: Results, form: str) -> Content:
-    return _report_path(study).open("rb")
-
-
-def _report_pdf(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present.report import print_pdf  # noqa: PLC0415
-
-    return print_pdf(_report_path(study)).open("rb")
-
-
-def _tables(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present.export import write  # noqa: PLC0415
-
-    return zip_files((path.name, path) for path in write(results, "csv"))
-
-
-def _hdf5_files(study: Study, results: Results, form: str) -> Content:
-    return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
-
-
-def _script(study: Study, results: Results | None, form: str) -> Content:
-    from frictrack.flow import replay_script  # noqa: PLC0415
-
-    return BytesIO(replay_script(study).encode())
-
-
-def _figures(study: Study, results: Results, form: str) -> Content:
-    from frictrack.present import plots  # noqa: PLC0415 - loads Matplotlib
-
-    return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
-
-
-DOWNLOADS: dict[str, Callable[[Any, Any, str], Content]] = {
-    "report.html": _report_html,
-    "report.pdf": _report_pdf,
-    "tables.zip": _tables,
-    "hdf5.zip": _hdf5_files,
-    "repeat.py": _script,
-    "figures.zip": _figures,
-}
+    return (report.print_pdf(path) if what == "report.pdf" else path).open("rb")
 
 
 def figure_bytes(made: Figure, form: str) -> bytes:
-    """Convert a figure to the content of a file.
-
-    Parameters
-    ----------
-    made : Figure
-        The figure.
-    form : str
-        "svg", "png" or "pdf".
-
-    """
+    """Convert a figure to the content of a file."""
     from frictrack.present import plots  # noqa: PLC0415
 
     if form == "svg":
@@ -136,19 +73,7 @@ def figure_bytes(made: Figure, form: str) -> bytes:
 
 
 def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
-    """Pack files into one ZIP archive.
-
-    Parameters
-    ----------
-    files : iterator of tuple
-        Name of each file, and its content or its path.
-
-    Returns
-    -------
-    file
-        The archive, in memory or on the disk, at its beginning.
-
-    """
+    """Pack files into one ZIP archive."""
     sheet: Any = SpooledTemporaryFile(MEMORY_BYTES)  # noqa: SIM115 - the caller closes it
     with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files:
@@ -161,26 +86,7 @@ def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
 
 
 def page_figure(name: str, snapshot: Any) -> bytes:
-    """Draw a figure that the page shows.
-
-    Parameters
-    ----------
-    name : str
-        "law:MODEL", "search:MODEL", "cutoff:RUN", "filters:RUN", or "scan:EFFECT".
-    snapshot : Snapshot
-        The study and its results as they were read last.
-
-    Returns
-    -------
-    bytes
-        The figure as SVG.
-
-    Raises
-    ------
-    MissingError
-        If there is no such figure.
-
-    """
+    """Draw a figure that the page shows."""
     results = snapshot.results if snapshot else None
     made = _draw(name, results) if results is not None else None
     if made is None:
@@ -188,21 +94,22 @@ def page_figure(name: str, snapshot: Any) -> bytes:
     return figure_bytes(made, "svg")
 
 
+# Kinds of figures of the page: name in the list of figures, and how the page draws it.
+PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
+    "law": ("law", {"title": False, "width": 4.8}),
+    "search": ("convergence", {}),
+    "cutoff": ("cutoff", {}),
+    "filters": ("filters", {}),
+}
+
+
 def _draw(name: str, results: Results) -> Figure | None:
     from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    model = next((one for one in results.models if one.name == which), None) if which else results.current
-    run = next((one for one in results.runs if one.name == which), None)
-    drawn: Figure | None = None
-    if kind == "law" and model is not None and plots.has_law(model):
-        drawn = plots.law(model, results.runs, title=False, width=4.8)
-    elif kind == "search" and model is not None and model.convergence:
-        drawn = plots.convergence(model)
-    elif kind == "cutoff" and run is not None and run.cutoff is not None:
-        drawn = plots.cutoff(run.name, run.cutoff, run.mass)
-    elif kind == "filters" and run is not None:
-        drawn = plots.filters(run)
-    elif kind == "scan" and plots.has_scan(results.figures.get(which, {})):
-        drawn = plots.scan(which, results.figures[which], width=5.0)
-    return drawn
+    if kind == "scan":  # of any candidate; the list has that of the best
+        curves = results.figures.get(which, {})
+        return plots.scan(which, curves, width=5.0) if plots.has_scan(curves) else None
+    listed, options = PAGE_FIGURES.get(kind, ("", {}))
+    draw = dict(plots.study_figures(results)).get(f"{listed} {which}")
+    return None if draw is None else draw(**options)

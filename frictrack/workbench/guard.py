@@ -11,7 +11,6 @@ import hashlib
 import hmac
 import ipaddress
 import socket
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
@@ -158,16 +157,7 @@ class TokenHandler(RequestHandler):
 
 
 def protect(application: Application, guard: RequestGuard) -> None:
-    """Check every request to a server: pages, WebSocket, static files, downloads and uploads.
-
-    Parameters
-    ----------
-    application : Application
-        Tornado application of the server; its routing rules are changed.
-    guard : RequestGuard
-        Decides which requests are refused.
-
-    """
+    """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
     application.default_router.rules[:0] = [
         Rule(RefusedRequest(guard), RefusalHandler),
         Rule(TokenRequest(guard), TokenHandler),
@@ -185,18 +175,6 @@ def address_of(host: str, port: int, token: str = "") -> str:
     """
     named = f"[{host}]" if ":" in host else host
     return f"http://{named}:{port}/" + (f"?token={token}" if token else "")
-
-
-def clean_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Convert host names to the form that the guard compares.
-
-    Examples
-    --------
-    >>> clean_names([" Lab.Example.org "])
-    ('lab.example.org',)
-
-    """
-    return tuple(name.strip().lower() for name in names)
 
 
 def _netloc(host: str) -> tuple[str, int | None]:

@@ -96,14 +96,7 @@ class Api(RequestHandler):
         self.answer({"error": words})
 
     def body(self) -> dict[str, Any]:
-        """The JSON object of the request.
-
-        Raises
-        ------
-        FrictrackError
-            If the body is no JSON object.
-
-        """
+        """The JSON object of the request."""
         try:
             found = json.loads(self.request.body or b"{}")
         except (ValueError, RecursionError):
@@ -114,16 +107,7 @@ class Api(RequestHandler):
 
 
 def describe_error(error: Any, status: int) -> tuple[int, str]:
-    """Status and sentence of an error.
-
-    Parameters
-    ----------
-    error : Exception or None
-        What was raised.
-    status : int
-        Status if the error does not tell one.
-
-    """
+    """Status and sentence of an error."""
     if isinstance(error, OutdatedError):
         return 409, str(error)
     if isinstance(error, FrictrackError):
@@ -245,14 +229,7 @@ class FilmApi(Api):
     """A request about a film: of a run, or of a file in the folder of the study."""
 
     async def film(self) -> FilmFile:
-        """The film that the address names.
-
-        Raises
-        ------
-        FrictrackError
-            If there is no such run or file.
-
-        """
+        """The film that the address names."""
         run, file = self.get_query_argument("run", ""), self.get_query_argument("file", "")
         return await asyncio.to_thread(_find_film, self.live, run, file)
 
@@ -309,28 +286,7 @@ class PlotsHandler(Api):
 
 
 def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
-    """Prepare the plots of a view.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The study and its results as they were read last.
-    query : dict
-        "view" ("track", "motion" or "compare"), "run", "cutoff" in Hz, "model" and "background"; "" for none.
-
-    Returns
-    -------
-    bytes
-        See `PlotData.pack`.
-
-    Raises
-    ------
-    MissingError
-        If there is no such run or model.
-    FrictrackError
-        If there is no such view.
-
-    """
+    """Prepare the plots of a view."""
     from frictrack.flow import preview_motion  # noqa: PLC0415 - loads the science
     from frictrack.workbench import plot_data  # noqa: PLC0415
 

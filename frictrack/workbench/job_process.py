@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -38,16 +39,7 @@ class ProgressFile:
         self._write({"done": 0, "total": 0, "what": "the verdict is stored"})
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """Write one line, unless one with the same text was written just before.
-
-        Parameters
-        ----------
-        done, total : int
-            Steps done, and all steps.
-        what : str
-            The current step.
-
-        """
+        """Write one line, unless one with the same text was written just before."""
         self.step = what if total == 0 else self.step  # 0 of 0 announces a new step
         if total and " " not in what:  # "runs", or the name of a search at its end: the page counts runs itself
             return
@@ -64,15 +56,7 @@ class ProgressFile:
 
 
 def main(folder: Path) -> None:
-    """Run a job.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the job. The command is read from ``spec.json``; the result or the error is written to
-        ``result.json``.
-
-    """
+    """Run a job."""
     with FileLock(folder / "alive"):
         (folder / "began").touch()
         Thread(target=_end_when_asked, args=(folder,), daemon=True).start()
@@ -103,62 +87,38 @@ def _run_job(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     progress = ProgressFile(folder / "progress.jsonl")
     progress(0, 0, "starts")
     session = Session(open_study(spec["study"]), progress, author=spec["who"], expected_revision=spec["seen"])
-    run = ACTIONS.get(spec["do"], _apply_change)
-    done: dict[str, Any] = to_builtins(run(session, spec["do"], progress, **spec["told"]))
+    done: dict[str, Any] = to_builtins(_perform(session, spec["do"], spec["told"], progress.background))
     return {"done": done}
 
 
-def _apply_change(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
-    return session.apply(do, **arguments)
+def _perform(session: Any, do: str, arguments: dict[str, Any], verdict_stored: Callable[..., None]) -> Any:
+    """Run one command; some go on in the background once the verdict is stored."""
+    from frictrack import flow  # noqa: PLC0415
+
+    if do == "run":
+        return flow.run_study(session, verdict_stored, **arguments)
+    if do in ("diagnose", "background"):  # the diagnosis, or what is missing of it, then candidates and the report
+        return flow.conclude(session, verdict_stored, **arguments)
+    if do in ("add_and_diagnose", "remove_and_diagnose"):
+        return flow.change_and_diagnose(session, do.partition("_")[0], verdict_stored, **arguments)
+    if do == "report":
+        return {"report": session.report()}
+    return getattr(session, do)(**arguments) if do in ("measure", "attempt") else session.apply(do, **arguments)
 
 
-def _call_session(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
-    return getattr(session, do)(**arguments)
-
-
-def _run_study(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
-    from frictrack.flow import run_study  # noqa: PLC0415
-
-    return run_study(session, progress.background, **arguments)
-
-
-def _conclude(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
-    """Diagnose the model, or complete its diagnosis, then fit its candidates and write the report."""
-    from frictrack.flow import conclude  # noqa: PLC0415
-
-    return conclude(session, progress.background, **arguments)
-
-
-def _change_and_diagnose(session: Any, do: str, progress: ProgressFile, **arguments: Any) -> Any:
-    """Add or remove an effect, then diagnose the new model."""
-    from frictrack.flow import change_and_diagnose  # noqa: PLC0415
-
-    return change_and_diagnose(session, do.partition("_")[0], progress.background, **arguments)
-
-
-def _write_report(session: Any, do: str, progress: ProgressFile) -> Any:
-    return {"report": session.report()}
-
-
-ACTIONS: dict[str, Any] = {
-    "measure": _call_session,
-    "run": _run_study,
-    "diagnose": _conclude,
-    "add_and_diagnose": _change_and_diagnose,
-    "remove_and_diagnose": _change_and_diagnose,
-    "attempt": _call_session,
-    "report": _write_report,
-    "background": _conclude,
-}
-IMPORTED_FIRST = (  # what most jobs need; the process that waits has it ready
-    *("frictrack.flow.session", "frictrack.flow.stored_results", "frictrack.flow.film_stages", "frictrack.flow.stages"),
-    *("frictrack.fit", "frictrack.diagnose", "frictrack.diagnose.compare", "frictrack.tracking", "frictrack.recording"),
-    *(
-        "frictrack.measure.motion",
-        "frictrack.measure.friction",
-        "frictrack.flow.plausibility_checks",
-        "frictrack.flow.opening",
-    ),
+IMPORTED_FIRST = tuple(  # what most jobs need; the process that waits has it ready
+    f"frictrack.{name}"
+    for name in (
+        *("flow.session", "flow.stored_results", "flow.film_stages", "flow.stages", "flow.opening", "fit", "diagnose"),
+        *(
+            "flow.plausibility_checks",
+            "diagnose.compare",
+            "tracking",
+            "recording",
+            "measure.motion",
+            "measure.friction",
+        ),
+    )
 )
 
 

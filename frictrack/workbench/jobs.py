@@ -13,22 +13,24 @@ jobs/0007/result.json     the result or the error
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock, Thread
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
-from frictrack.flow import CommandHistory
 from frictrack.workbench.errors import BusyError
-from frictrack.workbench.job_launcher import launch_process
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
 MAX_CANCEL_SECONDS = 3.0  # until a cancelled process has ended
@@ -235,6 +237,8 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
         If another job of this study is running that is still of use.
 
     """
+    from frictrack.flow import CommandHistory  # noqa: PLC0415 - loads the science
+
     with lock_folder(output):
         folder = make_subfolder(make_internal_folder(output), "jobs")
         earlier, busy = list_jobs(output), running_job(output)
@@ -262,18 +266,7 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
 
 
 def is_superseded(job: Job, do: str, revision: int) -> bool:
-    """Whether a running job becomes useless by a new one. Its finished steps are stored and are not lost.
-
-    Parameters
-    ----------
-    job : Job
-        The running job.
-    do : str
-        The command of the new job.
-    revision : int
-        Revision of the study: a job that adds an effect is superseded only after the effect was added.
-
-    """
+    """Whether a running job becomes useless by a new one. Its finished steps are stored and are not lost."""
     old, seen = job.spec["do"], job.spec.get("seen")
     if job.summary["background"] or old in ("attempt", "background") or old == do in REPEATED:
         return True
@@ -304,14 +297,7 @@ def list_jobs(output: Path) -> list[Job]:
 
 
 def running_job(output: Path) -> Job | None:
-    """The running job of a study, if there is one.
-
-    Parameters
-    ----------
-    output : Path
-        Folder of the results.
-
-    """
+    """The running job of a study, if there is one."""
     return next((job for job in reversed(list_jobs(output)) if job.state == RUNNING), None)
 
 
@@ -331,3 +317,131 @@ def _read_json(path: Path, *keys: str) -> dict[str, Any]:
     if not isinstance(found, dict) or not found.keys() >= set(keys):
         raise FrictrackError(f"{path} is damaged; delete its folder (it holds no results)")
     return found
+
+
+# --- following jobs
+
+
+@dataclass(frozen=True)
+class JobsNow:
+    """The running job and the one that ended last, as the page shows them; see `Job.summary`."""
+
+    running: dict[str, Any] | None = None
+    last: dict[str, Any] | None = None
+
+
+class JobFollower:
+    """Find the running and the last ended job; one that ended before the server started counts only if interrupted."""
+
+    def __init__(self) -> None:
+        self._began = time.time()
+        self._ended: set[Path] = set()
+        self._output: Path | None = None
+        self._last: dict[str, Any] | None = None
+
+    def look(self, output: Path) -> JobsNow:
+        """Look at the jobs as they are now."""
+        if output != self._output:
+            self._output, self._ended, self._last = output, set(), None
+        running = None
+        for job in list_jobs(output):
+            if job.folder in self._ended:
+                continue
+            try:
+                found = job.summary
+            except (FrictrackError, OSError, KeyError):  # damaged, or removed meanwhile
+                self._ended.add(job.folder)
+                continue
+            if found["state"] == RUNNING:
+                running = found
+            else:
+                self._ended.add(job.folder)
+                self._last = found if found["state"] == INTERRUPTED or self._is_new(job) else None
+        return JobsNow(running, self._last)
+
+    def _is_new(self, job: Job) -> bool:
+        """Whether a job ended since the server started."""
+        times = []
+        for file in ("result.json", "cancel"):
+            with suppress(OSError):
+                times.append((job.folder / file).stat().st_mtime)
+        return max(times, default=-math.inf) >= self._began
+
+
+# --- the processes
+
+MODULE = "frictrack.workbench.job_process"
+PREPARE_S = 1.0  # from one job to the next process that waits
+COMMAND = (sys.executable, "-P", "-m", MODULE)  # -P: import nothing from this folder
+
+
+def launch_process(folder: Path) -> None:
+    """Start a new process for a job."""
+    with (folder / "output.txt").open("wb") as output:
+        process = subprocess.Popen(
+            [*COMMAND, str(folder)], stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+        )
+    _collect(process)
+
+
+def _collect(process: subprocess.Popen[bytes]) -> None:
+    """Collect the exit status in a thread, so that no zombie process remains."""
+    Thread(target=process.wait, daemon=True).start()
+
+
+class WarmLauncher:
+    """Start jobs in a process that waits with its imports done.
+
+    The process ends by itself when the server does, even if that is killed: its standard input ends.
+    """
+
+    def __init__(self) -> None:
+        self._spare: subprocess.Popen[bytes] | None = None
+        self._lock = Lock()
+        self._closed, self._used = False, -PREPARE_S
+
+    @property
+    def is_needed(self) -> bool:
+        """Whether no process waits. After a job was started there is a pause: it needs the processor."""
+        return self._spare is None and not self._closed and time.monotonic() - self._used >= PREPARE_S
+
+    def prepare(self) -> None:
+        """Start the process that waits, unless there is one."""
+        with self._lock:
+            if self._closed or (self._spare is not None and self._spare.poll() is None):
+                return
+            if self._spare is not None and self._spare.stdin is not None:
+                self._spare.stdin.close()
+            self._spare = subprocess.Popen(
+                [*COMMAND, "--wait"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+            _collect(self._spare)
+
+    def launch(self, folder: Path) -> None:
+        """Give a job to the process that waits; without one, start a new process."""
+        with self._lock:
+            spare, self._spare, self._used = self._spare, None, time.monotonic()
+        if spare is None or not _write_line(spare, json.dumps(str(folder))):
+            launch_process(folder)
+
+    def close(self) -> None:
+        """End the process that waits."""
+        with self._lock:
+            spare, self._spare, self._closed = self._spare, None, True
+        if spare is not None and spare.stdin is not None:
+            spare.stdin.close()
+
+
+def _write_line(process: subprocess.Popen[bytes], line: str) -> bool:
+    """Write a line to a process; return whether it is still there to read it."""
+    assert process.stdin is not None
+    try:
+        with process.stdin as pipe:
+            pipe.write(f"{line}\n".encode())
+    except OSError:
+        return False
+    return process.poll() is None

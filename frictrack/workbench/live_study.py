@@ -8,92 +8,20 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import math
 import os
 import secrets
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER
+from frictrack.workbench import jobs
 from frictrack.workbench.films import Films
-from frictrack.workbench.job_launcher import WarmLauncher
-
-if TYPE_CHECKING:
-    from frictrack.workbench.jobs import Job
-
-
-@dataclass(frozen=True)
-class JobsNow:
-    """The running job and the one that ended last, as the page shows them; see `Job.summary`."""
-
-    running: dict[str, Any] | None = None
-    last: dict[str, Any] | None = None
-
-
-class JobFollower:
-    """Find the running and the last ended job; one that ended before the server started counts only if interrupted."""
-
-    def __init__(self) -> None:
-        self._began = time.time()
-        self._ended: set[str] = set()
-        self._output: Path | None = None
-        self._last: dict[str, Any] | None = None
-
-    def look(self, output: Path) -> JobsNow:
-        """Look at the jobs as they are now.
-
-        Parameters
-        ----------
-        output : Path
-            Folder of the results.
-
-        """
-        if output != self._output:
-            self._output, self._ended, self._last = output, set(), None
-        running = None
-        for name in self._names(output):
-            if name in self._ended or not self._is_written(output, name):
-                continue
-            try:
-                found = self._summary(output, name)
-            except (FrictrackError, OSError, KeyError):  # damaged, or removed meanwhile
-                self._ended.add(name)
-                continue
-            if found["state"] == "running":
-                running = found
-            else:
-                self._ended.add(name)
-                self._last = found if found["state"] == "interrupted" or self._is_new(output, name) else None
-        return JobsNow(running, self._last)
-
-    def _is_written(self, output: Path, name: str) -> bool:
-        """Whether a job is there, not only the folder for it, which is made a moment before."""
-        return (output / INTERNAL_FOLDER / "jobs" / name / "spec.json").exists()
-
-    def _is_new(self, output: Path, name: str) -> bool:
-        """Whether a job ended since the server started."""
-        times = [self._began]
-        for file in ("result.json", "cancel"):
-            with suppress(OSError):
-                times.append((output / INTERNAL_FOLDER / "jobs" / name / file).stat().st_mtime)
-        return len(times) > 1 and max(times[1:]) >= self._began
-
-    def _names(self, output: Path) -> list[str]:
-        with suppress(OSError):
-            return sorted(name for name in os.listdir(output / INTERNAL_FOLDER / "jobs") if name.isdecimal())
-        return []
-
-    def _summary(self, output: Path, name: str) -> dict[str, Any]:
-        from frictrack.workbench.jobs import Job  # noqa: PLC0415
-
-        return Job(output / INTERNAL_FOLDER / "jobs" / name).summary
-
 
 POLL_S = 0.1  # between two checks of the files
 RESUME_S = 2.0  # without a job: the user may try the next candidate
@@ -119,12 +47,11 @@ class LiveStudy:
         self.state: dict[str, Any] = {}
         self._text = "{}"
         self.output = path.parent / f"{path.stem}_results"  # until the study file is read
-        self.launcher = WarmLauncher()
+        self.launcher = jobs.WarmLauncher()
         self.resumes_background = False  # the fit of a candidate has interrupted it
-        self.resume_background: Callable[[LiveStudy], None] = lambda live: None  # the server sets it
         self._idle_since = time.monotonic()
         self._seen: object = None
-        self._jobs, self._follower = JobsNow(), JobFollower()
+        self._jobs, self._follower = jobs.JobsNow(), jobs.JobFollower()
         self._listeners: set[Callable[[str], object]] = set()
         self.films = Films()
         self._reader, self._writer, self._drawer = (ThreadPoolExecutor(1, name) for name in ("read", "write", "draw"))
@@ -202,15 +129,21 @@ class LiveStudy:
         if self.launcher.is_needed:
             await asyncio.to_thread(self.launcher.prepare)
         if self.resumes_background and time.monotonic() - self._idle_since > RESUME_S:
-            await self.write(self.resume_background)
+            await self.write(LiveStudy._resume_background)
+
+    def _resume_background(self) -> None:
+        """Start the background work again that the fit of a candidate has interrupted."""
+        self.resumes_background = False
+        if self.running_job() is None and self.path.exists():
+            jobs.start(self.path, self.output, jobs.JobSpec("background"), self.launcher.launch)
 
     async def _check(self) -> None:
         """Read the files if they have changed. The marks are taken first: a change while they are read is seen next."""
-        marks, jobs = await self.read(self._look)
-        ended = jobs.last is not None and jobs.last != self._jobs.last
-        self._idle_since = time.monotonic() if jobs.running else self._idle_since
-        if jobs != self._jobs:
-            self._jobs = jobs
+        marks, now = await self.read(self._look)
+        ended = now.last is not None and now.last != self._jobs.last
+        self._idle_since = time.monotonic() if now.running else self._idle_since
+        if now != self._jobs:
+            self._jobs = now
             self._send(f'{{"type":"job",{self._job_json}}}')
         if marks != self._seen or ended:
             self._seen = marks
@@ -219,9 +152,10 @@ class LiveStudy:
             self._ready.set()
             self._send(f'{{"type":"state","state":{self._whole}}}')
 
-    def _look(self) -> tuple[object, JobsNow]:
+    def _look(self) -> tuple[object, jobs.JobsNow]:
         """Marks of the files, and the jobs."""
-        self.output = output_folder(self.path)
+        with suppress(OSError, FrictrackError):  # a study file that cannot be read: the folder known last
+            self.output = _output_folder(self.path, self.path.stat().st_mtime_ns)
         return file_marks(self.path, self.output), self._follower.look(self.output)
 
     @property
@@ -238,11 +172,9 @@ class LiveStudy:
         """The state with the jobs, as JSON."""
         return f"{self._text[:-1]},{self._job_json}}}"
 
-    def running_job(self) -> Job | None:
+    def running_job(self) -> jobs.Job | None:
         """The running job, as the files are now."""
-        from frictrack.workbench.jobs import running_job  # noqa: PLC0415
-
-        return running_job(self.output)
+        return jobs.running_job(self.output)
 
     def _read_state(self, version: int) -> str:
         """Read the study and describe it; what cannot be read is said in `error`."""
@@ -300,28 +232,12 @@ def _marks_in(folder: Path) -> list[tuple[str, int, int, int]]:
     return out
 
 
-_outputs: dict[Path, tuple[int, Path]] = {}  # study file -> its time of change, folder of its results
-
-
-def output_folder(path: Path) -> Path:
-    """Folder of the results of a study; where the study file cannot be read, the last one known or the default.
-
-    Parameters
-    ----------
-    path : Path
-        Study file, which need not exist.
-
-    """
+@lru_cache(8)
+def _output_folder(path: Path, changed: int) -> Path:
+    """Folder of the results of a study file of some time of change."""
     from frictrack.study import results_folder  # noqa: PLC0415 - loads pydantic
 
-    known = _outputs.get(path)
-    try:
-        changed = path.stat().st_mtime_ns
-        if known is None or known[0] != changed:
-            known = _outputs[path] = changed, results_folder(path)
-    except (OSError, FrictrackError):
-        known = known or (0, path.parent / f"{path.stem}_results")
-    return known[1]
+    return results_folder(path)
 
 
 def to_json(value: Any) -> str:
@@ -333,22 +249,6 @@ def to_json(value: Any) -> str:
     '{"a":null}'
 
     """
-    try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"), default=_builtin)
-    except ValueError:
-        return json.dumps(_finite(json.loads(json.dumps(value, default=_builtin))), separators=(",", ":"))
+    from frictrack.results import to_builtins  # noqa: PLC0415 - loads NumPy
 
-
-def _builtin(value: Any) -> Any:
-    """Convert NumPy numbers and arrays, paths and sets."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    return sorted(value) if isinstance(value, set | frozenset) else str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(to_builtins(value), separators=(",", ":"), default=list)  # sets become lists

@@ -24,9 +24,9 @@ from frictrack.present.plots import AnyModel, AnyRun, as_model, as_runs
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.workbench import plot_data
+from frictrack.workbench.films import FilmFile, Films, film_file
 
 if TYPE_CHECKING:
-    from frictrack.workbench.frame_images import FrameImages
     from frictrack.workbench.plot_data import PlotData
 
 STATIC = files("frictrack.workbench").joinpath("static")
@@ -83,40 +83,6 @@ def widget_style() -> str:
     return tokens + STATIC.joinpath("plots", "plots.css").read_text(encoding="utf-8")
 
 
-class NotebookFilms:
-    """The films of runs, each opened when it is first shown.
-
-    Parameters
-    ----------
-    sources : mapping
-        Path of the recording, and frames per second or None, by name of the run.
-
-    """
-
-    def __init__(self, sources: Mapping[str, tuple[Path, float | None]]) -> None:
-        self._sources = dict(sources)
-        self._open: dict[str, FrameImages] = {}
-
-    def __getitem__(self, run: str) -> FrameImages:
-        """Pictures of a run's film."""
-        if run not in self._open:
-            from frictrack.workbench.frame_images import FrameImages  # noqa: PLC0415 - OpenCV, only with films
-
-            self._open[run] = FrameImages(*self._sources[run])
-        return self._open[run]
-
-    @property
-    def info(self) -> list[dict[str, Any]]:
-        """Name of the run, and `frames`, `width`, `height` (px) and `fps` of its film, for each film."""
-        return [{"run": run, "version": "", **self[run].info} for run in self._sources]
-
-    def close(self) -> None:
-        """Close all recordings."""
-        for frames in self._open.values():
-            frames.close()
-        self._open.clear()
-
-
 class NotebookPlots(anywidget.AnyWidget):
     """Linked plots with the film.
 
@@ -138,12 +104,13 @@ class NotebookPlots(anywidget.AnyWidget):
     _esm = widget_module()
     _css = widget_style()
 
-    def __init__(self, scene: PlotData, films: NotebookFilms) -> None:
-        layout, data = scene.layout()
-        super().__init__(scene=layout, data=data, films=films.info)
-        self._pictures = films
+    def __init__(self, scene: PlotData, sources: Mapping[str, FilmFile]) -> None:
+        opened, (layout, data) = Films(), scene.layout()
+        info = [{"run": run, **opened.open(file).info().result()} for run, file in sources.items()]
+        super().__init__(scene=layout, data=data, films=info)
+        self._opened, self._sources = opened, dict(sources)
         self.on_msg(self._send_frame)
-        weakref.finalize(self, films.close)  # at the latest when the kernel ends
+        weakref.finalize(self, opened.close)  # at the latest when the kernel ends
 
     @property
     def selected(self) -> dict[str, Array]:
@@ -158,7 +125,7 @@ class NotebookPlots(anywidget.AnyWidget):
     def _send_frame(self, _: Any, asked: Any, buffers: Any) -> None:
         """Answer the browser, which asks for a frame of a run."""
         try:
-            _, jpeg = self._pictures[asked["run"]][int(asked["frame"])]
+            jpeg = self._opened.open(self._sources[asked["run"]]).frame(int(asked["frame"])).result()
         except (FrictrackError, KeyError) as e:
             self.send({"id": asked["id"], "error": str(e)})
         else:
@@ -206,7 +173,7 @@ def look(
     True
 
     """
-    sources: dict[str, tuple[Path, float | None]] = {name: (Path(path), None) for name, path in (films or {}).items()}
+    sources = {name: film_file(Path(path)) for name, path in (films or {}).items()}
     if isinstance(what, str | Path):
         what, found = _read_study(Path(what))
         sources = found | sources
@@ -223,12 +190,10 @@ def look(
         raise FrictrackError("expected runs that the model was fitted to, but it has none; give runs = [...]")
     scene.extra["large"] = plot_data.RESIDUAL_TITLES[0]
     _number_first_frames(scene, sources, measured)
-    return NotebookPlots(
-        scene, NotebookFilms({r["name"]: sources[r["name"]] for r in scene.runs if r["name"] in sources})
-    )
+    return NotebookPlots(scene, {r["name"]: sources[r["name"]] for r in scene.runs if r["name"] in sources})
 
 
-def _read_study(path: Path) -> tuple[Results, dict[str, tuple[Path, float | None]]]:
+def _read_study(path: Path) -> tuple[Results, dict[str, FilmFile]]:
     """Results of a study, and its films by name of the run."""
     from frictrack.flow import open_study, read_results  # noqa: PLC0415 - seconds that a fit does not need
 
@@ -236,8 +201,8 @@ def _read_study(path: Path) -> tuple[Results, dict[str, tuple[Path, float | None
     results = read_results(study)
     if results.current is None:
         raise FrictrackError(f"expected a study with a model but {path} has none; run `frictrack run` on it")
-    found = {run.name: (run.video, run.fps) for run in study.runs if isinstance(run.video, Path)}
-    return results, {name: film for name, film in found.items() if film[0].exists()}
+    films = {run.name: (run.video, run.fps) for run in study.runs if isinstance(run.video, Path)}
+    return results, {name: film_file(path, fps) for name, (path, fps) in films.items() if path.exists()}
 
 
 def _model_of(results: Results, name: str | None) -> ModelResults:
@@ -256,9 +221,7 @@ def _fit_only(background: str | AnyModel | None) -> ModelResults | None:
     return None if background is None else as_model(background)
 
 
-def _number_first_frames(
-    scene: PlotData, films: Mapping[str, tuple[Path, float | None]], runs: Sequence[RunResults]
-) -> None:
+def _number_first_frames(scene: PlotData, films: Mapping[str, FilmFile], runs: Sequence[RunResults]) -> None:
     """Find the frame of the film at which the motion begins, for runs whose track is not known."""
     by_name = {run.name: run for run in runs}
     for entry in scene.runs:

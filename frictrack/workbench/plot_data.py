@@ -11,7 +11,7 @@ import numpy as np
 
 from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
-from frictrack.present.plots.style import BAND_SIGMAS, unsmeared_frames
+from frictrack.present.plots.style import BAND_SIGMAS, axis_label, unsmeared_frames
 from frictrack.records import Array, Friction, Track
 from frictrack.results import ModelResults, Results, RunResults
 
@@ -46,16 +46,7 @@ class PlotData:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def layout(self) -> tuple[dict[str, Any], bytes]:
-        """Split into a description and numbers.
-
-        Returns
-        -------
-        scene : dict
-            Plots, runs, and offset and length of each column.
-        data : bytes
-            All columns, one after the other, as little-endian Float32.
-
-        """
+        """Split into a description and numbers."""
         places, parts, at = {}, [], 0
         for key, column in self.columns.items():
             part = np.asarray(column, dtype="<f4")
@@ -85,23 +76,8 @@ class PlotData:
 
 
 def axis(column: str, name: str, unit: str) -> dict[str, str]:
-    """Describe an axis.
-
-    Parameters
-    ----------
-    column : str
-        Column of its values; "" for the y axis, whose layers name their columns.
-    name : str
-        Quantity.
-    unit : str
-        Unit; "" for none.
-
-    """
-    return {"column": column, "name": name, "unit": unit, "label": f"{name} / {_in_label(unit)}" if unit else name}
-
-
-def _in_label(unit: str) -> str:
-    return f"({unit})" if "/" in unit else unit
+    """Describe an axis."""
+    return {"column": column, "name": name, "unit": unit, "label": axis_label(name, unit)}
 
 
 def plot(
@@ -111,101 +87,36 @@ def plot(
     *layers: Mapping[str, Any],
     **more: Any,
 ) -> dict[str, Any]:
-    """Describe one plot.
+    """Describe one plot; its layers are drawn from bottom to top.
 
-    Parameters
-    ----------
-    title : str
-        Title, which is also its id.
-    x : mapping
-        The x axis, see `axis`.
-    y : tuple of str
-        Quantity and unit of the y axis.
-    *layers : mapping
-        What is drawn, from bottom to top: `line`, `dots`, `band`, `span`.
-    **more
-        `brush` "x": a selection takes all values of y. `focus`: range of x that sets the range of y. `handles`: spans
-        with ends to drag, each with `name` and `span`.
-
+    `brush` "x": a selection takes all values of y. `focus`: range of x that sets the range of y. `handles`: spans with
+    ends to drag, each with `name` and `span`.
     """
     return {"id": title, "title": title, "x": dict(x), "y": axis("", *y), "layers": list(layers), **more}
 
 
 def line(y: str, colour: str, name: str, label: str = "", **more: Any) -> dict[str, Any]:
-    """Describe a layer: a line through the values of a column, with gaps at NaN.
+    """Describe a layer: a line through the values of a column, with gaps at NaN; the legend hides it by `name`.
 
-    Parameters
-    ----------
-    y : str
-        Name of the column.
-    colour : str
-        Design token.
-    name : str
-        Name under which the legend hides it, the same in all plots.
-    label : str
-        Text in the legend; "" for none.
-    **more
-        `by_run`: in the colours of the runs. `halo`: each run's colour around the line. `dash`, `width`: of the line.
-        `loose`: does not set the range of the axes. `candidate`: column of a candidate that is drawn over it.
-        `about`: what the legend says of it.
-
+    `by_run`: in the colours of the runs. `halo`: each run's colour around the line. `dash`, `width`: of the line.
+    `loose`: does not set the range of the axes. `candidate`: column of a candidate that is drawn over it. `about`: what
+    the legend says of it.
     """
     return {"kind": "line", "y": y, "colour": colour, "name": name, "label": label, **more}
 
 
 def dots(y: str, colour: str, name: str, label: str = "", **more: Any) -> dict[str, Any]:
-    """Describe a layer: a point for every row.
-
-    Parameters
-    ----------
-    y : str
-        Name of the column.
-    colour : str
-        Design token.
-    name : str
-        Name under which the legend hides it, the same in all plots.
-    label : str
-        Text in the legend; "" for none.
-    **more
-        `by_run`: in the colours of the runs. `main`: its points are selected. `candidate` and `about`: as of `line`.
-
-    """
+    """Describe a layer: a point for every row; `main`: its points are selected; for the others see `line`."""
     return {"kind": "dots", "y": y, "colour": colour, "name": name, "label": label, **more}
 
 
 def band(low: str, high: str, name: str, label: str = "", colour: str = "band") -> dict[str, Any]:
-    """Describe a layer: the area between two columns.
-
-    Parameters
-    ----------
-    low, high : str
-        Names of the columns.
-    name : str
-        Name under which the legend hides it.
-    label : str
-        Text in the legend; "" for none.
-    colour : str
-        Design token.
-
-    """
+    """Describe a layer: the area between two columns."""
     return {"kind": "band", "low": low, "high": high, "colour": colour, "name": name, "label": label}
 
 
 def span(begin: float, end: float, name: str, label: str = "", **more: Any) -> dict[str, Any]:
-    """Describe a layer: a shaded span of x.
-
-    Parameters
-    ----------
-    begin, end : float
-        Ends of the span, in the unit of the x axis.
-    name : str
-        Name under which the legend hides it; also its design token unless `colour` is given.
-    label : str
-        Text in the legend; "" for none.
-    **more
-        With `run`, the name of a run, the span is a bar at the bottom in the colour of that run.
-
-    """
+    """Describe a layer: a shaded span of x."""
     return {"kind": "span", "from": begin, "to": end, "name": name, "label": label, "colour": name, **more}
 
 
@@ -227,16 +138,7 @@ def _add_band(columns: dict[str, Array], name: str, middle: Array, sigma: Array)
 
 
 def track_plots(run: RunResults, index: int = 0) -> PlotData:
-    """Prepare plots of the track: position, standard deviation and match score of every frame.
-
-    Parameters
-    ----------
-    run : RunResults
-        A run. Without a track there are no plots.
-    index : int
-        Number of the run in the study, which sets its colour.
-
-    """
+    """Prepare plots of the track: position, standard deviation and match score of every frame."""
     track = run.track
     if track is None:
         return PlotData(extra={"view": "track"})
@@ -260,44 +162,18 @@ def track_plots(run: RunResults, index: int = 0) -> PlotData:
 
 
 def all_tracks(run: RunResults) -> dict[str, Track]:
-    """Select the tracks of a run.
-
-    Returns
-    -------
-    dict
-        Track of the target and of everything else that was tracked, by name; without the backward track. Empty if
-        the run has no film.
-
-    """
+    """Select the tracks of a run."""
     others = {name: track for name, track in run.tracks.items() if name != "backward"}
     return {TARGET: run.track, **others} if run.track is not None else {}
 
 
 def position_column(name: str, axis_name: str, run: RunResults) -> str:
-    """Name the column with the position of a target in every frame of a run's film, px.
-
-    Parameters
-    ----------
-    name : str
-        Name of the track.
-    axis_name : str
-        "x" or "y".
-    run : RunResults
-        The run.
-
-    """
+    """Name the column with the position of a target in every frame of a run's film, px."""
     return f"{name}_{axis_name}:{run.name}"
 
 
 def target_positions(run: RunResults) -> dict[str, Array]:
-    """Collect the positions of all tracked targets.
-
-    Returns
-    -------
-    dict
-        Positions (frames,) in px by name of the column, see `position_column`.
-
-    """
+    """Collect the positions of all tracked targets."""
     found = {name: {"x": track.x_px, "y": track.y_px} for name, track in all_tracks(run).items()}
     return {position_column(name, a, run): q for name, place in found.items() for a, q in place.items()}
 
@@ -313,20 +189,7 @@ def first_frame(run: RunResults) -> int:
 
 
 def motion_plots(run: RunResults, other: Array | None = None, label: str = "", index: int = 0) -> PlotData:
-    """Prepare plots of displacement, velocity, acceleration and friction force; the free section has handles to drag.
-
-    Parameters
-    ----------
-    run : RunResults
-        The run, n frames.
-    other : Array, optional
-        (3, n) displacement, velocity and acceleration by another cut-off, drawn over v and a.
-    label : str
-        Name of the other motion.
-    index : int
-        Number of the run in the study, which sets its colour.
-
-    """
+    """Prepare plots of displacement, velocity, acceleration and force; the free section has handles to drag."""
     m, d, f = run.motion, run.displacement, run.friction
     columns: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v, "a": m.a, "raw": 1e6 * (d.x - m.x)}
     bands = {
@@ -386,16 +249,6 @@ def comparison_plots(results: Results, model: ModelResults, other: ModelResults 
     """Prepare plots of the residual and of both forces over time, place and velocity, and of the measured motion.
 
     Failing spans are marked.
-
-    Parameters
-    ----------
-    results : Results
-        The study.
-    model : ModelResults
-        The model.
-    other : ModelResults, optional
-        Another model, drawn in the background.
-
     """
     return model_plots(results.runs, model, other, _failing_spans(results, model), _measured_again(results, model))
 
@@ -421,20 +274,7 @@ def model_plots(
     failing: Sequence[Mapping[str, Any]] = (),
     measured_again: Collection[str] = (),
 ) -> PlotData:
-    """Prepare the same plots as `comparison_plots` from runs and a model.
-
-    Parameters
-    ----------
-    all_runs : sequence of RunResults
-        Runs; those without a curve of the model are left out.
-    model, other : ModelResults
-        As of `comparison_plots`.
-    failing : sequence of dict
-        Spans where the model fails: `run` and `t` (start and end, s).
-    measured_again : collection of str
-        Runs whose measured motion is newer than the model, which is not drawn over it.
-
-    """
+    """Prepare the same plots as `comparison_plots` from runs and a model."""
     runs = compared_runs(all_runs, model)
     parts = [_run_columns(run, model, other) for run in runs]
     for run, part in zip(runs, parts, strict=True):
@@ -458,16 +298,7 @@ def model_plots(
 
 
 def compared_runs(runs: Sequence[RunResults], model: ModelResults) -> list[RunResults]:
-    """Select the runs whose frames are the rows of the comparison, in their order.
-
-    Parameters
-    ----------
-    runs : sequence of RunResults
-        Runs of the study.
-    model : ModelResults
-        The model.
-
-    """
+    """Select the runs whose frames are the rows of the comparison, in their order."""
     return [run for run in runs if any(curve.run == run.name for curve in model.curves)]
 
 
@@ -512,23 +343,7 @@ def _motion_plots() -> list[dict[str, Any]]:
 
 
 def candidate_columns(runs: Sequence[RunResults], model: ModelResults, tried: ModelResults) -> dict[str, Array]:
-    """Prepare residual and force of a candidate, which are drawn over those of the current model.
-
-    Parameters
-    ----------
-    runs : sequence of RunResults
-        Runs of the study.
-    model : ModelResults
-        The current model, whose comparison is shown.
-    tried : ModelResults
-        The model with the candidate.
-
-    Returns
-    -------
-    dict
-        `with`: the residual, um or N, and `F_with`: the force, N; (rows,) each, NaN where nothing was fitted.
-
-    """
+    """Prepare residual and force of a candidate, which are drawn over those of the current model."""
     parts = [_model_curves(run, tried)[:2] for run in compared_runs(runs, model)]
     left, force = (np.concatenate([part[k] for part in parts]) if parts else np.zeros(0) for k in (0, 1))
     return {"with": left, "F_with": force}

@@ -25,9 +25,9 @@ from frictrack.base.version import __version__
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.flow import open_study, run_pipeline, store
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.crate.metadata import METADATA
 from frictrack.flow.crate.payload import unpack
-from frictrack.flow.crate.reading import find_inputs, read_crate, set_up_study
+from frictrack.flow.crate.reproducing import find_inputs, read_crate, set_up_study
+from frictrack.flow.crate.writing import METADATA
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
 from frictrack.flow.store.file_header import header_of
@@ -37,7 +37,7 @@ from frictrack.measure.sensors import SensorRecord
 from frictrack.recording import open_recording, random_access
 from frictrack.simulate.scene import read_scene
 from frictrack.study import load, open_table, parse, propose_columns, read_sensor_table, read_table, with_key
-from frictrack.study.table_cells import TrackColumns
+from frictrack.study.table_layout import TrackColumns
 
 MEMORY = 2048  # MB, beyond what the libraries take when they are loaded
 MAX_ERROR_LENGTH = 12_000  # characters of an error

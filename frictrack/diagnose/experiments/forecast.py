@@ -50,7 +50,8 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.linearised import has_per_run_coefficients
-from frictrack.fit.parameters import LEVEL, ParameterLayout, penalty_residual
+from frictrack.fit.parameters import LEVEL, ParameterLayout
+from frictrack.fit.penalties import penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
 from frictrack.records import Array

@@ -12,9 +12,10 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, Span
+from frictrack.fit.cutting import MIN_FRAMES
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
-from frictrack.fit.pieces import MIN_FRAMES, Piece, spans_of
+from frictrack.fit.pieces import Piece, spans_of
 from frictrack.records import GRAVITY, Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, linearise_acceleration
@@ -355,7 +356,7 @@ def make_run(
     if n < MIN_RUN_FRAMES:
         raise FrictrackError(f"expected a run of at least {MIN_RUN_FRAMES} frames but the mass would be gone after {n}")
     motion = found.motion
-    piece = replace(piece, x_hat=motion.x, v_hat=motion.v, a_hat=motion.a, y=found.model_y).first(n)
+    piece = replace(piece, x_hat=motion.x, v_hat=motion.v, a_hat=motion.a, y=found.model_y).part(0, n)
     return VirtualRun(design, piece, *unknowns(spans_of([replace(piece, run=0)], 1, conditions.fps * design.rate)[0]))
 
 

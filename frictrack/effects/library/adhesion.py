@@ -1,14 +1,9 @@
 """Adhesion: dry friction does not vanish with the load, because the surfaces attract each other."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -16,24 +11,14 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return path.s[:, None].astype(float)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Friction without load."""
-    return f"{format_number(effect.value('F'))} N of dry friction that would remain without any load"
-
-
-adhesion = Effect(
-    name="adhesion",
-    acts_on="force",
-    equation="F s",
-    parameters=(Parameter("F", "N", (0.0, np.inf), linear=True),),
-    columns=columns,
-    varies_with="",
-    what="Surfaces attract each other, or a seal or magnet presses them together: mu (N + N_a), F = mu N_a.",
-    looks_like="a friction coefficient that falls as the mass rises; nothing at all with one mass",
-    mistaken_for="levels that scatter from run to run, a wrong mass, friction as a power of the load",
-    confirm="Film three masses, each several times: the friction force is a straight line against the load.",
-    invariant="the force of adhesion stays when the load changes",
-    settled_by="film three masses, each several times",
-    describe=describe,
-    source="Derjaguin 1934, Z. Phys. 88, 661: mu (N + N_a)",
-)
+equation = "F s"
+parameters = (Parameter("F", "N", (0.0, np.inf), linear=True),)
+varies_with = ""
+what = "Surfaces attract each other, or a seal or magnet presses them together: mu (N + N_a), F = mu N_a."
+looks_like = "a friction coefficient that falls as the mass rises; nothing at all with one mass"
+mistaken_for = "levels that scatter from run to run, a wrong mass, friction as a power of the load"
+confirm = "Film three masses, each several times: the friction force is a straight line against the load."
+describe = Phrase("{F} N of dry friction that would remain without any load")
+invariant = "the force of adhesion stays when the load changes"
+settled_by = "film three masses, each several times"
+source = "Derjaguin 1934, Z. Phys. 88, 661: mu (N + N_a)"

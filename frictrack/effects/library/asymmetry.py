@@ -1,15 +1,10 @@
 """Direction-dependent friction: dry level and viscous coefficient differ between the two directions."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -17,33 +12,22 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return np.column_stack([np.full_like(path.v, path.load), np.abs(path.v)])
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Difference between the two directions."""
-    dry, viscous = format_number(2 * effect.value("dF")), format_number(2 * effect.value("dF_v"))
-    return f"{dry} N between the two directions at the reference load, and {viscous} N more for every m/s"
-
-
 def draw_viscous_part(span: Span, uniform: Array) -> dict[str, float]:
     """Return a viscous part that is at most as large as the dry one at the highest speed."""
     return {"dF_v": (2.0 * float(uniform[1]) - 1.0) / span.v_max}
 
 
-asymmetry = Effect(
-    name="asymmetry",
-    acts_on="force",
-    equation="dF L + dF_v |v|",
-    parameters=(Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True)),
-    columns=columns,
-    varies_with="v",
-    scales_with="load",
-    what="The surfaces resist more one way than the other: wear, tilted asperities, a screw.",
-    looks_like="forward and reversed runs need different friction laws",
-    mistaken_for="slope (the level part), a drive offset",
-    confirm="Turn the mass round on the course: asymmetry of its own face turns with it.",
-    invariant="asymmetry depends on the direction of motion and grows with the load or the speed",
-    settled_by="turn the mass round on the course",
-    describe=describe,
-    in_base_law=True,
-    test_draw=TestDraw(coefficients=draw_viscous_part),
-    source="Janot, Gautier & Brunot 2019 (EMPS)",
-)
+equation = "dF L + dF_v |v|"
+parameters = (Parameter("dF", "N", linear=True, loaded=True), Parameter("dF_v", "N s/m", linear=True))
+varies_with = "v"
+scales_with = "load"
+what = "The surfaces resist more one way than the other: wear, tilted asperities, a screw."
+looks_like = "forward and reversed runs need different friction laws"
+mistaken_for = "slope (the level part), a drive offset"
+confirm = "Turn the mass round on the course: asymmetry of its own face turns with it."
+describe = Phrase("{dF:2} N between the two directions at the reference load, and {dF_v:2} N more for every m/s")
+invariant = "asymmetry depends on the direction of motion and grows with the load or the speed"
+settled_by = "turn the mass round on the course"
+in_base_law = True
+test_draw = TestDraw(coefficients=draw_viscous_part)
+source = "Janot, Gautier & Brunot 2019 (EMPS)"

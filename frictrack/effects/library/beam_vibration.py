@@ -1,20 +1,12 @@
 """Beam vibration: the beam under the course rings, and its frequency falls as the mass moves away from the clamp."""
 
-from __future__ import annotations
-
-from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import Span
-from frictrack.effects.waves import ScanWave, wave
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, wave
+from frictrack.effects.ranges import Span, frequencies, oscillates
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
 MAX_FORMS = 6000  # tried in one scan: frequencies times mass ratios times lengths, a bound on its time
@@ -38,29 +30,7 @@ def shape(x: Array, length: Array) -> tuple[Array, Array]:
 
 
 def _cycles(path: Path, nonlinear: Nonlinear) -> Array:
-    """Cycles (n,) since release, the way before the path included.
-
-    They grow in proportion to the frequency: a population along one path that shares ratio and length shares them.
-    """
-    count, n = len(path.starts), len(path.t) // len(path.starts)
-    if count == 1 or not _is_shared(path, n):
-        return _counted(path, nonlinear)
-    frequency, heavy, length = (q[::n] for q in _form(path, nonlinear))
-    forms, which = np.unique(np.stack([heavy, length], axis=1), axis=0, return_inverse=True)
-    one = replace(path, starts=(0,), mass_ratio=1.0, **{name: getattr(path, name)[:n] for name in ("t", "x", "v", "s")})
-    own = [{"frequency": 1.0, "r": float(r), "beam_length": float(length)} for r, length in forms]
-    unit = np.stack([_counted(one, form) for form in own])
-    return np.asarray((frequency[:, None] * unit[which.ravel()]).ravel())
-
-
-def _is_shared(path: Path, n: int) -> bool:
-    """Whether all individuals of a population move same_motion: n samples each."""
-    same_motion = path.x.reshape(-1, n) if len(path.x) == n * len(path.starts) else np.empty((0, 1))
-    return bool(len(same_motion)) and path.starts[1] == n and bool(np.all(same_motion == same_motion[0]))
-
-
-def _counted(path: Path, nonlinear: Nonlinear) -> Array:
-    """Cycles (n,) since release by trapezoids with their end correction, order 4."""
+    """Cycles (n,) since release, the way before the path included, by trapezoids with their end correction, order 4."""
     assert path.clamp_x is not None
     own, first = _form(path, nonlinear), list(path.starts)
     rate, change = _rate(path, path.x, path.v, own)
@@ -103,15 +73,14 @@ def _running(t: Array, rate: Array, change: Array, first: list[int]) -> Array:
     return np.concatenate([[0.0], np.cumsum(_steps(np.diff(t), rate, change))])
 
 
-def frequencies(span: Span) -> Array:
+def tones(span: Span) -> Array:
     """Frequencies of the bare beam worth trying, Hz: half a Rayleigh cell apart."""
-    lowest = max(1.0 / span.duration, 2.0)
-    return np.arange(lowest, max(min(0.2 * span.fps, MAX_FREQUENCY_HZ), 2 * lowest), 0.5 / span.duration)
+    return frequencies(span, cells=0.5, limit=MAX_FREQUENCY_HZ)
 
 
 def ratios(span: Span) -> Array:
     """Mass ratios worth trying: fewer where a long run asks for very many frequencies."""
-    count = MAX_FORMS // (len(frequencies(span)) * len(lengths(span)))
+    count = MAX_FORMS // (len(tones(span)) * len(lengths(span)))
     return np.geomspace(0.05, 5.0, int(np.clip(count, MIN_RATIOS, 13)))
 
 
@@ -122,39 +91,29 @@ def lengths(span: Span) -> Array:
     clamp = span.x_min if span.clamp_x is None else span.clamp_x
     farthest = max(abs(span.x_min - clamp), abs(span.x_max - clamp))
     # a longer beam is nearly a lighter mass: where time is short one length stands for all, and is refined from there
-    few = len(frequencies(span)) * 3 * 13 > MAX_FORMS
+    few = len(tones(span)) * 3 * 13 > MAX_FORMS
     return farthest * np.array([1.0, 1.4] if few else [1.0, 1.4, 2.0])
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Frequency of the beam without the mass."""
-    return f"{format_number(effect.value('frequency'))} Hz near the clamp, lower with the mass farther out"
-
-
-beam_vibration = Effect(
-    name="beam_vibration",
-    acts_on="force",
-    equation=(
-        "amplitude sin(2 pi integral of frequency/sqrt(1 + r phi^2) dt + phase), "
-        "phi = (3 l x^2 - x^3)/(2 l^3) from the clamp, l = beam_length"
-    ),
-    parameters=(
-        Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("r", "1", scan=ratios),
-        Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", cycles_at_1_hz),
-    counts_from_release=True,
-    what="The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone.",
-    looks_like="a line whose frequency falls as the mass moves toward the free end, and rises on the way back",
-    mistaken_for="vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)",
-    confirm="Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there.",
-    plausible=oscillates,
-    invariant="the frequency of the beam falls toward its free end, and with a heavier mass",
-    describe=describe,
-    source="Rayleigh's quotient with the static shape of an end-loaded cantilever",
-    needs=("clamp_x",),
+equation = (
+    "amplitude sin(2 pi integral of frequency/sqrt(1 + r phi^2) dt + phase), "
+    "phi = (3 l x^2 - x^3)/(2 l^3) from the clamp, l = beam_length"
 )
+parameters = (
+    Parameter("amplitude", "N", linear=True, role="amplitude"),
+    Parameter("frequency", "Hz", scan=tones),
+    Parameter("r", "1", scan=ratios),
+    Parameter("beam_length", "m", scan=lengths, known=attrgetter("beam_length")),
+    Parameter("phase", "rad", per_run=True, role="phase"),
+)
+scan_wave = ScanWave("frequency", cycles_at_1_hz)
+counts_from_release = True
+what = "The cantilever that carries the course rings; the mass on it (r = mass over modal mass) lowers its tone."
+looks_like = "a line whose frequency falls as the mass moves toward the free end, and rises on the way back"
+mistaken_for = "vibration (near the clamp, or with a light mass), texture (a chirp that follows the speed)"
+confirm = "Tap the beam with the mass resting near the clamp, then at the free end: the note is lower there."
+plausible = oscillates
+describe = Phrase("{frequency} Hz near the clamp, lower with the mass farther out")
+invariant = "the frequency of the beam falls toward its free end, and with a heavier mass"
+source = "Rayleigh's quotient with the static shape of an end-loaded cantilever"
+needs = ("clamp_x",)

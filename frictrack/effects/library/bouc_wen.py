@@ -7,19 +7,15 @@ delta = 0 it is Dahl's contact of the level alpha/gamma. The published z is alph
 beta gamma and beta delta are `gamma` and `delta` here, with the exponent nu = 1.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import ScanValues, Span, breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law
 MAX_BENDING_M = 1e3  # m, likewise
@@ -111,26 +107,18 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(effect.value('alpha'))} N/m for small swings, yielding within {distance}"
 
 
-bouc_wen = Effect(
-    name="bouc_wen",
-    acts_on="force",
-    equation="alpha w, dw/dt = v - gamma |v| w - delta v |w|",
-    parameters=(
-        Parameter("alpha", "N/m", (0.0, np.inf), linear=True),
-        Parameter("gamma", "1/m", (1e-6, np.inf), scan=rates),
-        Parameter("delta", "1/m", (-5.0, 5.0), scan=ScanValues(DELTA_RATIOS), signed=True),
-    ),
-    columns=columns,
-    state=state,
-    memory=True,
-    turns=True,
-    what="A joint, rope or guide is bent and slips inside: it pulls back like a spring that remembers its way.",
-    looks_like="a loop against x that turns round with the direction and does not close between two amplitudes",
-    mistaken_for="spring with viscous friction (at one amplitude); coulomb with presliding",
-    confirm="Swing it at two amplitudes and two frequencies: the loop's area follows the amplitude, not the frequency.",
-    invariant="a hysteretic spring remembers its way, whatever the speed",
-    describe=describe,
-    may_pull=True,
-    source="Bouc 1967, 4th Conf. Nonlinear Oscillation, Prague; Wen 1976, J. Eng. Mech. Div. ASCE 102, 249",
-    quote=quote,
+equation = "alpha w, dw/dt = v - gamma |v| w - delta v |w|"
+parameters = (
+    Parameter("alpha", "N/m", (0.0, np.inf), linear=True),
+    Parameter("gamma", "1/m", (1e-6, np.inf), scan=rates),
+    Parameter("delta", "1/m", (-5.0, 5.0), scan=ScanValues(DELTA_RATIOS), signed=True),
 )
+memory = True
+turns = True
+what = "A joint, rope or guide is bent and slips inside: it pulls back like a spring that remembers its way."
+looks_like = "a loop against x that turns round with the direction and does not close between two amplitudes"
+mistaken_for = "spring with viscous friction (at one amplitude); coulomb with presliding"
+confirm = "Swing it at two amplitudes and two frequencies: the loop's area follows the amplitude, not the frequency."
+invariant = "a hysteretic spring remembers its way, whatever the speed"
+may_pull = True
+source = "Bouc 1967, 4th Conf. Nonlinear Oscillation, Prague; Wen 1976, J. Eng. Mech. Div. ASCE 102, 249"

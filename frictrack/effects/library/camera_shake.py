@@ -1,15 +1,9 @@
 """Camera shake: the camera moves, the mass does not."""
 
-from __future__ import annotations
-
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import DirectCheck, EffectInStudy, oscillation, picture_shift_signal
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import all_of, oscillates, within_picture
-from frictrack.effects.scans import Span, frequencies
-from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.records import Array
+from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter, oscillation, picture_shift_signal
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, within_picture
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -29,31 +23,26 @@ def describe(effect: EffectInStudy) -> str:
     return f"{oscillation(effect)}; everything in the picture would move by ± {format_length(size)}{px}"
 
 
-camera_shake = Effect(
-    name="camera_shake",
-    acts_on="measurement",
-    equation="y: amplitude sin(2 pi frequency t + phase)",
-    parameters=(
-        Parameter("amplitude", "m", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", over_time),
-    what="The camera or its stand vibrates.",
-    looks_like="a line in time of the same size in x whatever the mass; the background moves too",
-    mistaken_for="vibration of the course (same shape in one run)",
-    confirm="Track a fixed mark in the same film and give it as `reference`.",
-    plausible=all_of(oscillates, within_picture(amplitude)),
-    invariant="a shaking camera moves the picture equally far whatever slides",
-    direct_check=DirectCheck(
-        "reference",
-        "Film a run with something in the picture that does not move, a mark on the frame, and give it as `reference`",
-        picture_shift_signal,
-    ),
-    describe=describe,
-    moves_picture=True,
-    film_fault=True,
-    noted_as=("camera shake of",),
-    source="textbook",
+acts_on = "measurement"
+equation = "y: amplitude sin(2 pi frequency t + phase)"
+parameters = (
+    Parameter("amplitude", "m", linear=True, role="amplitude"),
+    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("phase", "rad", per_run=True, role="phase"),
 )
+scan_wave = ScanWave("frequency", over_time)
+what = "The camera or its stand vibrates."
+looks_like = "a line in time of the same size in x whatever the mass; the background moves too"
+mistaken_for = "vibration of the course (same shape in one run)"
+confirm = "Track a fixed mark in the same film and give it as `reference`."
+plausible = all_of(oscillates, within_picture(amplitude))
+invariant = "a shaking camera moves the picture equally far whatever slides"
+direct_check = DirectCheck(
+    "reference",
+    "Film a run with something in the picture that does not move, a mark on the frame, and give it as `reference`",
+    picture_shift_signal,
+)
+moves_picture = True
+film_fault = True
+noted_as = ("camera shake of",)
+source = "textbook"

@@ -1,18 +1,13 @@
 """Clock rate: the clock of a single run is wrong by a factor, so that its times are all too long or too short."""
 
-from __future__ import annotations
-
 from math import exp, log
 
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import MAX_CLOCK_FACTOR
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import MAX_CLOCK_FACTOR, Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -61,23 +56,17 @@ def counter_signal(effect: EffectInStudy) -> float:
     return float((effect.rms("rate") * np.ptp(record.t) / (FLASH_STD_FRAMES * record.frame_interval)) ** 2 / 2)
 
 
-clock_rate = Effect(
-    name="clock_rate",
-    acts_on="measurement",
-    equation="y: x(t exp(rate)) - x(t)",
-    parameters=(Parameter("rate", "1", bounds=(-log(10.0), log(10.0)), linear=True, per_run=True),),
-    columns=columns,
-    clock=factor,
-    what="The frame rate or the time stamps of a run are wrong by a factor exp(rate), true over recorded time.",
-    looks_like="one run whose viscous friction and Stribeck velocity are off by a factor, its level by its square",
-    mistaken_for="a collision or a lost frame of that run; in all runs alike it is absorbed by the law",
-    confirm="Look up the frame rate of that film, or film a clock; compare the rates that the runs were typed with.",
-    plausible=plausible,
-    invariant="a wrong clock of one run changes its speeds by a factor and its forces by the square of it",
-    direct_check=DirectCheck(
-        "rate", "Look up the frame rate of that run, or film a counter of known rate", counter_signal
-    ),
-    describe=describe,
-    same_cause_as="fps",
-    source="textbook: with t = c T, x' goes with 1/c and x'' with 1/c^2",
+acts_on = "measurement"
+equation = "y: x(t exp(rate)) - x(t)"
+parameters = (Parameter("rate", "1", bounds=(-log(10.0), log(10.0)), linear=True, per_run=True),)
+clock = factor
+what = "The frame rate or the time stamps of a run are wrong by a factor exp(rate), true over recorded time."
+looks_like = "one run whose viscous friction and Stribeck velocity are off by a factor, its level by its square"
+mistaken_for = "a collision or a lost frame of that run; in all runs alike it is absorbed by the law"
+confirm = "Look up the frame rate of that film, or film a clock; compare the rates that the runs were typed with."
+invariant = "a wrong clock of one run changes its speeds by a factor and its forces by the square of it"
+direct_check = DirectCheck(
+    "rate", "Look up the frame rate of that run, or film a counter of known rate", counter_signal
 )
+same_cause_as = "fps"
+source = "textbook: with t = c T, x' goes with 1/c and x'' with 1/c^2"

@@ -1,15 +1,11 @@
 """Collision: a short blow that takes (or gives) momentum at one moment of a run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array, Mask
+from frictrack.effects.definition import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy, Parameter, TestDraw
+from frictrack.effects.path import Array, Mask, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most
 
@@ -57,27 +53,19 @@ def planned_impulse(momentum: float) -> float:
     return PLANNED_SHARE * momentum
 
 
-collision = Effect(
-    name="collision",
-    acts_on="force",
-    equation="J exp(-((t - time)/width)^2/2)/(width sqrt(2 pi))",
-    parameters=(
-        Parameter("J", "N s", linear=True, per_run=True),
-        Parameter("time", "s", per_run=True, scan=times, signed=True),
-        Parameter("width", "s", scan=widths),
-    ),
-    columns=columns,
-    varies_with="",
-    what="The mass strikes a joint, an edge or the course itself.",
-    looks_like="a kink in displacement, a step in velocity, a spike in force",
-    mistaken_for="a dropped frame (a jump in x), a narrow patch (if at the same place in every run)",
-    confirm="Look at the frames round that moment; change the speed: a joint stays at its place.",
-    fine=3,
-    plausible=plausible,
-    invariant="a blow comes at a moment of its own",
-    describe=describe,
-    acts_within=acts_within,
-    planned_size=planned_impulse,
-    test_draw=TestDraw(impulse=True),
-    source="Hunt & Crossley 1975 for the shape inside; second paper for the cause",
+equation = "J exp(-((t - time)/width)^2/2)/(width sqrt(2 pi))"
+parameters = (
+    Parameter("J", "N s", linear=True, per_run=True),
+    Parameter("time", "s", per_run=True, scan=times, signed=True),
+    Parameter("width", "s", scan=widths),
 )
+varies_with = ""
+what = "The mass strikes a joint, an edge or the course itself."
+looks_like = "a kink in displacement, a step in velocity, a spike in force"
+mistaken_for = "a dropped frame (a jump in x), a narrow patch (if at the same place in every run)"
+confirm = "Look at the frames round that moment; change the speed: a joint stays at its place."
+fine = 3
+invariant = "a blow comes at a moment of its own"
+planned_size = planned_impulse
+test_draw = TestDraw(impulse=True)
+source = "Hunt & Crossley 1975 for the shape inside; second paper for the cause"

@@ -1,12 +1,9 @@
 """Coulomb friction: dry friction that does not depend on speed."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -14,19 +11,14 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return (path.load * path.s)[:, None]
 
 
-coulomb = Effect(
-    name="coulomb",
-    acts_on="force",
-    equation="F_c L s",
-    parameters=(Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),),
-    columns=columns,
-    varies_with="",
-    scales_with="load",
-    what="Dry friction of the sliding pair at its steady level.",
-    looks_like="a constant deceleration; a parabola in displacement",
-    mistaken_for="slope (in one direction), a wrong mass",
-    confirm="Film the same course in both directions: dry friction turns round with the motion, a slope does not.",
-    invariant="Coulomb friction keeps its size and turns round with the motion",
-    in_base_law=True,
-    source="Coulomb 1785; first paper, Eq. 1",
-)
+equation = "F_c L s"
+parameters = (Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),)
+varies_with = ""
+scales_with = "load"
+what = "Dry friction of the sliding pair at its steady level."
+looks_like = "a constant deceleration; a parabola in displacement"
+mistaken_for = "slope (in one direction), a wrong mass"
+confirm = "Film the same course in both directions: dry friction turns round with the motion, a slope does not."
+invariant = "Coulomb friction keeps its size and turns round with the motion"
+in_base_law = True
+source = "Coulomb 1785; first paper, Eq. 1"

@@ -1,28 +1,19 @@
 """Decaying vibration: a blow at release sets the beam or course ringing, and the ringing dies away."""
 
-from __future__ import annotations
+from functools import partial
 
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy, oscillation
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import all_of, oscillates, rings
-from frictrack.effects.scans import Span, frequency_range
-from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, rings
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """exp(-t/tau) sin(2 pi f t + phase), shape (n, 1): N at release per N of amplitude."""
     fading = np.exp(-path.t / nonlinear["tau"])
     return np.asarray(fading[:, None] * wave(nonlinear["frequency"] * path.t, nonlinear["phase"]))
-
-
-def frequencies(span: Span) -> Array:
-    """Frequencies worth trying, Hz: half a Rayleigh cell apart, as a line that dies away is a wide one."""
-    return np.arange(*frequency_range(span), 0.5 / span.duration)
 
 
 def decays(span: Span) -> Array:
@@ -35,27 +26,23 @@ def describe(effect: EffectInStudy) -> str:
     return f"{oscillation(effect)}, down to a third after {format_number(1e3 * effect.value('tau'))} ms"
 
 
-decaying_vibration = Effect(
-    name="decaying_vibration",
-    acts_on="force",
-    equation="amplitude exp(-t/tau) sin(2 pi frequency t + phase)",
-    parameters=(
-        Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("tau", "s", scan=decays),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", over_time),
-    varies_with="",
-    special_cases={"vibration": {"tau": np.inf}},
-    what="The blow or push that starts the run sets the beam or course ringing; damping takes it away.",
-    looks_like="a line that is strong just after release and gone at the end of the run",
-    mistaken_for="vibration (when the damping is weak), elastic joint (when every run has one jolt), Stribeck effect "
-    "(when it is gone within a period or two)",
-    confirm="Release more gently, or wait before release: the ringing follows the blow, a driven vibration does not.",
-    plausible=all_of(oscillates, rings),
-    invariant="a ringing decays with the time since release, wherever the mass is",
-    describe=describe,
-    source="textbook: free vibration with damping",
+equation = "amplitude exp(-t/tau) sin(2 pi frequency t + phase)"
+parameters = (
+    Parameter("amplitude", "N", linear=True, role="amplitude"),
+    Parameter("frequency", "Hz", scan=partial(frequencies, cells=0.5)),  # a line that dies away is a wide one
+    Parameter("tau", "s", scan=decays),
+    Parameter("phase", "rad", per_run=True, role="phase"),
 )
+scan_wave = ScanWave("frequency", over_time)
+varies_with = ""
+special_cases = {"vibration": {"tau": np.inf}}
+what = "The blow or push that starts the run sets the beam or course ringing; damping takes it away."
+looks_like = "a line that is strong just after release and gone at the end of the run"
+mistaken_for = (
+    "vibration (when the damping is weak), elastic joint (when every run has one jolt), Stribeck effect "
+    "(when it is gone within a period or two)"
+)
+confirm = "Release more gently, or wait before release: the ringing follows the blow, a driven vibration does not."
+plausible = all_of(oscillates, rings)
+invariant = "a ringing decays with the time since release, wherever the mass is"
+source = "textbook: free vibration with damping"

@@ -1,14 +1,9 @@
 """Aerodynamic drag: proportional to the square of velocity."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -16,26 +11,16 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return (path.v * np.abs(path.v))[:, None]
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Force at two speeds."""
-    return f"{format_number(effect.value('c'))} N at 1 m/s, four times that at 2 m/s"
-
-
-drag = Effect(
-    name="drag",
-    acts_on="force",
-    equation="c v |v|",
-    parameters=(Parameter("c", "N s^2/m^2", linear=True, passive=True),),
-    columns=columns,
-    varies_with="v",
-    what="Air pushed aside by the moving mass.",
-    looks_like="a curve against v that bends upward at the fast end",
-    mistaken_for="viscous friction, wear along the path",
-    confirm="Film at twice the speed, or change the frontal area with a card.",
-    invariant="drag is proportional to the square of the speed",
-    describe=describe,
-    in_base_law=True,
-    basic=True,
-    test_draw=TestDraw(positive=True),
-    source="textbook: F = rho C_d A v^2 / 2",
-)
+equation = "c v |v|"
+parameters = (Parameter("c", "N s^2/m^2", linear=True, passive=True),)
+varies_with = "v"
+what = "Air pushed aside by the moving mass."
+looks_like = "a curve against v that bends upward at the fast end"
+mistaken_for = "viscous friction, wear along the path"
+confirm = "Film at twice the speed, or change the frontal area with a card."
+describe = Phrase("{c} N at 1 m/s, four times that at 2 m/s")
+invariant = "drag is proportional to the square of the speed"
+in_base_law = True
+basic = True
+test_draw = TestDraw(positive=True)
+source = "textbook: F = rho C_d A v^2 / 2"

@@ -1,14 +1,10 @@
 """Drift: dry friction rises or falls steadily with time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -23,19 +19,13 @@ def describe(effect: EffectInStudy) -> str:
     return f"{force} N by the end of run {name}, {when} ms after release"
 
 
-drift = Effect(
-    name="drift",
-    acts_on="force",
-    equation="k L s t",
-    parameters=(Parameter("k", "N/s", linear=True, loaded=True),),
-    columns=columns,
-    varies_with="",
-    scales_with="load",
-    what="Dry friction changes steadily during a run: lubricant is squeezed out (k > 0), surfaces warm up (k < 0).",
-    looks_like="a slow change of deceleration that follows the clock, whatever the place and the speed",
-    mistaken_for="viscous friction (as the mass slows steadily), thermal, a spring in one direction",
-    confirm="Film slow and fast runs over the same course: the change per second stays, that per metre does not.",
-    invariant="drift depends on the time since release",
-    describe=describe,
-    source="textbook: linear drift",
-)
+equation = "k L s t"
+parameters = (Parameter("k", "N/s", linear=True, loaded=True),)
+varies_with = ""
+scales_with = "load"
+what = "Dry friction changes steadily during a run: lubricant is squeezed out (k > 0), surfaces warm up (k < 0)."
+looks_like = "a slow change of deceleration that follows the clock, whatever the place and the speed"
+mistaken_for = "viscous friction (as the mass slows steadily), thermal, a spring in one direction"
+confirm = "Film slow and fast runs over the same course: the change per second stays, that per metre does not."
+invariant = "drift depends on the time since release"
+source = "textbook: linear drift"

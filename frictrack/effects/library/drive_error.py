@@ -1,15 +1,10 @@
 """Drive error: the force that drives the mass is not the one that was measured."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter, Phrase
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 MAX_DELAY_S = 0.02  # s by which an amplifier, a valve or a wrong clock may be late
 MAX_ERROR = 0.5  # of the drive: more is another drive
@@ -36,36 +31,24 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return "" if error <= MAX_ERROR else f"the drive would be {100 * error:.0f} % wrong"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Error and delay of the drive."""
-    error, late = format_number(100 * effect.value("e")), format_number(1e3 * effect.value("tau"))
-    return f"the true drive would be {error} % larger, {late} ms late"
-
-
 def known_weight_signal(effect: EffectInStudy) -> float:
     """Return chi-squared of the error at a weight that is known to `WEIGHT_RELATIVE_STD`."""
     return (effect.rms("e") / WEIGHT_RELATIVE_STD) ** 2
 
 
-drive_error = Effect(
-    name="drive_error",
-    acts_on="force",
-    equation="-e D(t - tau)",
-    parameters=(
-        Parameter("e", "1", linear=True),
-        Parameter("tau", "s", scan=delays, signed=True),
-    ),
-    columns=columns,
-    scales_with="drive",
-    what="Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late.",
-    looks_like="a residual force of the shape of the drive, in every run, whatever the speed",
-    mistaken_for="a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)",
-    confirm="Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not.",
-    plausible=plausible,
-    invariant="an error of the drive follows the drive",
-    settled_by="hang a known weight on the drive",
-    direct_check=DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal),
-    describe=describe,
-    source="Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)",
-    needs=("drive",),
+equation = "-e D(t - tau)"
+parameters = (
+    Parameter("e", "1", linear=True),
+    Parameter("tau", "s", scan=delays, signed=True),
 )
+scales_with = "drive"
+what = "Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late."
+looks_like = "a residual force of the shape of the drive, in every run, whatever the speed"
+mistaken_for = "a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)"
+confirm = "Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not."
+describe = Phrase("the true drive would be {e:100} % larger, {tau:1e3} ms late")
+invariant = "an error of the drive follows the drive"
+settled_by = "hang a known weight on the drive"
+direct_check = DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal)
+source = "Janot, Gautier & Brunot 2019 (EMPS: gain and offset of the drive)"
+needs = ("drive",)

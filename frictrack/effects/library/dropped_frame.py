@@ -1,16 +1,11 @@
 """A dropped frame: the recording has a frame too few or too many, and its clock does not know."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import WHOLE_FRAME
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import WHOLE_FRAME, Span
 
 MAX_MOMENTS = 2000  # moments tried in one run
 
@@ -53,28 +48,20 @@ def one_frame(momentum: float) -> float:
     return 1.0
 
 
-dropped_frame = Effect(
-    name="dropped_frame",
-    acts_on="measurement",
-    equation="y: frames v dt from time on",
-    parameters=(
-        Parameter("frames", "1", linear=True, per_run=True),
-        Parameter("time", "s", per_run=True, scan=times, signed=True),
-    ),
-    columns=columns,
-    what="The camera or the computer lost a frame (frames > 0) or stored one twice (frames < 0).",
-    looks_like="a jump in displacement of as far as the mass goes in one frame, the velocity before and after the same",
-    mistaken_for="a collision (a step in velocity, no jump)",
-    confirm="Look at the time stamps and at the frames round that moment: one is missing, or two are alike.",
-    plausible=plausible,
-    invariant="a lost frame shifts the picture by the way of the mass in one frame",
-    direct_check=DirectCheck(
-        "time stamps", "Keep the camera's time stamps, or film a running counter", time_stamp_signal
-    ),
-    describe=describe,
-    film_fault=True,
-    noted_as=("found from the motion", "repeats the one before", "repeat the one before"),
-    planned_size=one_frame,
-    test_draw=TestDraw(own_size=True, between_frames="time"),
-    source="textbook; y(t) = x(t + frames dt) after the loss",
+acts_on = "measurement"
+equation = "y: frames v dt from time on"
+parameters = (
+    Parameter("frames", "1", linear=True, per_run=True),
+    Parameter("time", "s", per_run=True, scan=times, signed=True),
 )
+what = "The camera or the computer lost a frame (frames > 0) or stored one twice (frames < 0)."
+looks_like = "a jump in displacement of as far as the mass goes in one frame, the velocity before and after the same"
+mistaken_for = "a collision (a step in velocity, no jump)"
+confirm = "Look at the time stamps and at the frames round that moment: one is missing, or two are alike."
+invariant = "a lost frame shifts the picture by the way of the mass in one frame"
+direct_check = DirectCheck("time stamps", "Keep the camera's time stamps, or film a running counter", time_stamp_signal)
+film_fault = True
+noted_as = ("found from the motion", "repeats the one before", "repeat the one before")
+planned_size = one_frame
+test_draw = TestDraw(own_size=True, between_frames="time")
+source = "textbook; y(t) = x(t + frames dt) after the loss"

@@ -1,15 +1,11 @@
 """Eddy-current brake: a magnet near a moving conductor brakes most at one speed, and less beyond it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import bend_velocities
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import bend_velocities
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -23,24 +19,18 @@ def describe(effect: EffectInStudy) -> str:
     return f"at most {format_number(effect.value('c') * speed / 2)} N, at {format_number(speed)} m/s"
 
 
-eddy_brake = Effect(
-    name="eddy_brake",
-    acts_on="force",
-    equation="c v/(1 + (v/v_0)^2)",
-    parameters=(
-        Parameter("c", "N s/m", (0.0, np.inf), linear=True, passive=True),
-        Parameter("v_0", "m/s", (1e-9, np.inf), scan=bend_velocities),
-    ),
-    columns=columns,
-    varies_with="v",
-    replaces=frozenset({"viscous"}),
-    special_cases={"viscous": {"v_0": np.inf}},
-    what="A magnet moves past a conductor: eddy currents brake it, and push its field out at high speed.",
-    looks_like="a force against v that rises to a maximum and falls again, whatever the load",
-    mistaken_for="viscous friction (well below the maximum), a hydrodynamic hump (with one load), power-law viscosity",
-    confirm="Take the magnet away, or film it with an insulator in place of the conductor.",
-    invariant="an eddy-current brake depends on the speed and not on the load",
-    settled_by="take the magnet away",
-    describe=describe,
-    source="Wouterse 1991, IEE Proc. B 138, 153; Smythe 1942",
+equation = "c v/(1 + (v/v_0)^2)"
+parameters = (
+    Parameter("c", "N s/m", (0.0, np.inf), linear=True, passive=True),
+    Parameter("v_0", "m/s", (1e-9, np.inf), scan=bend_velocities),
 )
+varies_with = "v"
+replaces = frozenset({"viscous"})
+special_cases = {"viscous": {"v_0": np.inf}}
+what = "A magnet moves past a conductor: eddy currents brake it, and push its field out at high speed."
+looks_like = "a force against v that rises to a maximum and falls again, whatever the load"
+mistaken_for = "viscous friction (well below the maximum), a hydrodynamic hump (with one load), power-law viscosity"
+confirm = "Take the magnet away, or film it with an insulator in place of the conductor."
+invariant = "an eddy-current brake depends on the speed and not on the load"
+settled_by = "take the magnet away"
+source = "Wouterse 1991, IEE Proc. B 138, 153; Smythe 1942"

@@ -1,17 +1,12 @@
 """Elastic joint: a part of the mass hangs on a spring, and swings after every jolt."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.memory import Complexes, follow_target, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import ScanValues, Span, frequency_range
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.memory import Complexes, follow_target, state_at_beginning, time_steps
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import ScanValues, Span, frequency_range, oscillates
 
 DAMPINGS = (0.04, 0.2)  # damping ratios worth trying
 
@@ -38,15 +33,11 @@ def swing(path: Path, frequency: float | Array, damping: float | Array) -> Array
     omega = 2 * np.pi * omega
     rate = ratio * omega - 1j * np.sqrt(1 - ratio**2) * omega  # -l
     starts = list(path.starts)
-    steps = rate * np.diff(path.t, prepend=path.t[:1])
-    steps[starts] = 0.0
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[starts] = True
     # where nothing is known before, the part was at rest at release, and the mass has kept its first velocity since
     unknown = -path.v[starts] * np.expm1(-rate[starts] * np.maximum(path.t[starts], 0.0))
     z, u = state_at_beginning(path, _stretch_and_velocity(unknown, rate[starts]), swing, frequency, damping).T
     begin = u + rate[starts].conj() * z
-    q = follow_target(path.v[:, None], (np.zeros_like(steps), steps), fresh, begin[:, None], starts)[:, 0]
+    q = follow_target(path, path.v[:, None], begin[:, None], rate * time_steps(path))[:, 0]
     return _stretch_and_velocity(q, rate)
 
 
@@ -72,27 +63,20 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(1e3 * mass)} g swing at {format_number(frequency)} Hz{fading}"
 
 
-elastic_joint = Effect(
-    name="elastic_joint",
-    acts_on="force",
-    equation="mass du/dt, du/dt = -(2 pi frequency)^2 z - 4 pi frequency damping (u - v), dz/dt = u - v",
-    parameters=(
-        Parameter("mass", "kg", (0.0, np.inf), linear=True),
-        Parameter("frequency", "Hz", (1e-3, np.inf), scan=frequencies),
-        Parameter("damping", "1", (0.0, 0.99), scan=ScanValues(DAMPINGS)),
-    ),
-    columns=columns,
-    state=state,
-    replaces=frozenset({"decaying_vibration"}),
-    memory=True,
-    what="A part of the mass, such as a cable or the arm of the target, is held softly and swings after a jolt.",
-    looks_like="ringing after every jolt (release, blow, reversal), as strong as the jolt, always beginning alike",
-    mistaken_for="decaying vibration (where every run has one jolt of the same strength); presliding near reversals",
-    confirm="Double the speed of the blow: the ringing doubles. Hold the part fast, or tap it and film it at rest.",
-    plausible=oscillates,
-    invariant="the ringing of a joint follows the jolts of its own mass",
-    settled_by="fasten the part, or film it beside the target",
-    describe=describe,
-    may_pull=True,
-    source="textbook: two masses on a spring; frequency and damping are those of the part while the mass is held fast",
+equation = "mass du/dt, du/dt = -(2 pi frequency)^2 z - 4 pi frequency damping (u - v), dz/dt = u - v"
+parameters = (
+    Parameter("mass", "kg", (0.0, np.inf), linear=True),
+    Parameter("frequency", "Hz", (1e-3, np.inf), scan=frequencies),
+    Parameter("damping", "1", (0.0, 0.99), scan=ScanValues(DAMPINGS)),
 )
+replaces = frozenset({"decaying_vibration"})
+memory = True
+what = "A part of the mass, such as a cable or the arm of the target, is held softly and swings after a jolt."
+looks_like = "ringing after every jolt (release, blow, reversal), as strong as the jolt, always beginning alike"
+mistaken_for = "decaying vibration (where every run has one jolt of the same strength); presliding near reversals"
+confirm = "Double the speed of the blow: the ringing doubles. Hold the part fast, or tap it and film it at rest."
+plausible = oscillates
+invariant = "the ringing of a joint follows the jolts of its own mass"
+settled_by = "fasten the part, or film it beside the target"
+may_pull = True
+source = "textbook: two masses on a spring; frequency and damping are those of the part while the mass is held fast"

@@ -1,20 +1,15 @@
 """Elasto-plastic friction: a contact that is purely elastic up to a share of its level, and yields only beyond it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.library.presliding import quote
+from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.library import presliding
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import ScanValues, breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -72,7 +67,7 @@ def _bent(w: Array, slid: Array, share: float) -> Array:
 
 
 @lru_cache(maxsize=256)
-def _table(share: float) -> tuple[CubicSpline, CubicSpline, float]:
+def _table(share: float) -> "tuple[CubicSpline, CubicSpline, float]":
     """Way beyond the share against u = -ln((1 - w)/(1 - share)), its inverse, and its longest value.
 
     dw/dz = 1 - alpha w gives dz/du = (1 - w)/(1 - alpha w), which is smooth and tends to one.
@@ -86,35 +81,28 @@ def _table(share: float) -> tuple[CubicSpline, CubicSpline, float]:
     return way, CubicSpline(way(u), u), float(way(MAX_YIELDED))
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Share of the level up to which nothing yields."""
-    return f"purely elastic up to {format_number(100 * effect.value('share'))} % of the level of dry friction"
-
-
-elasto_plastic = Effect(
-    name="elasto_plastic",
-    acts_on="force",
-    equation="coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - alpha w sgn v), alpha 0 up to w sgn v = "
-    "share, then rising to 1 as (1 + cos(pi (1 - w sgn v)/(1 - share)))/2",
-    parameters=(
-        Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("share", "1", (0.0, 0.99), scan=ScanValues(SHARES)),
-    ),
-    columns=columns,
-    state=state,
-    modifies=frozenset({"coulomb", "stribeck"}),
-    replaces=frozenset({"presliding"}),
-    scales_with="load",
-    memory=True,
-    turns=True,
-    rank=1,
-    what="The contact is a spring up to a share of its level: a small load to and fro leaves it where it was.",
-    looks_like="a loop against x after every reversal with straight flanks; no loop and no drift below the share",
-    mistaken_for="presliding (share 0 is close to it), unless the load stays below the share for many cycles",
-    confirm="Load it by a force that swings below the share: it does not drift, as Dahl's contact does.",
-    invariant="a load below the share of the level moves nothing for good",
-    source="Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "
-    "the bristles",
-    describe=describe,
-    quote=quote,
+equation = (
+    "coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - alpha w sgn v), alpha 0 up to w sgn v = "
+    "share, then rising to 1 as (1 + cos(pi (1 - w sgn v)/(1 - share)))/2"
 )
+parameters = (
+    Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
+    Parameter("share", "1", (0.0, 0.99), scan=ScanValues(SHARES)),
+)
+modifies = frozenset({"coulomb", "stribeck"})
+replaces = frozenset({"presliding"})
+scales_with = "load"
+memory = True
+turns = True
+rank = 1
+what = "The contact is a spring up to a share of its level: a small load to and fro leaves it where it was."
+looks_like = "a loop against x after every reversal with straight flanks; no loop and no drift below the share"
+mistaken_for = "presliding (share 0 is close to it), unless the load stays below the share for many cycles"
+confirm = "Load it by a force that swings below the share: it does not drift, as Dahl's contact does."
+describe = Phrase("purely elastic up to {share:100} % of the level of dry friction")
+invariant = "a load below the share of the level moves nothing for good"
+source = (
+    "Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "
+    "the bristles"
+)
+quote = presliding.quote

@@ -1,17 +1,12 @@
 """Frictional lag: the level of dry friction answers a change of speed only after a while."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.memory import follow_target
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import shorter_than_record
-from frictrack.effects.scans import Span, log_grid
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.memory import follow_target, time_steps
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, log_grid, shorter_than_record
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -28,12 +23,8 @@ def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     starts = list(path.starts)
     rested = [i for i in starts if path.s[i] == 0]
     size[rested] = size[np.minimum(np.add(rested, 1), len(size) - 1).astype(int)]
-    late = np.diff(path.t, prepend=path.t[:1]) / nonlinear["tau"]
-    late[starts] = 0.0
-    fresh = np.zeros(len(late), dtype=bool)
-    fresh[starts] = True
     begin = size[starts] if path.begin is None else path.begin
-    return follow_target(size, (np.zeros_like(late), late), fresh, begin, starts)
+    return follow_target(path, size, begin, time_steps(path) / nonlinear["tau"])
 
 
 def lags(span: Span) -> Array:
@@ -47,24 +38,17 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(1e3 * tau)} ms late, {format_length(tau * speed)} at {format_number(speed, 2)} m/s"
 
 
-friction_lag = Effect(
-    name="friction_lag",
-    acts_on="force",
-    equation="coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau",
-    parameters=(Parameter("tau", "s", (1e-7, np.inf), scan=lags),),
-    columns=columns,
-    state=state,
-    modifies=frozenset({"coulomb", "stribeck"}),
-    scales_with="load",
-    memory=True,
-    rank=-1,
-    what="Film thickness and bonds take their time: dry friction belongs to the speed of a moment ago.",
-    looks_like="a loop against v where the speed swings; a hook that comes late before a stop",
-    mistaken_for="another Stribeck velocity, when the speed only falls",
-    confirm="Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency.",
-    plausible=shorter_than_record("tau", 0.5),
-    invariant="a lag needs a speed that changes to and fro",
-    describe=describe,
-    test_draw=TestDraw(only_with=frozenset({"stribeck"})),  # a level that does not change cannot lag
-    source="Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994",
-)
+equation = "coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau"
+parameters = (Parameter("tau", "s", (1e-7, np.inf), scan=lags),)
+modifies = frozenset({"coulomb", "stribeck"})
+scales_with = "load"
+memory = True
+rank = -1
+what = "Film thickness and bonds take their time: dry friction belongs to the speed of a moment ago."
+looks_like = "a loop against v where the speed swings; a hook that comes late before a stop"
+mistaken_for = "another Stribeck velocity, when the speed only falls"
+confirm = "Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency."
+plausible = shorter_than_record("tau", 0.5)
+invariant = "a lag needs a speed that changes to and fro"
+test_draw = TestDraw(only_with=frozenset({"stribeck"}))
+source = "Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994"

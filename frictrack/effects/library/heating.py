@@ -1,15 +1,11 @@
 """Heating: every run warms the surfaces, which cool between the runs; dry friction follows their temperature."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, log_grid
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -38,24 +34,18 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(abs(slope))} N {way} per metre slid; two thirds of it are gone after a rest of {tau} s"
 
 
-heating = Effect(
-    name="heating",
-    acts_on="force",
-    equation="-k L s W, W = distance + sum over the runs before of distance exp(-rest/tau)",
-    parameters=(
-        Parameter("k", "N/m", linear=True, loaded=True),
-        Parameter("tau", "s", scan=cooling_times),
-    ),
-    columns=columns,
-    varies_with="x",
-    scales_with="load",
-    what="Friction heats the surfaces, which soften (k > 0) or stick (k < 0), and cool while the mass rests.",
-    looks_like="friction that falls through every run, and starts lower the shorter the rest before it was",
-    mistaken_for="run-in (where all pauses are alike), thermal (in one run), levels that scatter from run to run",
-    confirm="Repeat one run after pauses of 10 s, 1 min and 10 min: the level follows the pause.",
-    invariant="heat fades in a pause",
-    settled_by="repeat one run after a short and after a long pause",
-    describe=describe,
-    source="lumped heat capacity, T' = P/C - T/tau with P in proportion to |v|; Ettles 1986",
-    needs=("earlier",),
+equation = "-k L s W, W = distance + sum over the runs before of distance exp(-rest/tau)"
+parameters = (
+    Parameter("k", "N/m", linear=True, loaded=True),
+    Parameter("tau", "s", scan=cooling_times),
 )
+varies_with = "x"
+scales_with = "load"
+what = "Friction heats the surfaces, which soften (k > 0) or stick (k < 0), and cool while the mass rests."
+looks_like = "friction that falls through every run, and starts lower the shorter the rest before it was"
+mistaken_for = "run-in (where all pauses are alike), thermal (in one run), levels that scatter from run to run"
+confirm = "Repeat one run after pauses of 10 s, 1 min and 10 min: the level follows the pause."
+invariant = "heat fades in a pause"
+settled_by = "repeat one run after a short and after a long pause"
+source = "lumped heat capacity, T' = P/C - T/tau with P in proportion to |v|; Ettles 1986"
+needs = ("earlier",)

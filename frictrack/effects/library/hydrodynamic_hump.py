@@ -1,17 +1,13 @@
 """Hydrodynamic hump: a film that builds up with the speed resists most at one speed, then lifts the mass."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import bend_velocities
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import bend_velocities
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -26,24 +22,18 @@ def describe(effect: EffectInStudy) -> str:
     return f"at most {format_number(force)} N, at {format_number(speed)} m/s"
 
 
-hydrodynamic_hump = Effect(
-    name="hydrodynamic_hump",
-    acts_on="force",
-    equation="F L s (|v|/v_s) exp(-|v|/v_s)",
-    parameters=(
-        Parameter("F", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("v_s", "m/s", (1e-9, np.inf), scan=bend_velocities),
-    ),
-    columns=columns,
-    varies_with="v",
-    replaces=frozenset({"viscous"}),
-    scales_with="load",
-    what="A film of grease is dragged into the contact, resists, and then carries the mass.",
-    looks_like="friction that rises to a maximum at one speed and falls beyond it, in proportion to the load",
-    mistaken_for="eddy-current brake (with one load), log velocity, power-law viscosity (below the maximum)",
-    confirm="Film runs at half, one and three times the speed of the maximum, and one with the double mass.",
-    invariant="the hump keeps its speed and grows with the load",
-    settled_by="film runs over a decade of speed around the maximum",
-    describe=describe,
-    source="K. Mnich, friction identification of a rack and pinion (form of the law); after Stribeck 1902",
+equation = "F L s (|v|/v_s) exp(-|v|/v_s)"
+parameters = (
+    Parameter("F", "N", (0.0, np.inf), linear=True, loaded=True),
+    Parameter("v_s", "m/s", (1e-9, np.inf), scan=bend_velocities),
 )
+varies_with = "v"
+replaces = frozenset({"viscous"})
+scales_with = "load"
+what = "A film of grease is dragged into the contact, resists, and then carries the mass."
+looks_like = "friction that rises to a maximum at one speed and falls beyond it, in proportion to the load"
+mistaken_for = "eddy-current brake (with one load), log velocity, power-law viscosity (below the maximum)"
+confirm = "Film runs at half, one and three times the speed of the maximum, and one with the double mass."
+invariant = "the hump keeps its speed and grows with the load"
+settled_by = "film runs over a decade of speed around the maximum"
+source = "K. Mnich, friction identification of a rack and pinion (form of the law); after Stribeck 1902"

@@ -1,15 +1,10 @@
 """Lens distortion: the picture's scale changes away from the optical axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import within_picture
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, within_picture
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -42,26 +37,21 @@ def rule_signal(effect: EffectInStudy) -> float:
     return float(np.sum(((shift - np.polyval(line, x)) / record.noise)[rows] ** 2))
 
 
-lens = Effect(
-    name="lens",
-    acts_on="measurement",
-    equation="y: k (x - x_c)^3",
-    parameters=(
-        Parameter("k", "1/m^2", linear=True, role="amplitude"),
-        Parameter("x_c", "m", scan=centres, signed=True),
-    ),
-    columns=columns,
-    what="The lens magnifies the middle and the edge of the picture differently.",
-    looks_like="a cubic in x that is the same in every run, whatever the speed",
-    mistaken_for="a spring or drag, at one speed",
-    confirm="Film a ruler along the course, or another speed: a force's trace changes with time, the lens's does not.",
-    plausible=within_picture(distortion),
-    invariant="the lens bends the picture by place, equally at every speed",
-    settled_by="film a rule along the course",
-    direct_check=DirectCheck(
-        "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
-    ),
-    describe=describe,
-    film_fault=True,
-    source="Brown 1966, radial term",
+acts_on = "measurement"
+equation = "y: k (x - x_c)^3"
+parameters = (
+    Parameter("k", "1/m^2", linear=True, role="amplitude"),
+    Parameter("x_c", "m", scan=centres, signed=True),
 )
+what = "The lens magnifies the middle and the edge of the picture differently."
+looks_like = "a cubic in x that is the same in every run, whatever the speed"
+mistaken_for = "a spring or drag, at one speed"
+confirm = "Film a ruler along the course, or another speed: a force's trace changes with time, the lens's does not."
+plausible = within_picture(distortion)
+invariant = "the lens bends the picture by place, equally at every speed"
+settled_by = "film a rule along the course"
+direct_check = DirectCheck(
+    "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
+)
+film_fault = True
+source = "Brown 1966, radial term"

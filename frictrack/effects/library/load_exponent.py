@@ -1,14 +1,10 @@
 """Load exponent: dry friction grows with a power of the load other than one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -24,21 +20,15 @@ def describe(effect: EffectInStudy) -> str:
     return f"dry friction grows with the load to the power of {power}: twice the load makes {factor} times the friction"
 
 
-load_exponent = Effect(
-    name="load_exponent",
-    acts_on="force",
-    equation="(coulomb + stribeck) (m/m_0)^excess",
-    parameters=(Parameter("excess", "1", (-1.0, 1.0), role="depth"),),
-    columns=columns,
-    varies_with="",
-    modifies=frozenset({"coulomb", "stribeck"}),
-    scales_with="load",
-    what="The area of contact does not grow in proportion to the load: as load^(2/3) for one smooth soft contact.",
-    looks_like="a friction coefficient that falls (excess < 0) or rises with the mass; nothing at all with one mass",
-    mistaken_for="adhesion (where there are only two masses), levels that scatter from run to run, a wrong mass",
-    confirm="Film three masses, each several times: friction against load is a straight line on logarithmic axes.",
-    invariant="the power of the load shows only as the load changes",
-    settled_by="film three masses, each several times",
-    describe=describe,
-    source="Archard 1957, Proc. R. Soc. A 243, 190; Bowden & Tabor 1964: F = mu_0 N^n, n from 2/3 to 1",
-)
+equation = "(coulomb + stribeck) (m/m_0)^excess"
+parameters = (Parameter("excess", "1", (-1.0, 1.0), role="depth"),)
+varies_with = ""
+modifies = frozenset({"coulomb", "stribeck"})
+scales_with = "load"
+what = "The area of contact does not grow in proportion to the load: as load^(2/3) for one smooth soft contact."
+looks_like = "a friction coefficient that falls (excess < 0) or rises with the mass; nothing at all with one mass"
+mistaken_for = "adhesion (where there are only two masses), levels that scatter from run to run, a wrong mass"
+confirm = "Film three masses, each several times: friction against load is a straight line on logarithmic axes."
+invariant = "the power of the load shows only as the load changes"
+settled_by = "film three masses, each several times"
+source = "Archard 1957, Proc. R. Soc. A 243, 190; Bowden & Tabor 1964: F = mu_0 N^n, n from 2/3 to 1"

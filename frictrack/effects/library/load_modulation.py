@@ -1,17 +1,12 @@
 """Load modulation: the normal load, and with it dry friction, oscillates (contact vibrating vertically)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import ACCELEROMETER_STD, DirectCheck, EffectInStudy, oscillation
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import all_of, modulates, oscillates
-from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.records import GRAVITY, Array
+from frictrack.effects.definition import ACCELEROMETER_STD, DirectCheck, EffectInStudy, Parameter, oscillation
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.ranges import all_of, frequencies, modulates, oscillates
+from frictrack.records import GRAVITY
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -35,29 +30,23 @@ def upward_acceleration_signal(effect: EffectInStudy) -> float:
     return 0.5 * len(record.t) * (effect.rms("depth") * record.gravity / ACCELEROMETER_STD) ** 2
 
 
-load_modulation = Effect(
-    name="load_modulation",
-    acts_on="force",
-    equation="(coulomb + stribeck) depth sin(2 pi frequency t + phase)",
-    parameters=(
-        Parameter("depth", "1", (-1.0, 1.0), role="depth"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", over_time),
-    varies_with="",
-    modifies=frozenset({"coulomb", "stribeck"}),
-    scales_with="load",
-    what="The beam vibrates vertically: the mass is pressed on harder and lighter in turn.",
-    looks_like="a line in time whose size follows the dry friction",
-    mistaken_for="vibration (same shape when the dry friction is constant)",
-    confirm="Double the mass: the force doubles with the load, a vibration's stays.",
-    plausible=all_of(oscillates, modulates),
-    invariant="a modulated load acts through the dry friction, and so grows with the mass",
-    direct_check=DirectCheck(
-        "course sensor", "Fix an accelerometer to the course, facing upward", upward_acceleration_signal
-    ),
-    describe=describe,
-    source="Teidelt et al.; the physical form of the first paper's ATM2",
+equation = "(coulomb + stribeck) depth sin(2 pi frequency t + phase)"
+parameters = (
+    Parameter("depth", "1", (-1.0, 1.0), role="depth"),
+    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("phase", "rad", per_run=True, role="phase"),
 )
+scan_wave = ScanWave("frequency", over_time)
+varies_with = ""
+modifies = frozenset({"coulomb", "stribeck"})
+scales_with = "load"
+what = "The beam vibrates vertically: the mass is pressed on harder and lighter in turn."
+looks_like = "a line in time whose size follows the dry friction"
+mistaken_for = "vibration (same shape when the dry friction is constant)"
+confirm = "Double the mass: the force doubles with the load, a vibration's stays."
+plausible = all_of(oscillates, modulates)
+invariant = "a modulated load acts through the dry friction, and so grows with the mass"
+direct_check = DirectCheck(
+    "course sensor", "Fix an accelerometer to the course, facing upward", upward_acceleration_signal
+)
+source = "Teidelt et al.; the physical form of the first paper's ATM2"

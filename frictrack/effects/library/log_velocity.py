@@ -1,14 +1,10 @@
 """Logarithmic velocity dependence: dry friction rises or falls with the logarithm of the speed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 REFERENCE_VELOCITY = 1e-6  # m/s, as usual in rate-and-state friction (Dieterich 1979)
 
@@ -25,23 +21,17 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(abs(change))} N {way} at ten times the speed, at the reference load"
 
 
-log_velocity = Effect(
-    name="log_velocity",
-    acts_on="force",
-    equation="a L s ln(1 + |v|/v_0)",
-    parameters=(
-        Parameter("a", "N", linear=True, loaded=True),
-        # far above v_0, another v_0 only moves friction between a and F_c: it is not fitted
-        Parameter("v_0", "m/s", (1e-12, 10.0), fixed=REFERENCE_VELOCITY),
-    ),
-    columns=columns,
-    varies_with="v",
-    scales_with="load",
-    what="Contacts creep under load: friction rises (a > 0) or, where they age faster, falls with the speed (a < 0).",
-    looks_like="the same change of dry friction from 0.1 to 1 m/s as from 1 to 10 m/s, in proportion to the load",
-    mistaken_for="viscous friction or drag over less than a decade of speed, flash weakening (where friction falls)",
-    confirm="Film runs over two decades of speed, one of them with the double mass: the change doubles with the load.",
-    invariant="the change depends on the ratio of two speeds and grows with the load",
-    describe=describe,
-    source="Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983 (steady state), regularised at v = 0",
+equation = "a L s ln(1 + |v|/v_0)"
+parameters = (
+    Parameter("a", "N", linear=True, loaded=True),
+    # far above v_0, another v_0 only moves friction between a and F_c: it is not fitted
+    Parameter("v_0", "m/s", (1e-12, 10.0), fixed=REFERENCE_VELOCITY),
 )
+varies_with = "v"
+scales_with = "load"
+what = "Contacts creep under load: friction rises (a > 0) or, where they age faster, falls with the speed (a < 0)."
+looks_like = "the same change of dry friction from 0.1 to 1 m/s as from 1 to 10 m/s, in proportion to the load"
+mistaken_for = "viscous friction or drag over less than a decade of speed, flash weakening (where friction falls)"
+confirm = "Film runs over two decades of speed, one of them with the double mass: the change doubles with the load."
+invariant = "the change depends on the ratio of two speeds and grows with the load"
+source = "Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983 (steady state), regularised at v = 0"

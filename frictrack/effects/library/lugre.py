@@ -1,12 +1,10 @@
 """LuGre friction: bristles that bend before they slip, with damping, over a Stribeck curve."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.definition import Parameter
 from frictrack.effects.memory import (
     direction_changed,
     follow_target,
@@ -14,9 +12,8 @@ from frictrack.effects.memory import (
     slid_per_step,
     state_at_beginning,
 )
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import ScanValues, Span, breakaway_lengths, stribeck_velocities
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths, stribeck_velocities
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -50,7 +47,7 @@ def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array])
     between = mean_per_step(1 / gamma, np.where(broken, 0.0, after), broken) / length
     target = (path.s * gamma)[:, None]
     begin = state_at_beginning(path, target[starts], _bending, length, *curve)
-    w = follow_target(target, (before * between, after * between), broken, begin, starts)
+    w = follow_target(path, target, begin, after * between, before * between)
     return w[:, 0], gamma
 
 
@@ -71,29 +68,22 @@ def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     return {name: quoted(own[name]) for name, quoted in of.items() if name in own}
 
 
-lugre = Effect(
-    name="lugre",
-    acts_on="force",
-    equation="L (sigma_0 z + sigma_1 dz/dt), dz/dt = v - sigma_0 |v| z/(F_c + (F_s - F_c) exp(-(|v|/v_s)^delta))",
-    parameters=(
-        Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lengths),
-        Parameter("F_s", "N", (1.0, 10.0), scan=ScanValues((1.2, 1.6, 2.5))),
-        Parameter("v_s", "m/s", scan=speeds),
-        Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
-    ),
-    columns=columns,
-    state=state,
-    replaces=frozenset({"coulomb", "stribeck", "presliding"}),
-    scales_with="load",
-    memory=True,
-    turns=True,
-    what="Bristles between the surfaces bend, damp and slip: presliding, the Stribeck effect and a lag in one state.",
-    looks_like="a loop against x after every reversal and a hook at the slow end",
-    mistaken_for="presliding with stribeck, when the speed changes slowly",
-    confirm="Reverse the drive slowly (sigma_0), swing it fast within the breakaway length (sigma_1).",
-    invariant="LuGre's bristles need a reversal or a slow speed",
-    source="Canudas de Wit, Olsson, Astrom & Lischinsky 1995, IEEE Trans. Automatic Control 40, 419",
-    quote=quote,
+equation = "L (sigma_0 z + sigma_1 dz/dt), dz/dt = v - sigma_0 |v| z/(F_c + (F_s - F_c) exp(-(|v|/v_s)^delta))"
+parameters = (
+    Parameter("F_c", "N", (0.0, np.inf), linear=True, loaded=True),
+    Parameter("sigma_1", "N s/m", (0.0, np.inf), linear=True, loaded=True),
+    Parameter("sigma_0", "N/m", (1e-9, np.inf), scan=lengths),
+    Parameter("F_s", "N", (1.0, 10.0), scan=ScanValues((1.2, 1.6, 2.5))),
+    Parameter("v_s", "m/s", scan=speeds),
+    Parameter("delta", "1", (0.5, 2.0), fixed=2.0),
 )
+replaces = frozenset({"coulomb", "stribeck", "presliding"})
+scales_with = "load"
+memory = True
+turns = True
+what = "Bristles between the surfaces bend, damp and slip: presliding, the Stribeck effect and a lag in one state."
+looks_like = "a loop against x after every reversal and a hook at the slow end"
+mistaken_for = "presliding with stribeck, when the speed changes slowly"
+confirm = "Reverse the drive slowly (sigma_0), swing it fast within the breakaway length (sigma_1)."
+invariant = "LuGre's bristles need a reversal or a slow speed"
+source = "Canudas de Wit, Olsson, Astrom & Lischinsky 1995, IEEE Trans. Automatic Control 40, 419"

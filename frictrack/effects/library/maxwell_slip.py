@@ -1,17 +1,12 @@
 """Maxwell slip: many springs side by side, each of which slips at a load of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.library.presliding import quote
+from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.library import presliding
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import ScanValues, breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 N_ELEMENTS = 8  # springs, each with the same share of the level
 SPREADS = (3.0, 30.0)
@@ -59,35 +54,28 @@ def _bending(cut: DirectionStretches, length: Array, begin: Array) -> Array:
     return cut.way * np.minimum(entered[cut.which] + cut.slid / lengths, 1.0)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """How unlike the springs are."""
-    return f"the last spring slips {format_number(effect.value('spread'))} times as late as the first"
-
-
-maxwell_slip = Effect(
-    name="maxwell_slip",
-    acts_on="force",
-    equation="coulomb + stribeck times the mean of w_i sgn v, dw_i/dt = v/length_i until w_i sgn v = 1, lengths in "
-    "constant ratios from the first to the last, which is spread times it, together of the stiffness given",
-    parameters=(
-        Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("spread", "1", (1.0, 1e4), scan=ScanValues(SPREADS)),
-    ),
-    columns=columns,
-    state=state,
-    modifies=frozenset({"coulomb", "stribeck"}),
-    replaces=frozenset({"presliding"}),
-    scales_with="load",
-    memory=True,
-    turns=True,
-    rank=1,
-    what="Asperities slip one after the other, each at a load of its own: a loop inside a loop closes.",
-    looks_like="a loop against x in which a small loop returns to the point at which it left the large one",
-    mistaken_for="presliding, of which small loops drift instead of closing; bouc_wen",
-    confirm="Reverse twice within a loop and return: the force comes back to where it was, and goes on as before.",
-    invariant="a small loop inside a large one closes, whatever the speed",
-    describe=describe,
-    source="Iwan 1966, J. Appl. Mech. 33, 893; Al-Bender, Lampaert & Swevers 2005, IEEE Trans. Automatic Control 50, "
-    "1883 (generalised Maxwell slip), with elements of equal level that slip at the level of the moment",
-    quote=quote,
+equation = (
+    "coulomb + stribeck times the mean of w_i sgn v, dw_i/dt = v/length_i until w_i sgn v = 1, lengths in "
+    "constant ratios from the first to the last, which is spread times it, together of the stiffness given"
 )
+parameters = (
+    Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
+    Parameter("spread", "1", (1.0, 1e4), scan=ScanValues(SPREADS)),
+)
+modifies = frozenset({"coulomb", "stribeck"})
+replaces = frozenset({"presliding"})
+scales_with = "load"
+memory = True
+turns = True
+rank = 1
+what = "Asperities slip one after the other, each at a load of its own: a loop inside a loop closes."
+looks_like = "a loop against x in which a small loop returns to the point at which it left the large one"
+mistaken_for = "presliding, of which small loops drift instead of closing; bouc_wen"
+confirm = "Reverse twice within a loop and return: the force comes back to where it was, and goes on as before."
+describe = Phrase("the last spring slips {spread} times as late as the first")
+invariant = "a small loop inside a large one closes, whatever the speed"
+source = (
+    "Iwan 1966, J. Appl. Mech. 33, 893; Al-Bender, Lampaert & Swevers 2005, IEEE Trans. Automatic Control 50, "
+    "1883 (generalised Maxwell slip), with elements of equal level that slip at the level of the moment"
+)
+quote = presliding.quote

@@ -1,12 +1,9 @@
 """Measured load: dry friction follows the normal load that the mass's own vertical motion tells."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
@@ -16,21 +13,16 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     return np.asarray(inner * np.maximum(pressed, 0.0))
 
 
-measured_load = Effect(
-    name="measured_load",
-    acts_on="force",
-    equation="(coulomb + stribeck) N/(m g), N = m (g + coefficient y'') >= 0",
-    parameters=(Parameter("coefficient", "1", (0.0, 2.0), role="depth"),),
-    columns=columns,
-    varies_with="",
-    modifies=frozenset({"coulomb", "stribeck"}),
-    scales_with="load",
-    what="The mass hops or is carried up and down; it is pressed on by what its vertical motion tells.",
-    looks_like="a residual that copies the vertical acceleration; none at all while contact is lost",
-    mistaken_for="load modulation (when the course vibrates at one frequency), vibration",
-    confirm="Fix the beam from below so that nothing moves vertically. A coefficient far from 1 is no measured load.",
-    invariant="the load follows the vertical motion",
-    test_draw=TestDraw(positive=True),
-    source="N = m (g + y''); Teidelt et al.",
-    needs=("lift",),
-)
+equation = "(coulomb + stribeck) N/(m g), N = m (g + coefficient y'') >= 0"
+parameters = (Parameter("coefficient", "1", (0.0, 2.0), role="depth"),)
+varies_with = ""
+modifies = frozenset({"coulomb", "stribeck"})
+scales_with = "load"
+what = "The mass hops or is carried up and down; it is pressed on by what its vertical motion tells."
+looks_like = "a residual that copies the vertical acceleration; none at all while contact is lost"
+mistaken_for = "load modulation (when the course vibrates at one frequency), vibration"
+confirm = "Fix the beam from below so that nothing moves vertically. A coefficient far from 1 is no measured load."
+invariant = "the load follows the vertical motion"
+test_draw = TestDraw(positive=True)
+source = "N = m (g + y''); Teidelt et al."
+needs = ("lift",)

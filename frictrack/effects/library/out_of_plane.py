@@ -1,17 +1,12 @@
 """Inclined course: the course is not parallel to the picture, so that the scale changes along it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import DirectCheck, EffectInStudy
+from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter
 from frictrack.effects.library.lens import rule_signal
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import within_picture
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, within_picture
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -29,24 +24,19 @@ def describe(effect: EffectInStudy) -> str:
     return f"the scale changes by {format_number(200 * effect.value('k') / 10, 2)} % in every 0.1 m of the course"
 
 
-out_of_plane = Effect(
-    name="out_of_plane",
-    acts_on="measurement",
-    equation="y: k x^2",
-    parameters=(Parameter("k", "1/m", linear=True, role="amplitude"),),
-    columns=columns,
-    varies_with="x",
-    what="The course leads toward the camera or away from it: the mass grows or shrinks in the picture.",
-    looks_like="a false force in proportion to the mass and the square of the speed, the same in either direction",
-    mistaken_for="drag (where all runs have one mass and one direction), lens, rolling shutter",
-    confirm="Film a reversed run: drag turns round with the motion, this force does not. Or film a rule.",
-    plausible=within_picture(bow),
-    invariant="the scale belongs to the place in the picture, whatever the speed and the mass",
-    settled_by="film a rule along the course",
-    direct_check=DirectCheck(
-        "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
-    ),
-    describe=describe,
-    film_fault=True,
-    source="pinhole camera, to second order: Hartley & Zisserman 2004, section 8.1",
+acts_on = "measurement"
+equation = "y: k x^2"
+parameters = (Parameter("k", "1/m", linear=True, role="amplitude"),)
+varies_with = "x"
+what = "The course leads toward the camera or away from it: the mass grows or shrinks in the picture."
+looks_like = "a false force in proportion to the mass and the square of the speed, the same in either direction"
+mistaken_for = "drag (where all runs have one mass and one direction), lens, rolling shutter"
+confirm = "Film a reversed run: drag turns round with the motion, this force does not. Or film a rule."
+plausible = within_picture(bow)
+invariant = "the scale belongs to the place in the picture, whatever the speed and the mass"
+settled_by = "film a rule along the course"
+direct_check = DirectCheck(
+    "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
 )
+film_fault = True
+source = "pinhole camera, to second order: Hartley & Zisserman 2004, section 8.1"

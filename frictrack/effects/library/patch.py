@@ -1,15 +1,10 @@
 """A local patch on the course: more (or less) friction at one place."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import N_STD_ACTIVE, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import within_course
-from frictrack.effects.scans import Span, log_grid
-from frictrack.records import Array, Mask
+from frictrack.effects.definition import N_STD_ACTIVE, EffectInStudy, Parameter
+from frictrack.effects.path import Array, Mask, Nonlinear, Path
+from frictrack.effects.ranges import Span, log_grid, within_course
 
 N_STD_CLEAR = 3.0  # standard deviations from its middle beyond which the course is as everywhere
 
@@ -52,25 +47,18 @@ def acts_within(t: Array, x: Array, values: Nonlinear, half_width: float) -> Mas
     return np.asarray(np.abs(x - values["x_c"]) <= N_STD_ACTIVE * values["w"])
 
 
-patch = Effect(
-    name="patch",
-    acts_on="force",
-    equation="F L s exp(-((x - x_c)/w)^2/2)",
-    parameters=(
-        Parameter("F", "N", linear=True, loaded=True),
-        Parameter("x_c", "m", scan=places, signed=True),
-        Parameter("w", "m", scan=widths),
-    ),
-    columns=columns,
-    varies_with="x",
-    scales_with="load",
-    what="Dirt, wear or a repair: one stretch of the course rubs differently.",
-    looks_like="a step in velocity at the same place in every run",
-    mistaken_for="a collision, a spring when it is wide",
-    confirm="Wipe or mark the place and film again; reverse the run.",
-    plausible=within_course("x_c", "w"),
-    invariant="a patch keeps its place on the course",
-    describe=describe,
-    acts_within=acts_within,
-    source="textbook; position-dependent friction",
+equation = "F L s exp(-((x - x_c)/w)^2/2)"
+parameters = (
+    Parameter("F", "N", linear=True, loaded=True),
+    Parameter("x_c", "m", scan=places, signed=True),
+    Parameter("w", "m", scan=widths),
 )
+varies_with = "x"
+scales_with = "load"
+what = "Dirt, wear or a repair: one stretch of the course rubs differently."
+looks_like = "a step in velocity at the same place in every run"
+mistaken_for = "a collision, a spring when it is wide"
+confirm = "Wipe or mark the place and film again; reverse the run."
+plausible = within_course("x_c", "w")
+invariant = "a patch keeps its place on the course"
+source = "textbook; position-dependent friction"

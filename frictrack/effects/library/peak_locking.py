@@ -1,15 +1,9 @@
 """Peak locking: the tracker pulls positions toward whole pixels."""
 
-from __future__ import annotations
-
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import MAX_LOCKING_PX
-from frictrack.effects.scans import Span
-from frictrack.effects.waves import wave
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path, wave
+from frictrack.effects.ranges import MAX_LOCKING_PX, Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -22,11 +16,8 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 def plausible(values: Nonlinear, span: Span) -> str:
     """Return an objection to an amplitude beyond what interpolation does."""
     size = abs(values["amplitude"])
-    return (
-        ""
-        if size <= MAX_LOCKING_PX
-        else f"{size:.2g} px is more than interpolation does (at most {MAX_LOCKING_PX:g} px)"
-    )
+    objection = f"{size:.2g} px is more than interpolation does (at most {MAX_LOCKING_PX:g} px)"
+    return "" if size <= MAX_LOCKING_PX else objection
 
 
 def describe(effect: EffectInStudy) -> str:
@@ -34,23 +25,17 @@ def describe(effect: EffectInStudy) -> str:
     return f"± {format_number(abs(effect.value('amplitude')), 2)} px, once in every pixel"
 
 
-peak_locking = Effect(
-    name="peak_locking",
-    acts_on="measurement",
-    equation="y: amplitude pitch sin(2 pi x/pitch + phase)",
-    parameters=(
-        Parameter("amplitude", "px", linear=True, role="amplitude"),
-        Parameter("phase", "rad", role="phase"),
-    ),
-    columns=columns,
-    what="Sub-pixel interpolation favours some positions between pixels.",
-    looks_like="ripples of one pixel period; a slow false force where the mass moves a whole number of px per frame",
-    mistaken_for="texture with a very short period",
-    confirm="Change the zoom: the period follows the pixel, not the course.",
-    plausible=plausible,
-    invariant="peak locking follows the pixel, not the course",
-    describe=describe,
-    noted_as=("peak locking",),
-    source="Raffel et al., Particle Image Velocimetry; anchors: Sensors 20:6596",
-    needs=("pixel_pitch",),
+acts_on = "measurement"
+equation = "y: amplitude pitch sin(2 pi x/pitch + phase)"
+parameters = (
+    Parameter("amplitude", "px", linear=True, role="amplitude"),
+    Parameter("phase", "rad", role="phase"),
 )
+what = "Sub-pixel interpolation favours some positions between pixels."
+looks_like = "ripples of one pixel period; a slow false force where the mass moves a whole number of px per frame"
+mistaken_for = "texture with a very short period"
+confirm = "Change the zoom: the period follows the pixel, not the course."
+invariant = "peak locking follows the pixel, not the course"
+noted_as = ("peak locking",)
+source = "Raffel et al., Particle Image Velocimetry; anchors: Sensors 20:6596"
+needs = ("pixel_pitch",)

@@ -1,15 +1,11 @@
 """Power-law viscosity: the resistance of a grease or paste grows with a power of the velocity."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -28,23 +24,17 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(effect.value('c'))} N at 1 m/s, {format_number(factor)} times that at 2 m/s"
 
 
-power_law_viscosity = Effect(
-    name="power_law_viscosity",
-    acts_on="force",
-    equation="c s |v|^n",
-    parameters=(
-        Parameter("c", "N (s/m)^n", (0.0, np.inf), linear=True),
-        Parameter("n", "1", (0.1, 3.0), scan=exponents),
-    ),
-    columns=columns,
-    varies_with="v",
-    special_cases={"viscous": {"n": 1.0}, "drag": {"n": 2.0}},
-    what="A grease, paste or polymer film thins (n < 1) or thickens (n > 1) as it is sheared.",
-    looks_like="a curve against v that bends downward (n < 1) or upward (n > 1), whatever the load",
-    mistaken_for="drag (n = 2) and viscous friction (n = 1), which it contains; log velocity; an eddy brake",
-    confirm="Film runs over a decade of speed, and one with the double mass: the force stays as it is.",
-    invariant="power-law viscosity depends on the speed and not on the load",
-    settled_by="measure the flow curve of the grease in a rheometer",
-    describe=describe,
-    source="Herschel & Bulkley 1926, Kolloid-Z. 39, 291, without the yield stress, which is Coulomb friction",
+equation = "c s |v|^n"
+parameters = (
+    Parameter("c", "N (s/m)^n", (0.0, np.inf), linear=True),
+    Parameter("n", "1", (0.1, 3.0), scan=exponents),
 )
+varies_with = "v"
+special_cases = {"viscous": {"n": 1.0}, "drag": {"n": 2.0}}
+what = "A grease, paste or polymer film thins (n < 1) or thickens (n > 1) as it is sheared."
+looks_like = "a curve against v that bends downward (n < 1) or upward (n > 1), whatever the load"
+mistaken_for = "drag (n = 2) and viscous friction (n = 1), which it contains; log velocity; an eddy brake"
+confirm = "Film runs over a decade of speed, and one with the double mass: the force stays as it is."
+invariant = "power-law viscosity depends on the speed and not on the load"
+settled_by = "measure the flow curve of the grease in a rheometer"
+source = "Herschel & Bulkley 1926, Kolloid-Z. 39, 291, without the yield stress, which is Coulomb friction"

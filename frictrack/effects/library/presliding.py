@@ -1,16 +1,13 @@
 """Presliding: before it slides, a contact bends like a spring; dry friction takes a distance to turn round."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.definition import Parameter
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import breakaway_lengths
 
 MAX_EXPONENT_DIFFERENCE_DAHL = (
     1e-9  # distance of the exponent from one within which the contact straightens exponentially
@@ -81,27 +78,22 @@ def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     return {"stiffness": level / own["stiffness"]} if "stiffness" in own else {}
 
 
-presliding = Effect(
-    name="presliding",
-    acts_on="force",
-    equation="coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - w sgn v)^exponent",
-    parameters=(
-        Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("exponent", "1", (0.0, 2.0), fixed=1.0),
-    ),
-    columns=columns,
-    state=state,
-    modifies=frozenset({"coulomb", "stribeck"}),
-    scales_with="load",
-    memory=True,
-    turns=True,
-    rank=1,
-    what="Asperities bend before they slip: friction builds up over a distance, like a spring that yields.",
-    looks_like="a loop against x after every reversal; nothing in a run that only slides one way",
-    mistaken_for="stribeck or a soft mounting of the sensor, near reversals; maxwell slip, of which small loops close",
-    confirm="Reverse the drive more slowly: the loop against x keeps its width, a lag in time shrinks.",
-    invariant="presliding needs a reversal",
-    source="Dahl 1968, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1; exponent 1 yields "
-    "exponentially, 0 is elastic up to slip",
-    quote=quote,
+equation = "coulomb + stribeck times w sgn v, dw/dt = (v stiffness/F_s) (1 - w sgn v)^exponent"
+parameters = (
+    Parameter("stiffness", "N/m", (1e-9, np.inf), scan=breakaway_lengths),
+    Parameter("exponent", "1", (0.0, 2.0), fixed=1.0),
+)
+modifies = frozenset({"coulomb", "stribeck"})
+scales_with = "load"
+memory = True
+turns = True
+rank = 1
+what = "Asperities bend before they slip: friction builds up over a distance, like a spring that yields."
+looks_like = "a loop against x after every reversal; nothing in a run that only slides one way"
+mistaken_for = "stribeck or a soft mounting of the sensor, near reversals; maxwell slip, of which small loops close"
+confirm = "Reverse the drive more slowly: the loop against x keeps its width, a lag in time shrinks."
+invariant = "presliding needs a reversal"
+source = (
+    "Dahl 1968, A solid friction model, Aerospace Corp. TOR-0158(3107-18)-1; exponent 1 yields "
+    "exponentially, 0 is elastic up to slip"
 )

@@ -1,16 +1,11 @@
 """Rate-and-state friction with the ageing law: contacts grow with the logarithm of the time that they last."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.definition import Parameter, Phrase
 from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import breakaway_lengths
 
 REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant
 MIN_AGE = 1e-300  # v_0 theta/D_c, whose logarithm is still finite
@@ -47,37 +42,27 @@ def contact_age(path: Path, length: float | Array, v_0: float | Array) -> Array:
     starts = list(path.starts)
     steady = v_0s[starts] / np.maximum(speed[starts], v_0s[starts])
     begin = state_at_beginning(path, steady[:, None], contact_age, length, v_0)[:, 0]
-    return follow_linear(np.exp(-step), gained, begin, starts)
+    return follow_linear(path, np.exp(-step), gained, begin)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Direct effect, ageing and distance."""
-    a, b = format_number(effect.value("A")), format_number(effect.value("B"))
-    return f"{a} N at once and {b} N late per factor e of the speed, within {format_length(effect.value('D_c'))}"
-
-
-rate_state_ageing = Effect(
-    name="rate_state_ageing",
-    acts_on="force",
-    equation="L s (F_0 + A ln(1 + |v|/v_0) + B ln(v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c",
-    parameters=(
-        Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("A", "N", linear=True, loaded=True),
-        Parameter("B", "N", linear=True, loaded=True),
-        Parameter("D_c", "m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("v_0", "m/s", (1e-12, np.inf), fixed=REFERENCE_SPEED),
-    ),
-    columns=columns,
-    state=state,
-    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_state_slip"}),
-    scales_with="load",
-    memory=True,
-    what="The contacts creep and grow while they last, also at rest; sliding renews them over a distance.",
-    looks_like="a peak after a rest that grows with the logarithm of its length; a double answer to a step of speed",
-    mistaken_for="stribeck, if the speed changes slowly and never rests; rate_state_slip, without rests",
-    confirm="Slide, hold for 1, 10 and 100 s, slide: the peak grows by the same amount per decade.",
-    invariant="the age of the contacts needs rests, or steps of the speed",
-    describe=describe,
-    source="Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983, J. Geophys. Res. 88, 10359; direct effect cut "
-    "off below v_0 as in Okubo & Dieterich 1986",
+equation = "L s (F_0 + A ln(1 + |v|/v_0) + B ln(v_0 theta/D_c)), d theta/dt = 1 - |v| theta/D_c"
+parameters = (
+    Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
+    Parameter("A", "N", linear=True, loaded=True),
+    Parameter("B", "N", linear=True, loaded=True),
+    Parameter("D_c", "m", (1e-9, np.inf), scan=breakaway_lengths),
+    Parameter("v_0", "m/s", (1e-12, np.inf), fixed=REFERENCE_SPEED),
+)
+replaces = frozenset({"coulomb", "stribeck", "presliding", "rate_state_slip"})
+scales_with = "load"
+memory = True
+what = "The contacts creep and grow while they last, also at rest; sliding renews them over a distance."
+looks_like = "a peak after a rest that grows with the logarithm of its length; a double answer to a step of speed"
+mistaken_for = "stribeck, if the speed changes slowly and never rests; rate_state_slip, without rests"
+confirm = "Slide, hold for 1, 10 and 100 s, slide: the peak grows by the same amount per decade."
+describe = Phrase("{A} N at once and {B} N late per factor e of the speed, within {D_c:m}")
+invariant = "the age of the contacts needs rests, or steps of the speed"
+source = (
+    "Dieterich 1979, J. Geophys. Res. 84, 2161; Ruina 1983, J. Geophys. Res. 88, 10359; direct effect cut "
+    "off below v_0 as in Okubo & Dieterich 1986"
 )

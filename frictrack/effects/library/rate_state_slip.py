@@ -1,15 +1,10 @@
 """Rate-and-state friction with the slip law: contacts change only while they slide, toward a level of the speed."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.library.rate_state_ageing import REFERENCE_SPEED, describe
+from frictrack.effects.library import rate_state_ageing
 from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import breakaway_lengths
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -27,34 +22,19 @@ def state(path: Path, nonlinear: Nonlinear) -> Array:
 def _logarithm(path: Path, length: float | Array, v_0: float | Array) -> Array:
     """State (n,). A path begins as the motion before it has left it, steady where nothing is known of it."""
     target = -np.log1p(path.speed / v_0)[:, None]
-    starts, slid = list(path.starts), np.sum(slid_per_step(path), axis=0) / length
-    fresh = np.zeros(len(path.t), dtype=bool)
-    fresh[starts] = True
-    begin = state_at_beginning(path, target[starts], _logarithm, length, v_0)
-    return follow_target(target, (np.zeros_like(slid), slid), fresh, begin, starts)[:, 0]
+    begin = state_at_beginning(path, target[list(path.starts)], _logarithm, length, v_0)
+    return follow_target(path, target, begin, np.sum(slid_per_step(path), axis=0) / length)[:, 0]
 
 
-rate_state_slip = Effect(
-    name="rate_state_slip",
-    acts_on="force",
-    equation="L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))",
-    parameters=(
-        Parameter("F_0", "N", (0.0, np.inf), linear=True, loaded=True),
-        Parameter("A", "N", linear=True, loaded=True),
-        Parameter("B", "N", linear=True, loaded=True),
-        Parameter("D_c", "m", (1e-9, np.inf), scan=breakaway_lengths),
-        Parameter("v_0", "m/s", (1e-12, np.inf), fixed=REFERENCE_SPEED),
-    ),
-    columns=columns,
-    state=state,
-    replaces=frozenset({"coulomb", "stribeck", "presliding", "rate_state_ageing"}),
-    scales_with="load",
-    memory=True,
-    what="Sliding renews the contacts over a distance; a rest leaves them as they are.",
-    looks_like="a step of speed that is answered at once and, over a distance, the other way; the same up and down",
-    mistaken_for="stribeck, if the speed changes slowly; rate_state_ageing, without rests",
-    confirm="Step the speed up and down by the same factor: both answers have the same length; a rest adds no peak.",
-    invariant="the state of the contacts needs steps of the speed",
-    describe=describe,
-    source="Ruina 1983, J. Geophys. Res. 88, 10359, with w = ln(v_0 theta/D_c) and the logarithm cut off below v_0",
-)
+equation = "L s (F_0 + A ln(1 + |v|/v_0) + B w), dw/dt = -(|v|/D_c) (w + ln(1 + |v|/v_0))"
+parameters = rate_state_ageing.parameters
+replaces = frozenset({"coulomb", "stribeck", "presliding", "rate_state_ageing"})
+scales_with = "load"
+memory = True
+what = "Sliding renews the contacts over a distance; a rest leaves them as they are."
+looks_like = "a step of speed that is answered at once and, over a distance, the other way; the same up and down"
+mistaken_for = "stribeck, if the speed changes slowly; rate_state_ageing, without rests"
+confirm = "Step the speed up and down by the same factor: both answers have the same length; a rest adds no peak."
+invariant = "the state of the contacts needs steps of the speed"
+source = "Ruina 1983, J. Geophys. Res. 88, 10359, with w = ln(v_0 theta/D_c) and the logarithm cut off below v_0"
+describe = rate_state_ageing.describe

@@ -1,15 +1,11 @@
 """Rolling shutter: the camera reads its picture line by line, so that places are seen at different times."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 MAX_FPS = 1000.0  # Hz: faster cameras expose all lines at once
 
@@ -34,21 +30,15 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(1e6 * abs(effect.value('tau')) / 10)} us to read 0.1 m of the course"
 
 
-rolling_shutter = Effect(
-    name="rolling_shutter",
-    acts_on="measurement",
-    equation="y: tau v x",
-    parameters=(Parameter("tau", "s/m", linear=True, role="amplitude"),),
-    columns=columns,
-    varies_with="xv",
-    what="The lines of the picture are read one after the other, along the course: far places are seen later.",
-    looks_like="a false deceleration that grows with the speed and hardly depends on the mass, in either direction",
-    mistaken_for="time base, viscous friction (where all runs have one mass)",
-    confirm="Turn the camera by 90 degrees about its axis, so that its lines lie along the course, and film again.",
-    plausible=plausible,
-    invariant="the readout time belongs to the camera, whatever the speed and the mass",
-    settled_by="turn the camera by 90 degrees, so that its lines lie along the course",
-    describe=describe,
-    test_draw=TestDraw(max_fps=MAX_FPS),
-    source="textbook: y(t) = x(t + tau x); Ait-Aider et al. 2006 (rolling-shutter geometry)",
-)
+acts_on = "measurement"
+equation = "y: tau v x"
+parameters = (Parameter("tau", "s/m", linear=True, role="amplitude"),)
+varies_with = "xv"
+what = "The lines of the picture are read one after the other, along the course: far places are seen later."
+looks_like = "a false deceleration that grows with the speed and hardly depends on the mass, in either direction"
+mistaken_for = "time base, viscous friction (where all runs have one mass)"
+confirm = "Turn the camera by 90 degrees about its axis, so that its lines lie along the course, and film again."
+invariant = "the readout time belongs to the camera, whatever the speed and the mass"
+settled_by = "turn the camera by 90 degrees, so that its lines lie along the course"
+test_draw = TestDraw(max_fps=MAX_FPS)
+source = "textbook: y(t) = x(t + tau x); Ait-Aider et al. 2006 (rolling-shutter geometry)"

@@ -1,17 +1,13 @@
 """Run-in: dry friction changes with the distance slid in all runs so far, and stays so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
+from frictrack.effects.definition import EffectInStudy, Parameter
 from frictrack.effects.library import thermal
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
-from frictrack.records import Array
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, log_grid
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -31,24 +27,18 @@ def describe(effect: EffectInStudy) -> str:
     return f"{thermal.describe(effect)} in all runs"
 
 
-run_in = Effect(
-    name="run_in",
-    acts_on="force",
-    equation="-dF L s (1 - exp(-S/length)), S = distance slid in this run and all before it",
-    parameters=(
-        Parameter("dF", "N", linear=True, loaded=True),
-        Parameter("length", "m", scan=lengths),
-    ),
-    columns=columns,
-    varies_with="x",
-    scales_with="load",
-    what="The surfaces run in (dF > 0) or wear (dF < 0) as they slide, and stay so between the runs.",
-    looks_like="friction levels that move from run to run in the order of the runs, toward a new level",
-    mistaken_for="heating (where all pauses are alike), levels that scatter from run to run",
-    confirm="Repeat the first run at the end, after an hour: what has run in stays.",
-    invariant="running-in stays through a pause",
-    settled_by="repeat the first run after a long pause",
-    describe=describe,
-    source="Blau 1989 (running-in); Archard 1953, J. Appl. Phys. 24, 981 (wear in proportion to the distance slid)",
-    needs=("earlier",),
+equation = "-dF L s (1 - exp(-S/length)), S = distance slid in this run and all before it"
+parameters = (
+    Parameter("dF", "N", linear=True, loaded=True),
+    Parameter("length", "m", scan=lengths),
 )
+varies_with = "x"
+scales_with = "load"
+what = "The surfaces run in (dF > 0) or wear (dF < 0) as they slide, and stay so between the runs."
+looks_like = "friction levels that move from run to run in the order of the runs, toward a new level"
+mistaken_for = "heating (where all pauses are alike), levels that scatter from run to run"
+confirm = "Repeat the first run at the end, after an hour: what has run in stays."
+invariant = "running-in stays through a pause"
+settled_by = "repeat the first run after a long pause"
+source = "Blau 1989 (running-in); Archard 1953, J. Appl. Phys. 24, 981 (wear in proportion to the distance slid)"
+needs = ("earlier",)

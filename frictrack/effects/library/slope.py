@@ -1,14 +1,10 @@
 """Slope: the course is not level, gravity pulls along it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import LEVEL_STD_RAD, DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import LEVEL_STD_RAD, DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -32,25 +28,19 @@ def level_signal(effect: EffectInStudy) -> float:
     return (effect.rms("F") / (effect.reference_weight * LEVEL_STD_RAD)) ** 2
 
 
-slope = Effect(
-    name="slope",
-    acts_on="force",
-    equation="F m/m_ref",
-    parameters=(Parameter("F", "N", linear=True),),
-    columns=columns,
-    varies_with="",
-    scales_with="mass",
-    what="The course is tilted, or a constant force pulls one way.",
-    looks_like="forward runs slow faster than reversed ones, by the same deceleration whatever the mass",
-    mistaken_for="Coulomb friction in one direction, asymmetry, a cable",
-    confirm="Lay a level on the course; no film can part a slope from a constant pull.",
-    invariant="a slope pulls one way, with the same acceleration on every mass",
-    settled_by="lay a level on the course",
-    direct_check=DirectCheck(
-        "level", "Lay a level on the course, or measure how far its ends stand above the table", level_signal
-    ),
-    describe=describe,
-    in_base_law=True,
-    same_cause_as="incline",
-    source="textbook: F = m g sin(alpha)",
+equation = "F m/m_ref"
+parameters = (Parameter("F", "N", linear=True),)
+varies_with = ""
+scales_with = "mass"
+what = "The course is tilted, or a constant force pulls one way."
+looks_like = "forward runs slow faster than reversed ones, by the same deceleration whatever the mass"
+mistaken_for = "Coulomb friction in one direction, asymmetry, a cable"
+confirm = "Lay a level on the course; no film can part a slope from a constant pull."
+invariant = "a slope pulls one way, with the same acceleration on every mass"
+settled_by = "lay a level on the course"
+direct_check = DirectCheck(
+    "level", "Lay a level on the course, or measure how far its ends stand above the table", level_signal
 )
+in_base_law = True
+same_cause_as = "incline"
+source = "textbook: F = m g sin(alpha)"

@@ -1,15 +1,10 @@
 """A spring: a cable, hose or guide that pulls back in proportion to displacement."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter, TestDraw
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase, TestDraw
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 MAX_COURSES = 100.0  # courses to the place where a spring is slack: beyond, its force varies by less than 1 % along one
 
@@ -32,34 +27,22 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"it would be slack more than {reach:.2g} m away, {MAX_COURSES:g} courses: a constant force, and no spring"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Stiffness."""
-    return f"{format_number(effect.value('k'))} N more for every metre toward +x"
-
-
 def draw_rest(span: Span, uniform: Array) -> dict[str, float]:
     """Return a constant force k x_0 at k = 1 N/m, with the spring slack at a place of the course."""
     return {"x_0": -(span.x_min + (span.x_max - span.x_min) * float(uniform[0]))}
 
 
-spring = Effect(
-    name="spring",
-    acts_on="force",
-    equation="k (x + x_0)",
-    parameters=(Parameter("k", "N/m", linear=True), Parameter("x_0", "m", linear=True)),
-    columns=columns,
-    varies_with="x",
-    what="A cable, hose or soft guide pulls the mass back.",
-    looks_like="a straight line against x that does not turn round with the direction",
-    mistaken_for="viscous friction and drift, in one direction at one speed",
-    confirm="Film a reversed run, or take the cable off.",
-    plausible=plausible,
-    invariant="a spring pulls by place, in either direction of motion",
-    settled_by="take the cable off",
-    describe=describe,
-    in_base_law=True,
-    may_pull=True,
-    test_draw=TestDraw(positive=True, coefficients=draw_rest),
-    source="textbook: F = k x",
-    quote=quote,
-)
+equation = "k (x + x_0)"
+parameters = (Parameter("k", "N/m", linear=True), Parameter("x_0", "m", linear=True))
+varies_with = "x"
+what = "A cable, hose or soft guide pulls the mass back."
+looks_like = "a straight line against x that does not turn round with the direction"
+mistaken_for = "viscous friction and drift, in one direction at one speed"
+confirm = "Film a reversed run, or take the cable off."
+describe = Phrase("{k} N more for every metre toward +x")
+invariant = "a spring pulls by place, in either direction of motion"
+settled_by = "take the cable off"
+in_base_law = True
+may_pull = True
+test_draw = TestDraw(positive=True, coefficients=draw_rest)
+source = "textbook: F = k x"

@@ -1,15 +1,10 @@
 """Target rotation: the point that is followed is not the centre of mass, and moves as the target turns."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.base.number_format import format_length
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import DirectCheck, EffectInStudy, picture_shift_signal
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import DirectCheck, Parameter, Phrase, picture_shift_signal
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -24,29 +19,16 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return "" if arm <= travel else f"its arm of {arm:.2g} m is longer than the course ({travel:.2g} m)"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Place of the followed point on the target."""
-    ahead, above = format_length(effect.value("along")), format_length(effect.value("across"))
-    return f"the followed point would lie {ahead} along and {above} above the centre of mass"
-
-
-target_rotation = Effect(
-    name="target_rotation",
-    acts_on="measurement",
-    equation="y: along (cos(angle) - 1) - across sin(angle)",
-    parameters=(Parameter("along", "m", linear=True), Parameter("across", "m", linear=True)),
-    columns=columns,
-    what="The target turns as it slides, and the followed point lies off the centre of mass (along x, across upward).",
-    looks_like="a displacement that copies the angle of the target",
-    mistaken_for="vibration (when the target rocks at one frequency), camera shake",
-    confirm="Follow a second mark at another height of the target: the two move differently when it rocks.",
-    invariant="a rotating target moves its mark in proportion to its angle",
-    direct_check=DirectCheck(
-        "second mark", "Follow a second mark at another height of the target", picture_shift_signal
-    ),
-    describe=describe,
-    film_fault=True,
-    source="textbook: motion of a rigid body",
-    plausible=plausible,
-    needs=("angle",),
-)
+acts_on = "measurement"
+equation = "y: along (cos(angle) - 1) - across sin(angle)"
+parameters = (Parameter("along", "m", linear=True), Parameter("across", "m", linear=True))
+what = "The target turns as it slides, and the followed point lies off the centre of mass (along x, across upward)."
+looks_like = "a displacement that copies the angle of the target"
+mistaken_for = "vibration (when the target rocks at one frequency), camera shake"
+confirm = "Follow a second mark at another height of the target: the two move differently when it rocks."
+describe = Phrase("the followed point would lie {along:m} along and {across:m} above the centre of mass")
+invariant = "a rotating target moves its mark in proportion to its angle"
+direct_check = DirectCheck("second mark", "Follow a second mark at another height of the target", picture_shift_signal)
+film_fault = True
+source = "textbook: motion of a rigid body"
+needs = ("angle",)

@@ -1,15 +1,8 @@
 """Surface texture: friction that varies periodically along the course."""
 
-from __future__ import annotations
-
-from frictrack.base.number_format import format_length
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import is_periodic_in
-from frictrack.effects.scans import spatial_periods
-from frictrack.effects.waves import ScanWave, over_position, wave
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_position, wave
+from frictrack.effects.ranges import is_periodic_in, spatial_periods
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -18,32 +11,21 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return (path.load * path.s)[:, None] * ripple
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Period."""
-    period = format_length(effect.value("period"))
-    return f"a period of {period}: one mark every {period} of the course"
-
-
-texture = Effect(
-    name="texture",
-    acts_on="force",
-    equation="amplitude L s sin(2 pi x/period + phase)",
-    parameters=(
-        Parameter("amplitude", "N", linear=True, loaded=True, role="amplitude"),
-        Parameter("period", "m", scan=spatial_periods),
-        Parameter("phase", "rad", role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("period", over_position, is_period=True),
-    varies_with="x",
-    scales_with="load",
-    what="Machining marks, joints or waviness of the course.",
-    looks_like="ripples at the same places in every run; a chirp in time as the mass slows",
-    mistaken_for="vibration, when the speed hardly changes",
-    confirm="Film at another speed: the ripples stay at their places and change their frequency.",
-    plausible=is_periodic_in("period"),
-    invariant="texture keeps its places on the course",
-    describe=describe,
-    basic=True,
-    source="textbook; position-dependent friction",
+equation = "amplitude L s sin(2 pi x/period + phase)"
+parameters = (
+    Parameter("amplitude", "N", linear=True, loaded=True, role="amplitude"),
+    Parameter("period", "m", scan=spatial_periods),
+    Parameter("phase", "rad", role="phase"),
 )
+scan_wave = ScanWave("period", over_position, is_period=True)
+varies_with = "x"
+scales_with = "load"
+what = "Machining marks, joints or waviness of the course."
+looks_like = "ripples at the same places in every run; a chirp in time as the mass slows"
+mistaken_for = "vibration, when the speed hardly changes"
+confirm = "Film at another speed: the ripples stay at their places and change their frequency."
+plausible = is_periodic_in("period")
+describe = Phrase("a period of {period:m}: one mark every {period:m} of the course")
+invariant = "texture keeps its places on the course"
+basic = True
+source = "textbook; position-dependent friction"

@@ -1,15 +1,11 @@
 """Thermal softening or running-in: friction falls with the distance slid, toward a new level."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.scans import Span, log_grid
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import Span, log_grid
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -31,22 +27,16 @@ def describe(effect: EffectInStudy) -> str:
     return f"{format_number(abs(change))} N {way} in the end, two thirds of it within {distance} slid"
 
 
-thermal = Effect(
-    name="thermal",
-    acts_on="force",
-    equation="-dF L s (1 - exp(-distance/length))",
-    parameters=(
-        Parameter("dF", "N", linear=True, loaded=True),
-        Parameter("length", "m", scan=lengths),
-    ),
-    columns=columns,
-    varies_with="x",
-    scales_with="load",
-    what="The surfaces warm up, soften or run in (dF > 0), or tear up (dF < 0), as they slide.",
-    looks_like="dry friction that moves from one level to another over the first stretch of every run, however fast",
-    mistaken_for="drift (the same at one speed), a spring (in one direction), viscous friction (as the mass slows)",
-    confirm="Repeat without a pause, then after a long one: heat fades between runs, running-in stays.",
-    invariant="warming and running-in depend on the distance slid",
-    describe=describe,
-    source="Ettles 1986 (thermal control of friction); Blau 1989 (running-in)",
+equation = "-dF L s (1 - exp(-distance/length))"
+parameters = (
+    Parameter("dF", "N", linear=True, loaded=True),
+    Parameter("length", "m", scan=lengths),
 )
+varies_with = "x"
+scales_with = "load"
+what = "The surfaces warm up, soften or run in (dF > 0), or tear up (dF < 0), as they slide."
+looks_like = "dry friction that moves from one level to another over the first stretch of every run, however fast"
+mistaken_for = "drift (the same at one speed), a spring (in one direction), viscous friction (as the mass slows)"
+confirm = "Repeat without a pause, then after a long one: heat fades between runs, running-in stays."
+invariant = "warming and running-in depend on the distance slid"
+source = "Ettles 1986 (thermal control of friction); Blau 1989 (running-in)"

@@ -1,16 +1,11 @@
 """Time base: the frame rate drifts during a run, so that the recorded clock is not the true one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import FLASH_STD_FRAMES, DirectCheck, EffectInStudy
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import MAX_CLOCK_DRIFT
-from frictrack.effects.scans import Span
-from frictrack.records import Array
+from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.ranges import MAX_CLOCK_DRIFT, Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -41,23 +36,17 @@ def flash_signal(effect: EffectInStudy) -> float:
     return float(np.sum((late / (FLASH_STD_FRAMES * record.frame_interval)) ** 2))
 
 
-timebase = Effect(
-    name="timebase",
-    acts_on="measurement",
-    equation="y: k v t^2/2",
-    parameters=(Parameter("k", "1/s", linear=True, role="amplitude"),),
-    columns=columns,
-    what="The camera's clock runs faster or slower as it goes: at the end of a run every frame comes late or early.",
-    looks_like="a false deceleration that grows with the speed and hardly depends on the mass",
-    mistaken_for="viscous friction and drag, unless runs of two masses are there",
-    confirm="Film a counter, a flashing diode or a second clock in the same picture.",
-    plausible=plausible,
-    invariant="a drifting clock looks like a deceleration that grows with the speed",
-    settled_by="film a flashing diode in the same picture",
-    direct_check=DirectCheck(
-        "clock", "Film a flashing diode or a counter of known rate in the same picture", flash_signal
-    ),
-    describe=describe,
-    film_fault=True,
-    source="textbook: a clock with a linear rate; y(t) = x(t + k t^2/2)",
+acts_on = "measurement"
+equation = "y: k v t^2/2"
+parameters = (Parameter("k", "1/s", linear=True, role="amplitude"),)
+what = "The camera's clock runs faster or slower as it goes: at the end of a run every frame comes late or early."
+looks_like = "a false deceleration that grows with the speed and hardly depends on the mass"
+mistaken_for = "viscous friction and drag, unless runs of two masses are there"
+confirm = "Film a counter, a flashing diode or a second clock in the same picture."
+invariant = "a drifting clock looks like a deceleration that grows with the speed"
+settled_by = "film a flashing diode in the same picture"
+direct_check = DirectCheck(
+    "clock", "Film a flashing diode or a counter of known rate in the same picture", flash_signal
 )
+film_fault = True
+source = "textbook: a clock with a linear rate; y(t) = x(t + k t^2/2)"

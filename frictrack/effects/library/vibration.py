@@ -1,17 +1,11 @@
 """Vibration of the beam or course: a sine force in time (the papers' sine terms of ATM1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.in_study import EffectInStudy, oscillation
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.effects.plausibility import oscillates
-from frictrack.effects.scans import frequencies
-from frictrack.effects.waves import ScanWave, over_time, wave
-from frictrack.records import Array
+from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
+from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
+from frictrack.effects.ranges import frequencies, oscillates
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -28,25 +22,19 @@ def describe(effect: EffectInStudy) -> str:
     )
 
 
-vibration = Effect(
-    name="vibration",
-    acts_on="force",
-    equation="amplitude sin(2 pi frequency t + phase)",
-    parameters=(
-        Parameter("amplitude", "N", linear=True, role="amplitude"),
-        Parameter("frequency", "Hz", scan=frequencies),
-        Parameter("phase", "rad", per_run=True, role="phase"),
-    ),
-    columns=columns,
-    scan_wave=ScanWave("frequency", over_time),
-    varies_with="",
-    what="The beam or course vibrates and pushes the mass to and fro at a fixed frequency.",
-    looks_like="a line at the same frequency in every run, whatever the speed",
-    mistaken_for="camera shake (same shape in one run), load modulation, texture at one speed",
-    confirm="Film a mark on the frame at rest: if it moves too, the camera shakes. Double the mass: the motion halves.",
-    plausible=oscillates,
-    invariant="a vibration keeps its frequency in time and its size in newtons",
-    describe=describe,
-    basic=True,
-    source="first paper, Eq. 3; second paper, Eq. 2",
+equation = "amplitude sin(2 pi frequency t + phase)"
+parameters = (
+    Parameter("amplitude", "N", linear=True, role="amplitude"),
+    Parameter("frequency", "Hz", scan=frequencies),
+    Parameter("phase", "rad", per_run=True, role="phase"),
 )
+scan_wave = ScanWave("frequency", over_time)
+varies_with = ""
+what = "The beam or course vibrates and pushes the mass to and fro at a fixed frequency."
+looks_like = "a line at the same frequency in every run, whatever the speed"
+mistaken_for = "camera shake (same shape in one run), load modulation, texture at one speed"
+confirm = "Film a mark on the frame at rest: if it moves too, the camera shakes. Double the mass: the motion halves."
+plausible = oscillates
+invariant = "a vibration keeps its frequency in time and its size in newtons"
+basic = True
+source = "first paper, Eq. 3; second paper, Eq. 2"

@@ -1,12 +1,9 @@
 """Viscous friction: proportional to velocity."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.path import Nonlinear, Path
-from frictrack.records import Array
+from frictrack.effects.definition import Parameter
+from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -14,19 +11,14 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return path.v[:, None]
 
 
-viscous = Effect(
-    name="viscous",
-    acts_on="force",
-    equation="F_v v",
-    parameters=(Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True, passive=True),),
-    columns=columns,
-    varies_with="v",
-    what="A lubricant or a guide sheared by the motion.",
-    looks_like="a straight line against v",
-    mistaken_for="drift in time, a spring (over one run of one speed)",
-    confirm="Double the mass: a viscous force stays, its deceleration halves.",
-    invariant="viscous friction is proportional to the speed",
-    in_base_law=True,
-    basic=True,
-    source="first paper, Eq. 1",
-)
+equation = "F_v v"
+parameters = (Parameter("F_v", "N s/m", (-np.inf, np.inf), linear=True, passive=True),)
+varies_with = "v"
+what = "A lubricant or a guide sheared by the motion."
+looks_like = "a straight line against v"
+mistaken_for = "drift in time, a spring (over one run of one speed)"
+confirm = "Double the mass: a viscous force stays, its deceleration halves."
+invariant = "viscous friction is proportional to the speed"
+in_base_law = True
+basic = True
+source = "first paper, Eq. 1"

@@ -5,15 +5,6 @@ The modules: the problem and its sensitivities, the linearised solution, Gauss-N
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.fit.least_squares.covariance import (
-    MIN_SINGULAR_VALUE,
-    NORMAL_QUANTILE_975,
-    batch_count,
-    clustered_covariance,
-    covariance_of,
-    inverse_normal_matrix,
-    white_noise_covariance,
-)
 from frictrack.fit.least_squares.gauss_newton import (
     MIN_CHI2_FALL,
     fit_with_scatter,
@@ -22,12 +13,19 @@ from frictrack.fit.least_squares.gauss_newton import (
     refine,
     refit_with_scatter,
 )
-from frictrack.fit.least_squares.heldout import heldout_rms
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
 from frictrack.fit.least_squares.solution import (
+    MIN_SINGULAR_VALUE,
+    NORMAL_QUANTILE_975,
     ModelProjection,
     Solution,
+    batch_count,
+    clustered_covariance,
+    covariance_of,
     displacement_response,
+    heldout_rms,
+    inverse_normal_matrix,
     model_projection,
     position_and_velocity,
+    white_noise_covariance,
 )

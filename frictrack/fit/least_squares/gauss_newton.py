@@ -25,6 +25,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.fit.least_squares.problem import LeastSquaresProblem
 from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, canonical_form, normalise_levels
+from frictrack.fit.pieces import column_norms
 from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
@@ -184,7 +185,7 @@ class _Refinement:
         low, high = problem.layout.bounds
         if free is not None:
             low, high = np.where(free, low, p), np.where(free, high, p)
-        random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER and not problem.layout.levels_free
+        random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER
         return cls(problem, (low, high), free is None, scatter and random)
 
     def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
@@ -246,11 +247,9 @@ class _Refinement:
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
 
     def after_trial(self, state: Solution, step: Array) -> Solution:
-        """The solution after a trial step.
-
-        If the step went too far, the coefficients are solved again for its non-linear parameters (variable
-        projection).
-        """
+        """The solution after a trial step."""
+        # if the step went too far, the coefficients are solved again for its non-linear parameters (variable
+        # projection)
         trial, linear, (low, high) = self.after_step(state, step), self.problem.layout.coefficients, self.bounds
         for _ in range(MAX_PROJECTIONS):
             if trial.objective < state.objective:
@@ -350,8 +349,7 @@ def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: 
     DampedStep
 
     """
-    norm = np.linalg.norm(rows, axis=0)
-    norm[norm == 0] = 1.0
+    norm = column_norms(rows)
     z = _bounded_step(rows / norm, right, (bounds[0] * norm, bounds[1] * norm), region)
     step = z / norm
     fall = float(right @ right - np.sum((right - rows @ step) ** 2))
@@ -359,10 +357,8 @@ def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: 
 
 
 def _bounded_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> Array:
-    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on.
-
-    The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
-    """
+    """Damped step (P,) of normalised columns: unknowns that would leave their bounds stay there, the others go on."""
+    # The damping is that of the unknowns that move. An unknown at its bound would otherwise shorten the steps of all.
     (low, high), z, free = bounds, np.zeros(rows.shape[1]), np.ones(rows.shape[1], dtype=bool)
     damping = region.damping
     while np.any(free):

@@ -7,24 +7,37 @@ angular least squares. Normal matrix, singular values and right singular vectors
 A model that lacks a force compensates with its own parameters. Its residual is therefore not the missing force but
 the trace of that force in the data minus its projection on the model's sensitivities.
 
+Compute the held-out error: the error of the model at frames that were not used to fit it.
+
+By run: the shared parameters come from the other runs. The run's own parameters (start, level, phases, event times)
+come from its kept frames, and its hidden frames are scored. Where the other runs cannot determine a shared parameter
+well enough, the kept frames of all runs are fitted and the hidden ones scored. The result states which was used.
+
+Everything is linear algebra about the fitted model: leaving out frames changes the parameters little, so one
+Gauss-Newton step suffices.
+
 References
 ----------
 Bjorck, A. (1996). Numerical Methods for Least Squares Problems, section 6.3. SIAM.
 Golub, G. H. & Van Loan, C. F. (2013). Matrix Computations, section 5.2. Johns Hopkins.
+Cook, R. D. & Weisberg, S. (1982). Residuals and Influence in Regression, ch. 5. Chapman & Hall.
 
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import dct
+from scipy.linalg import block_diag
 
+from frictrack.base.distributions import student_ppf
 from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceResponse
-from frictrack.fit.parameters import (
-    MIN_RUNS_FOR_SCATTER,
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
+from frictrack.fit.penalties import (
     JacobianBasis,
     jacobian_basis,
     penalty_jacobian,
@@ -32,7 +45,9 @@ from frictrack.fit.parameters import (
     prior_jacobian,
     prior_residual,
 )
-from frictrack.fit.pieces import consecutive_slices
+from frictrack.fit.pieces import Piece, column_norms, consecutive_slices
+from frictrack.fit.smooth_functions import rms
+from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array, Mask
 from frictrack.search import COST_OF_MEMORY
 from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
@@ -40,6 +55,13 @@ from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels
 MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
 MIN_SINGULAR_VALUE_PROJECTED = 1e-9  # relative; smaller singular values are not determined by the runs
+NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution
+SCATTER_STEP = 1.05  # factor on tau, to see which variances depend on it
+MIN_BATCHES_PER_UNKNOWN = 2  # least number of batches per unknown
+MIN_SINGULAR_VALUE = 1e-8  # relative; smaller singular values are not determined by the data
+MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
+MIN_KEPT_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
+MIN_SINGULAR_VALUE_HELD_OUT = 1e-7  # relative; parameters keep their values along smaller ones
 
 
 @dataclass(frozen=True)
@@ -301,9 +323,7 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
     law = np.vstack([few, penalty_jacobian(layout, tau, solution.p)])
     law = law if kept is None else law[:, kept]
     r = np.concatenate([solution.residual, -penalty_residual(layout, solution.p, tau)])
-    norm = np.linalg.norm(law, axis=0)
-    norm[norm == 0] = 1.0
-    u, s, _ = np.linalg.svd(law / norm, full_matrices=False)
+    u, s, _ = np.linalg.svd(law / column_norms(law), full_matrices=False)
     u = u[:, s > MIN_SINGULAR_VALUE_PROJECTED * s[0]] if len(s) else u
     u = np.concatenate([expanded(u[: len(few)]), u[len(few) :]])
     rows = consecutive_slices(len(response.r) for response in solution.responses)
@@ -342,3 +362,298 @@ def position_and_velocity(response: PieceResponse) -> tuple[Array, Array]:
     """Return position (m) and velocity (m/s) of the simulated motion at the frames of one piece, (n,) each."""
     piece = response.piece
     return response.motion.x_edge[piece.at], response.motion.v_edge[piece.at]
+
+
+def white_noise_covariance(solution: Solution, tau: float | None = None) -> tuple[Array, Array]:
+    """Compute the covariance of the unknowns for white noise and a known scatter of the levels.
+
+    It is the inverse curvature of the objective: a profile of the linearised model rises by one per variance.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    tau : float, optional
+        Scatter of the levels; default that of the fit.
+
+    Returns
+    -------
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
+    """
+    penalty = penalty_jacobian(solution.problem.layout, tau or solution.tau or 0.03, solution.p)
+    return inverse_normal_matrix(np.vstack([solution.few_rows, penalty]))
+
+
+def covariance_of(solution: Solution) -> tuple[Array, Array]:
+    """Compute the covariance of the unknowns with all known sources of error.
+
+    The noise level is estimated from fifth differences, so the variances are widened to Student's t with that many
+    degrees of freedom. A variance that depends on the scatter of few runs is widened likewise, with (runs -
+    1)/share^2 degrees, share = d log variance / d log tau^2 (Satterthwaite). Systematic tracking errors are added. If
+    a run is cut into segments, the covariance comes from batches of segments.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+
+    Returns
+    -------
+    covariance : array of shape (P, P)
+        Covariance of the unknowns.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
+    References
+    ----------
+    Satterthwaite, F. E. (1946). Biometrics Bulletin 2, 110-114.
+
+    """
+    layout = solution.problem.layout
+    white, unseen = white_noise_covariance(solution)
+    if any(p.cut for p in solution.problem.pieces):
+        return _batch_covariance(solution, white), unseen
+    systematic = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ white
+    widening = student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975
+    full = (white + systematic.T @ systematic) * widening**2
+    if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
+        return full, unseen
+    larger_scatter, _ = white_noise_covariance(solution, SCATTER_STEP * (solution.tau or 0.03))
+    before, after = (np.maximum(np.diag(covariance), 1e-300) for covariance in (white, larger_scatter))
+    share = np.maximum(np.log(after / before) / (2 * np.log(SCATTER_STEP)), 1e-3)
+    widening = student_ppf(0.975, (len(layout.levels) - 1) / share**2) / NORMAL_QUANTILE_975
+    return full * widening[:, None] * widening, unseen
+
+
+def _systematic_gradients(r: PieceResponse) -> Array:
+    """Gradient (m, A) of the objective under each systematic error of a piece, one standard deviation of each."""
+    # empty where the model is compared behind a filter, whose rows are not frames
+    piece = r.piece
+    blocks = [np.zeros((0, r.jac.shape[1]))]
+    if len(r.jac) != len(piece.sigma):
+        return blocks[0]
+    whitened_jacobian = piece.whitening.transposed(r.jac)
+    if piece.systematic:
+        size = slow_spectrum(len(whitened_jacobian))
+        blocks.append(
+            piece.systematic * size[:, None] * dct(whitened_jacobian, axis=0, norm="ortho")[1 : 1 + len(size)]
+        )
+    if piece.clock_error:  # a relative error of the clock moves the mass by v t times it
+        moved = piece.clock_error * r.motion.v_edge[piece.at] * piece.t
+        blocks.append((moved @ whitened_jacobian)[None])
+    if piece.shake:
+        frequency, rms = piece.shake
+        phase = 2 * np.pi * frequency * piece.t
+        blocks.append(rms * np.stack([np.cos(phase), np.sin(phase)]) @ whitened_jacobian)
+    return np.vstack(blocks)
+
+
+def batch_count(solution: Solution) -> int:
+    """Compute the number of batches of segments: about the square root of the segments, but enough for the unknowns."""
+    n = len(solution.responses)
+    return int(min(max(round(np.sqrt(n)), MIN_BATCHES_PER_UNKNOWN * len(solution.p)), n))
+
+
+def clustered_covariance(solution: Solution, bread: Array, gradients: Array) -> Array:
+    """Compute the covariance from the scatter of the gradients of clusters of frames (cluster-robust sandwich).
+
+    Unmodelled forces are correlated between neighbouring frames, so the clusters must be longer than this correlation.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    bread : array of shape (P, P)
+        Inverse normal matrix.
+    gradients : array of shape (k, P)
+        Gradient of the objective from every cluster.
+
+    Returns
+    -------
+    array of shape (P, P)
+        Covariance of the unknowns, widened to Student's t for the number of clusters.
+
+    References
+    ----------
+    Huber, P. J. (1967). Proc. Fifth Berkeley Symposium 1, 221-233.
+    Liang, K.-Y. & Zeger, S. L. (1986). Longitudinal data analysis. Biometrika 73, 13-22.
+    White, H. (1980). Econometrica 48, 817-838.
+
+    """
+    count = len(gradients)
+    widening = (student_ppf(0.975, count - 1) / NORMAL_QUANTILE_975) ** 2 * count / (count - 1)
+    penalty = penalty_jacobian(solution.problem.layout, solution.tau or 0.03, solution.p)
+    return np.asarray(bread @ (widening * gradients.T @ gradients + penalty.T @ penalty) @ bread)
+
+
+def _batch_covariance(solution: Solution, bread: Array) -> Array:
+    """Covariance (P, P) from batches of segments."""
+    # with as many batches as segments per batch, batches are nearly independent (Flegal & Jones 2010, Batch means,
+    # Annals of Statistics 38, 1034-1070)
+    gradients = solution.stacked([(r.jac.T @ r.r)[None] for r in solution.responses])
+    batches = np.array([part.sum(axis=0) for part in np.array_split(gradients, batch_count(solution))])
+    return clustered_covariance(solution, bread, batches)
+
+
+def inverse_normal_matrix(jac: Array) -> tuple[Array, Array]:
+    """Compute (J'J)^-1 in the directions that the data determine.
+
+    Parameters
+    ----------
+    jac : array of shape (N, P)
+        Whitened Jacobian.
+
+    Returns
+    -------
+    inverse : array of shape (P, P)
+        Pseudo-inverse of the normal matrix, its columns scaled before the cut-off.
+    unseen : array of bool, shape (P,)
+        Unknowns that the data do not determine.
+
+    Examples
+    --------
+    >>> inverse, unseen = inverse_normal_matrix(np.array([[2.0, 0.0], [0.0, 0.0], [0.0, 0.0]]))
+    >>> inverse[0, 0].item(), unseen.tolist()
+    (0.25, [False, True])
+
+    """
+    norm = np.linalg.norm(jac, axis=0)
+    dead = norm == 0
+    norm[dead] = 1.0
+    _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
+    keep = s > MIN_SINGULAR_VALUE * s[0]
+    unseen = dead | (np.max(np.abs(vt[~keep]), axis=0, initial=0.0) > 1e-2)
+    half = vt[keep] / s[keep, None] / norm
+    return half.T @ half, unseen
+
+
+def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | None = None) -> tuple[float, str]:
+    """Compute the root mean square of the held-out residual.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit, whose residual is scored.
+    by : {"run", "frames"}, optional
+        What is held out. By default runs, wherever the other runs can predict every run.
+    compared : Solution, optional
+        The same unknowns where other residuals were minimised, or where a search stopped before the optimum. Only the
+        change of the unknowns with the frames counts then.
+
+    Returns
+    -------
+    rms : float
+        Held-out error, m or N.
+    by : str
+        What was held out: "run" or "frames".
+
+    """
+    fitted = compared or solution
+    runs = _linear_runs(solution, solution.problem.hidden_frames(solution.responses))
+    whole = np.zeros(len(solution.p)) if compared is None else _step(compared)
+    if by == "frames" or len(runs) < 2 or (by is None and not _are_predictable(solution, runs)):
+        hidden = fitted.problem.hidden_frames(fitted.responses)
+        step = _step(fitted, fitted.problem.kept_rows(fitted.responses, hidden)) - whole
+        none = np.zeros(len(step), dtype=bool)
+        errors = [run.hidden_errors(step, none) for run in _linear_runs(solution, hidden).values()]
+        return rms(np.concatenate(errors)), "frames"
+    errors = []
+    for i, run in runs.items():
+        own = _own_unknowns(solution, i)
+        rows = [None if r.piece.run == i else np.column_stack([r.jac, r.r]) for r in fitted.responses]
+        errors.append(run.hidden_errors(np.where(own, 0.0, _step(fitted, rows, ~own) - whole), own))
+    return rms(np.concatenate(errors)), "run"
+
+
+@dataclass(frozen=True)
+class _LinearRun:
+    """One run about the fitted model, its s pieces stacked."""
+
+    # whitened residual (n,), sensitivities (n, P) and starts (n, 2 s); which frames are hidden (n,)
+
+    pieces: list[Piece]
+    residual: Array
+    jac: Array
+    starts: Array
+    hidden: Mask
+
+    def hidden_errors(self, step: Array, own: Mask) -> Array:
+        """Errors, m or N, at the hidden frames after a step; starts and `own` unknowns come from the kept frames."""
+        residual = self.residual - self.jac @ step
+        columns = np.concatenate([self.jac[:, own], self.starts], axis=1)
+        residual = residual - columns @ _from_kept_frames(columns, residual, ~self.hidden)
+        ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
+        errors = [p.coloured(r) for p, r in zip(self.pieces, np.split(residual, ends), strict=True)]
+        return np.asarray(np.concatenate(errors)[self.hidden])
+
+
+def _linear_runs(solution: Solution, hidden: Sequence[Mask]) -> dict[int, _LinearRun]:
+    """Every run about the fitted model."""
+    out = {}
+    for run in dict.fromkeys(r.piece.run for r in solution.responses):
+        own = [r for r in solution.responses if r.piece.run == run]
+        out[run] = _LinearRun(
+            pieces=[r.piece for r in own],
+            residual=np.concatenate([r.r for r in own]),
+            jac=stacked_rows([r.jac for r in own], [r.active for r in own], len(solution.p)),
+            starts=block_diag(*(r.q for r in own)),
+            hidden=np.concatenate([h for r, h in zip(solution.responses, hidden, strict=True) if r.piece.run == run]),
+        )
+    return out
+
+
+def _are_predictable(solution: Solution, runs: Mapping[int, _LinearRun]) -> bool:
+    """Whether the other runs determine the shared parameters well enough to predict every run."""
+    rows = penalty_jacobian(solution.problem.layout, solution.tau or 0.03)
+    norm = column_norms(np.vstack([*(r.jac for r in runs.values()), rows]))
+    for i, run in runs.items():
+        own = _own_unknowns(solution, i)
+        known = np.vstack([*(r.jac for k, r in runs.items() if k != i), rows])[:, ~own] / norm[~own]
+        covariance = np.linalg.inv(known.T @ known + 1e-13 * np.eye(known.shape[1]))
+        basis, _ = np.linalg.qr(run.jac[:, own])
+        shared = run.jac[:, ~own] / norm[~own]
+        shared = shared - basis @ (basis.T @ shared)
+        if np.mean(np.einsum("ni,ij,nj->n", shared, covariance, shared)) > MAX_PREDICTION_VARIANCE:  # j' C j by frame
+            return False
+    return True
+
+
+def _own_unknowns(solution: Solution, run: int) -> Mask:
+    """Which unknowns belong to the run alone."""
+    return np.array([s.run == run for s in solution.problem.layout.slots])
+
+
+def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: Mask | None = None) -> Array:
+    """Gauss-Newton step (P,) of the free unknowns for some rows [J, r] of every piece, by default all of them."""
+    # directions that these rows hardly determine, compared with all frames, stay 0
+    layout, tau = solution.problem.layout, solution.tau or 0.03
+    free = np.ones(len(solution.p), dtype=bool) if free is None else free
+    rows = [np.column_stack([r.jac, r.r]) for r in solution.responses] if rows is None else rows
+    used = [(r.active, own) for r, own in zip(solution.responses, rows, strict=True) if own is not None]
+    jac = stacked_rows([own[:, :-1] for _, own in used], [active for active, _ in used], len(solution.p))
+    left = np.concatenate([jac, penalty_jacobian(layout, tau, solution.p)])[:, free]
+    right = np.concatenate([*(own[:, -1] for _, own in used), -penalty_residual(layout, solution.p, tau)])
+    norm = column_norms(solution.jac[:, free])
+    step = np.zeros(len(solution.p))
+    step[free] = np.linalg.lstsq(left / norm, right, rcond=MIN_SINGULAR_VALUE_HELD_OUT)[0] / norm
+    return step
+
+
+def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
+    """Coefficients (k,) of a run's own columns (n, k) from its kept frames."""
+    # directions along which the kept frames hold nearly none of the information stay 0: the time of an event that lies
+    # between two frames may show in one frame alone, and linear extrapolation from the others means nothing
+    if not columns.shape[1]:
+        return np.zeros(0)
+    norm = column_norms(columns)
+    _, size, vt = np.linalg.svd(columns / norm, full_matrices=False)
+    found = size > MIN_SINGULAR_VALUE_HELD_OUT * size[0]
+    to_columns = vt[found].T / size[found]  # directions of unit information in all frames
+    u, share, wt = np.linalg.svd((columns[kept] / norm) @ to_columns, full_matrices=False)
+    seen = share**2 > MIN_KEPT_SHARE
+    coordinates = wt[seen].T @ ((u[:, seen].T @ residual[kept]) / share[seen])
+    return np.asarray(to_columns @ coordinates / norm)

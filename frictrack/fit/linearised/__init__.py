@@ -10,13 +10,14 @@ from frictrack.fit.linearised.columns import (
     products_of_grids,
     scan_points,
 )
-from frictrack.fit.linearised.measured_motion import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.linearised.model import (
     Float32Array,
     LinearisedModel,
+    LinearisedPiece,
     ScannedSeries,
+    is_linearised_about_measurement,
     linearise,
+    linearise_about_measurement,
     measured_series,
 )
-from frictrack.fit.linearised.pieces import LinearisedPiece
 from frictrack.fit.linearised.scan import MIN_UNEXPLAINED_SHARE, CandidateScan, scan_candidate, scan_candidates

@@ -26,9 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.workers import map_in_threads
-from frictrack.fit.linearised.columns import MIN_COLUMN_SQUARE, CandidateGrid, ColumnProducts, column_products
+from frictrack.fit.linearised.columns import (
+    MIN_COLUMN_SQUARE,
+    CandidateGrid,
+    ColumnProducts,
+    WaveProducts,
+    are_sums_of_waves,
+    column_products,
+)
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
-from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves
 from frictrack.records import Array
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
@@ -174,22 +180,21 @@ def _products_of_blocks(
 
 
 class _Absorption:
-    """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them.
+    """What the model absorbs of a candidate's columns at the scatters of the levels that are considered, T of them."""
 
-    A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every other
-    is evaluated for each series at its own scatter. The views say at which of the T scatters which series are seen.
-    """
+    # A small grid is evaluated at every scatter, because the candidate may explain what looked like scatter. Every
+    # other is evaluated for each series at its own scatter. The views say at which of the T scatters which series are
+    # seen.
 
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
         self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
         self.rows = [coordinate_rows(law, block) for block in grid.blocks]
-        self._all = slice(0, series.profile.shape[1])
-        self._is_small = len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER
-        groups = dict.fromkeys(range(len(series.taus)), self._all) if self._is_small else dict(enumerate(series.groups))
+        groups = dict(enumerate(series.groups))
+        if len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER:
+            groups = dict.fromkeys(range(len(series.taus)), slice(0, series.profile.shape[1]))
         used = sorted((own.start, own.stop, t) for t, own in groups.items() if own.stop > own.start)  # measured first
         self._views = [(t, slice(start, stop)) for start, stop, t in used]
         self._projected = [series.projected(t)[:, columns] for t, columns in self._views]
-        self._at_own = np.hstack(self._projected)
         parts = [_block_parts(law, series, self.rows, t) for t, _ in self._views]
         self._left = [np.stack(own) for own in zip(*(left for left, _ in parts), strict=True)]
         self._shared = _padded([shared for _, shared in parts])
@@ -197,21 +202,13 @@ class _Absorption:
     def gains(self, parts: Sequence[ColumnProducts]) -> Array:
         """Gains (g, D) of the columns of all blocks at some grid points."""
         shape = len(parts[0].data), self._shared.shape[2]
-        at_own = np.zeros((shape[0], self._profile.shape[1]))
-        squares = [np.zeros(at_own.shape) if self._is_small else at_own[:, own] for _, own in self._views]
+        squares = [np.zeros((shape[0], own.shape[1])) for own in self._projected]
         across = [np.zeros((*shape, own.shape[1])) for own in self._projected]
         within, coupled = np.zeros((len(self._views), *shape, shape[1])), np.zeros(shape[0], dtype=bool)
         for own, rows, left in zip(parts, self.rows, self._left, strict=True):
             roots = whitener(own.schur(left), own.squares)
             shared = roots @ (own.coordinates @ self._shared[:, None, rows])  # T'w of the identity is shared' w
             here = np.any(np.sum(shared**2, axis=(2, 3)) > MAX_NEGLECTED_SHARE, axis=0)
-            spread = 2 * np.abs(roots - roots[0]).max(axis=(0, 2, 3)) - MAX_NEGLECTED_SHARE * np.abs(roots[0]).max(
-                axis=(1, 2)
-            )
-            if not self._is_small and not here.any() and np.all(spread <= 0):
-                for part, products in self._whitened(roots[0], own, self._all, self._at_own[rows]):
-                    at_own[:, part] += np.einsum("gkd,gkd->gd", products, products)
-                continue
             for i, (_, columns) in enumerate(self._views):
                 for part, products in self._whitened(roots[i], own, columns, self._projected[i][rows]):
                     squares[i][:, part] += np.einsum("gkd,gkd->gd", products, products)
@@ -250,10 +247,8 @@ class _Absorption:
 def _block_parts(
     law: LinearisedModel, series: ScannedSeries, rows: Sequence[NDArray[np.int_]], t: int
 ) -> tuple[list[Array], Array]:
-    """What a scatter of the levels leaves of coordinates by every block itself, and T (L, p) that couples the blocks.
-
-    The friction level of a run absorbs its part alone.
-    """
+    """What a scatter of the levels leaves of coordinates by every block, and T (L, p) that couples the blocks."""
+    # the friction level of a run absorbs its part alone
     projector = series.residual_projectors[t]
     if len(rows) == 1:
         return [projector[np.ix_(rows[0], rows[0])]], np.zeros((len(projector), 0))
@@ -297,10 +292,8 @@ def whitener(schur: Array, full: Array) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array:
-    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing.
-
-    A difference from the identity may come out indefinite, because small shares of its columns were neglected.
-    """
+    """Compute W (..., K, K) with W'W the inverse of matrices; directions that neglected shares absorb gain nothing."""
+    # a difference from the identity may come out indefinite, because small shares of its columns were neglected
     left, axes = np.linalg.eigh(gram)
     floor = np.where(left[..., :1] > 0, 0.0, MAX_ABSORBED_LEFT)
     size = np.where(left > floor, 1 / np.sqrt(np.maximum(left, MIN_UNEXPLAINED_SHARE)), 0.0)

@@ -15,11 +15,17 @@ White, H. (1982). Maximum likelihood estimation of misspecified models. Economet
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from frictrack.base.distributions import student_ppf
+from frictrack.fit.cutting import MIN_FRAMES
 from frictrack.fit.least_squares import (
     NORMAL_QUANTILE_975,
     LeastSquaresProblem,
@@ -31,13 +37,141 @@ from frictrack.fit.least_squares import (
     refine,
 )
 from frictrack.fit.observations.displacement import DisplacementObservation
-from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout, penalty_jacobian
-from frictrack.fit.pieces import AccelerationChain, Piece, acceleration_chains, acceleration_noise
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.penalties import penalty_jacobian
+from frictrack.fit.pieces import Piece
 from frictrack.fit.routes import FitOutcome, FittedRuns
+from frictrack.fit.separable.model import DataBlock, friction_series, path_of
+from frictrack.fit.smooth_functions import rms
 from frictrack.fit.uncertainty import Estimates, linear_estimates
+from frictrack.measure.motion import (
+    STENCIL_FRAMES,
+    FactoredSmoother,
+    FilterMethod,
+    Smoother,
+    SmootherData,
+    Structure,
+    frame_grid,
+    frame_weights,
+    stencils,
+    unit_responses,
+)
 from frictrack.records import Array, Mask, Run
 
+PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
+SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
 BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
+
+
+@dataclass(frozen=True)
+class AccelerationChain:
+    """Low-pass and double difference of one piece: a linear map from its n frames to m accelerations, m/s^2.
+
+    The frames within the run's guard of either end are smoothed but not compared.
+    """
+
+    linear: LinearOperator  # (m, n)
+    sigma_a: Array  # noise of the accelerations, (m,)
+    kept: NDArray[np.int64]  # the compared frames of the piece, (m,)
+    cutoff: float  # Hz
+
+    def apply(self, columns: Array) -> Array:
+        """Compute accelerations (m, k), m/s^2, of displacements (n, k), m."""
+        return np.asarray(self.linear.matmat(columns))
+
+    def transposed(self, columns: Array) -> Array:
+        """Apply the transposed map to columns (m, k), shape (n, k)."""
+        return np.asarray(self.linear.rmatmat(columns))
+
+    def only(self, rows: Mask) -> AccelerationChain:
+        """Return the same chain, compared only at the marked frames (n,) of the piece."""
+        use = rows[self.kept]
+        pick = eye_array(len(use), format="csr")[use]
+        return replace(
+            self, linear=aslinearoperator(pick) @ self.linear, sigma_a=self.sigma_a[use], kept=self.kept[use]
+        )
+
+
+def acceleration_chain(run: Run, piece: Piece) -> AccelerationChain:
+    """Create the chain of one piece: the filter that the run's motion was asked for, else a low-pass at its cut-off."""
+    n = len(piece.t)
+    guard = min(run.motion.guard, n // 8, max((n - MIN_FRAMES) // 2, 0))
+    kept = np.arange(guard, n - guard)
+    method = Smoother.read(run.motion.filter).method if run.motion.filter else None
+    linear, sigma_a = _low_pass(run, piece, kept) if method is None else _filter(method, piece, kept)
+    return AccelerationChain(linear, sigma_a, kept, run.motion.cutoff)
+
+
+class _LowPass(LinearOperator):
+    """Low-pass and second derivative: accelerations (m,) of displacements (n,) that stand in `frames` of a grid."""
+
+    def __init__(self, second: csr_array, smoother: FactoredSmoother, frames: NDArray[np.int64], weight: Array) -> None:
+        super().__init__(float, (second.shape[0], len(frames)))  # type: ignore[call-arg]
+        self._second, self._smoother, self._frames, self._weight = second, smoother, frames, weight
+
+    def _matmat(self, displacements: Array) -> Array:
+        full = np.zeros((len(self._weight), displacements.shape[1]))
+        full[self._frames] = displacements
+        return np.asarray(self._second @ self._smoother.smooth(full))
+
+    def _rmatmat(self, accelerations: Array) -> Array:
+        back = self._smoother.posterior_covariance_times(self._second.T @ accelerations)
+        return np.asarray(self._weight[:, None] * back)[self._frames]
+
+
+def _low_pass(run: Run, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Low-pass at the run's cut-off and second derivative: the map, and the noise at the kept frames."""
+    grid = frame_grid(piece.t)
+    weight = grid.to_frames(frame_weights(piece.sigma, np.ones(len(piece.t), dtype=bool)))
+    low_pass = Structure.low_pass(run.motion.cutoff, grid.interval)
+    smoother = low_pass.factor_smoother(SmootherData(np.zeros(grid.n), weight))
+    start, table = stencils(grid.n, grid.interval)
+    frames = grid.frames[kept]
+    noise = float(np.mean(piece.sigma**-2.0) ** -0.5)
+    sigma_a = noise * np.sqrt(smoother.noise_variances(start, table[2:]))[0]
+    rows = np.repeat(np.arange(len(kept)), STENCIL_FRAMES)
+    columns = (start[frames, None] + np.arange(STENCIL_FRAMES)).ravel()
+    second = csr_array((table[2, frames].ravel(), (rows, columns)), shape=(len(kept), grid.n))
+
+    return _LowPass(second, smoother, grid.frames, weight), sigma_a[frames]
+
+
+def _filter(method: FilterMethod, piece: Piece, kept: NDArray[np.int64]) -> tuple[LinearOperator, Array]:
+    """Second derivative by another filter, as a matrix of its responses to every frame, and the noise."""
+    grid = frame_grid(piece.t)
+    known = grid.to_frames(np.ones(len(piece.t))) > 0
+    responses = [response[grid.frames[kept]] for _, response in unit_responses(method, known, 2)]
+    matrix = np.concatenate(responses, axis=1) / grid.interval**2
+    return aslinearoperator(matrix), np.linalg.norm(matrix * piece.sigma, axis=1)
+
+
+def _block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
+    """The accelerations of a piece, in units of noise, in the coordinates that a force along the path changes."""
+    # the force enters by its cosine components within the passband of the chain, so that the map is one small matrix
+    t = piece.t
+    k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
+    cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
+    known = np.interp(t, piece.panels.t, piece.known)
+    twice = CubicSpline(t, np.column_stack([cosines, known])).antiderivative(2)(t)
+    basis, response = np.linalg.qr(chain.apply(twice[:, :k] / piece.mass) / noise)
+    measured = chain.apply((piece.y - twice[:, k])[:, None])[:, 0] / noise
+    data = basis.T @ measured
+    through = -cosines @ response.T
+
+    def picture(rows: Array) -> Array:
+        flat = chain.apply(rows.reshape(-1, rows.shape[-1]).T).T / noise
+        return np.asarray(flat.reshape(*rows.shape[:-1], -1) @ basis)
+
+    return DataBlock(
+        run=piece.run,
+        path=path_of(piece),
+        data=data,
+        forward=lambda rows: rows @ through,
+        picture=picture,
+        friction=friction_series(piece),
+        rest=max(float(measured @ measured - data @ data), 0.0),
+        highest=SCAN_BAND_FACTOR * chain.cutoff,
+    )
 
 
 @dataclass(frozen=True)
@@ -59,11 +193,16 @@ class AccelerationProblem(LeastSquaresProblem):
     def __init__(self, problem: LeastSquaresProblem, chains: Sequence[AccelerationChain]) -> None:
         super().__init__(problem.model, problem.layout, problem.pieces)
         self.chains = list(chains)
-        self.noise = acceleration_noise(chains)
+        self.noise = rms(np.concatenate([c.sigma_a for c in chains]))  # m/s^2
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> AccelerationProblem:
+    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece] | None = None) -> AccelerationProblem:
         """Create the same kind of problem for another layout or other data of the same frames."""
-        return AccelerationProblem(super().rebuild(layout, pieces), self.chains)
+        return AccelerationProblem(LeastSquaresProblem(layout.model, layout, pieces or self.pieces), self.chains)
+
+    @property
+    def blocks(self) -> list[DataBlock]:
+        """The accelerations of every piece."""
+        return [_block(piece, chain, self.noise) for piece, chain in zip(self.pieces, self.chains, strict=True)]
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate every piece and linearise it, seen through its chain."""
@@ -95,7 +234,7 @@ class AccelerationProblem(LeastSquaresProblem):
         """Return Z (N, k), in units of sigma, with Z'Z = C' V C for columns C (M, k) over all accelerations."""
         out, ends = [], np.cumsum([len(r.r) for r in responses])[:-1]
         for chain, response, own in zip(self.chains, responses, np.split(columns, ends), strict=True):
-            back = response.piece.coloured_transposed(chain.transposed(own)) / self.noise
+            back = response.piece.whitening.coloured_transposed(chain.transposed(own)) / self.noise
             out.append(back - response.q @ (response.q.T @ back))
         return np.concatenate(out)
 
@@ -124,17 +263,21 @@ class AccelerationObservation(DisplacementObservation):
         return covariance()
 
 
+def through_chains(problem: LeastSquaresProblem, runs: Sequence[Run]) -> AccelerationProblem:
+    """Return the problem of displacements seen through the acceleration chains of the runs."""
+    return AccelerationProblem(problem, [acceleration_chain(runs[piece.run], piece) for piece in problem.pieces])
+
+
 def fit_accelerations(solution: Solution, runs: Sequence[Run]) -> FitOutcome:
     """Minimise the squared acceleration residuals, starting from the best fit of the displacement."""
-    problem = AccelerationProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
+    problem = through_chains(solution.problem, runs)
     force = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
     return FitOutcome(fit_starts(solution.problem, force.p, force.starts, force.tau), force)
 
 
 def linearise_accelerations(solution: Solution, runs: Sequence[Run]) -> Solution:
     """Return the same solution, linearised in the force domain."""
-    problem = AccelerationProblem(solution.problem, acceleration_chains(runs, solution.problem.pieces))
-    return hold(problem, solution.p, solution.starts, solution.tau)
+    return hold(through_chains(solution.problem, runs), solution.p, solution.starts, solution.tau)
 
 
 def fit_starts(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:

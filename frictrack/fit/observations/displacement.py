@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.free_run import FreeRun, free_errors, free_run
-from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms
-from frictrack.fit.modelled_motion import band_summary, covariance_at_fitted_scatter, modelled_motion
+from frictrack.fit.least_squares import PieceResponse, Solution, heldout_rms, white_noise_covariance
+from frictrack.fit.modelled_motion import FreeRun, band_summary, free_errors, free_run, modelled_motion
 from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
+from frictrack.fit.smooth_functions import rms
 from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates, misfit_of
 from frictrack.measure.motion import filtered_acceleration
 from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, away_from_ends
@@ -123,7 +123,7 @@ class DisplacementObservation(Observation):
 
     def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
         """Return the rms noise of a frame, m, and the reduced chi-squared of the fit."""
-        return _rms(np.concatenate([r.piece.noise for r in solution.responses])), reduced_chi2
+        return rms(np.concatenate([r.piece.noise for r in solution.responses])), reduced_chi2
 
     def remarks(self, fitted: FittedRuns) -> list[str]:
         """Return what such runs cannot separate."""
@@ -183,7 +183,8 @@ class DisplacementObservation(Observation):
         return modelled_motion(fitted.solution, self._band_covariance(fitted, covariance), fitted.runs, predicted)
 
     def _band_covariance(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> Array:
-        return covariance_at_fitted_scatter(fitted.solution)
+        # not widened for a scatter known from few runs: that would part each level from the coefficient it multiplies
+        return white_noise_covariance(fitted.solution)[0]
 
     def free_runs(self, fitted: FittedRuns) -> dict[str, FreeRun | None]:
         """Return the simulations over the whole validation runs or, without these, over the fitted ones."""
@@ -219,7 +220,7 @@ class DisplacementObservation(Observation):
             "run": run.name,
             "role": role,
             "level": level,
-            "noise_um": 1e6 * _rms(np.concatenate([p.noise for p in pieces])),
+            "noise_um": 1e6 * rms(np.concatenate([p.noise for p in pieces])),
             "segments": len(pieces),
             "segment_s": float(max(p.t[-1] - p.t[0] for p in pieces)),
             "errors": errors_of([c for c in curves if c.run == run.name and c.role == role], [run]),
@@ -231,11 +232,9 @@ class DisplacementObservation(Observation):
 
 
 def _misfit(run: Run, curves: Sequence[Curve]) -> Array:
-    """Measured minus modelled displacement (n,), m; 0 before the first fitted frame, linear in time after the last.
-
-    Every segment has its own start. So that segments meet without a jump, what follows is moved by a shift and a speed,
-    which no filter changes.
-    """
+    """Measured minus modelled displacement (n,), m; 0 before the first fitted frame, linear in time after the last."""
+    # Every segment has its own start. So that segments meet without a jump, what follows is moved by a shift and a
+    # speed, which no filter changes.
     m = run.motion
     y = np.where(run.displacement.known, run.displacement.x, m.x)
     t, x, v, a = m.t, y.copy(), m.v.copy(), m.a.copy()
@@ -299,12 +298,8 @@ def errors_of(curves: Sequence[Curve], runs: Sequence[Run]) -> dict[str, Any]:
     accelerations = np.concatenate(a_error)
     scale = max(float(np.linalg.norm(np.concatenate(f_measured))), 1e-30)
     return {
-        "rms_displacement_um": 1e6 * _rms(np.concatenate([c.residual for c in curves])),
-        "rms_acceleration": _rms(accelerations),
+        "rms_displacement_um": 1e6 * rms(np.concatenate([c.residual for c in curves])),
+        "rms_acceleration": rms(accelerations),
         "sse_acceleration": float(np.sum(accelerations**2)),
         "relative_force_error": float(np.linalg.norm(np.concatenate(f_error)) / scale),
     }
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

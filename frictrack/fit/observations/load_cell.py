@@ -4,6 +4,12 @@ The model is compared with it along the measured motion: nothing is differentiat
 piece from its first frame to its last, because effects with memory (presliding, lag) need the history; only the moving
 frames are compared. Friction takes the place of the displacement, with unit mass and without a start. So everything
 that uses a `LeastSquaresProblem` works.
+
+The noise of friction at constant speeds: points (v, F) without order in time.
+
+Repeated speeds show it (pure error, Draper & Smith 1998, section 2.1). Without them it is what the force scatters about
+a smooth course over the logarithm of the speed: the residual variance of the most likely Gaussian process (Matern 5/2),
+one for each load, and one for each direction where these differ, about straight lines.
 """
 
 from __future__ import annotations
@@ -14,28 +20,27 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, Span
 from frictrack.effects.models import Model
+from frictrack.fit.cutting import Reference, RunContext, path_of_rows, run_context
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
-from frictrack.fit.observations.constant_speeds import SpeedPoints, points_of
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.pieces import Piece, Reference, Rows, RunContext, path_of_rows, run_context
-from frictrack.fit.separable import (
-    DataBlock,
-    ProjectedProblem,
-    SeparableModel,
-    SeparableSolution,
-    path_at_compared,
-    rows_at_compared,
-    variable_projection,
-)
-from frictrack.fit.smooth_functions import correlated_frames
+from frictrack.fit.pieces import Piece, Rows
+from frictrack.fit.separable.common_amplitudes import variable_projection
+from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
+from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
 from frictrack.measure.friction import free_section, is_moving, white_noise
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
+MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that are repeats, and of loads that are one
+MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
+LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
+RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
 MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
 PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
@@ -45,6 +50,96 @@ MAX_GRID_POINTS = 200  # grid points over the parameters of modifiers
 BLOCK_CORRELATION_TIMES = 2.0  # block length over the correlation of the residual
 MIN_BLOCKS = 8  # least number of blocks per run
 MIN_BLOCKS_PER_UNKNOWN = 2  # least number of blocks per unknown
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedPoints:
+    """Where the points of a table were measured, and how their noise is known.
+
+    `v` (n,): speeds, m/s; `load` (n,): loads over their mean; `relative` (n,): deviations over their mean; `stated`:
+    whether the deviations were given.
+    """
+
+    v: Array
+    load: Array
+    relative: Array
+    stated: bool = False
+
+    @property
+    def repeats(self) -> int:
+        """Number of points beyond the first at their speed and load, which show the noise; 0 of too few."""
+        count = len(self.v) - len(np.unique(self._places()))
+        return count if count >= MIN_REPEATS else 0
+
+    @property
+    def source(self) -> str:
+        """From what the noise is known."""
+        if self.stated:
+            return "as stated"
+        if self.repeats:
+            return f"the scatter of repeated speeds, {self.repeats} degrees of freedom"
+        return "what the force scatters about a smooth course over the speed"
+
+    def noise(self, force: Array) -> Array:
+        """Mean standard deviation (D,) of the noise of forces (n, D)."""
+        weight = 1.0 / self.relative
+        if not self.repeats:
+            return self._scatter_about_course(force, weight)
+        members = self._places() == np.unique(self._places())[:, None]
+        share = members * weight**2
+        share = share / share.sum(axis=1)[:, None]  # (groups, n)
+        left = (force - members.T @ (share @ force)) * weight[:, None]
+        return np.asarray(np.sqrt(np.sum(left**2, axis=0) / self.repeats))
+
+    def _kinds(self) -> NDArray[np.int64]:
+        """Number (n,) of the direction and load of every point."""
+        return 2 * _numbered(self.load, MAX_SAME_LOAD) + (self.v > 0)
+
+    def _places(self) -> NDArray[np.int64]:
+        """Number (n,) of the speed, direction and load of every point."""
+        return len(self.v) * self._kinds() + _numbered(self.v, MAX_SAME_SPEED)
+
+    def _scatter_about_course(self, force: Array, weight: Array) -> Array:
+        """Noise (D,) of forces (n, D): its restricted likelihood averaged over all courses."""
+        kinds, direction = self._kinds(), np.sign(self.v)
+        both = [np.abs(self.v)] if np.ptp(direction) else []
+        lines = np.column_stack([kinds[:, None] == np.unique(kinds), self.v, *both]) * weight[:, None]
+        free = np.linalg.svd(lines)[0][:, np.linalg.matrix_rank(lines) :]  # what no straight lines explain
+        y = free.T @ (force * weight[:, None])
+        own = (kinds[:, None] == kinds) * 1.0
+        odd = (kinds[:, None] // 2 == kinds // 2) * direction[:, None] * direction  # one course for both directions
+        variances, costs = [], []
+        for length, together in product(LENGTHS, [own, odd] if both else [own]):
+            course = matern_covariance(np.log(np.abs(self.v)), length) * together * weight[:, None] * weight
+            values, vectors = np.linalg.eigh(free.T @ course @ free)
+            squares = (vectors.T @ y) ** 2
+            for ratio in RATIOS:
+                spread = 1.0 + ratio * np.maximum(values, 0.0)
+                variances.append(np.mean(squares / spread[:, None], axis=0))
+                costs.append(len(y) * np.log(np.maximum(variances[-1], 1e-300)) + np.sum(np.log(spread)))
+        share = np.exp(-0.5 * (np.array(costs) - np.min(costs, axis=0)))
+        return np.asarray(np.sqrt(np.sum(share * variances, axis=0) / np.sum(share, axis=0)))
+
+
+def _numbered(values: Array, tolerance: float) -> NDArray[np.int64]:
+    """Number (n,) of the group of every value; neighbours within a relative tolerance are one group."""
+    order = np.argsort(values)
+    steps = np.diff(values[order]) > tolerance * np.abs(values[order][1:])
+    out = np.empty(len(values), dtype=np.int64)
+    out[order] = np.concatenate([[0], np.cumsum(steps)])
+    return out
+
+
+def points_of(run: Run) -> tuple[SpeedPoints, Array]:
+    """The points of a table of speeds and forces, and their standard deviations (n,), N."""
+    force = np.asarray(run.friction_N, dtype=float)
+    load = np.ones(len(force)) if run.loads is None else run.loads / np.mean(run.loads)
+    stated = run.sigma_friction if run.sigma_friction is not None else run.noise
+    if stated is not None:
+        sigma = np.broadcast_to(np.asarray(stated, dtype=float), force.shape)
+        return SpeedPoints(run.motion.v, load, sigma / np.mean(sigma), stated=True), sigma
+    points = SpeedPoints(run.motion.v, load, np.ones(len(force)))
+    return points, np.full(len(force), points.noise(force[:, None])[0])
 
 
 class FrameNodes(Panels):
@@ -132,9 +227,20 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 
     observed, simulates = "friction", False
 
-    def rebuild(self, layout: ParameterLayout, pieces: Sequence[Piece]) -> LeastSquaresProblem:
-        """Create the same kind of problem for another layout or other pieces."""
-        return MeasuredFrictionProblem(layout.model, layout, pieces, self.budget)
+    @classmethod
+    def of(cls, model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> MeasuredFrictionProblem:
+        """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
+        return cls(model, ParameterLayout(model, names, tuple(_span(piece, fps) for piece in pieces)), pieces)
+
+    @property
+    def noise(self) -> float:  # type: ignore[override]
+        """Noise of the load cell, N."""
+        return float(self.pieces[0].sigma[0])
+
+    @property
+    def blocks(self) -> list[DataBlock]:
+        """The compared frames of every run."""
+        return [_block(piece) for piece in self.pieces]
 
     def first_starts(self) -> list[Array]:
         """Return empty starts: no piece has an unknown start."""
@@ -153,11 +259,10 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
         return [self._response(piece, p) for piece in self.pieces]
 
     def _response(self, piece: Piece, p: Array) -> PieceResponse:
-        layout = self.layout
         path = piece.path
         motion = CollocationSolution(piece.panels, path.x, path.v, piece.a_hat, path.x, path.v)
-        active = layout.active(piece.run)
-        values, level = layout.values(p, piece.run)
+        active = self.layout.active(piece.run)
+        values, level = self.layout.values(p, piece.run)
         force = self.model.force(piece.path_at_nodes(path.x, path.v, level), values)[piece.at]
         residual = (piece.y - force) / piece.sigma
         return PieceResponse(
@@ -174,6 +279,26 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
             on_start=np.zeros((0, len(active))),
             r_full=residual,
         )
+
+
+def _span(piece: Piece, fps: float) -> Span:
+    """Duration, places and speeds of a run."""
+    x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
+    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
+
+
+def _block(piece: Piece) -> DataBlock:
+    """The compared frames of a run as data of the separable model."""
+    weight = 1.0 / piece.sigma
+    return DataBlock(
+        run=piece.run,
+        path=piece.path,
+        data=piece.y * weight,
+        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
+        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
+        friction=-piece.a_hat / piece.path.load,
+        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
+    )
 
 
 def keep_compared_frames(solution: Solution) -> Solution:
@@ -242,12 +367,6 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
     ]
 
 
-def _span(piece: Piece, fps: float) -> Span:
-    """Duration, places and speeds of a run."""
-    x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
-
-
 def _white_noise(run: Run) -> float:
     """White noise of the load cell, N: as stated, or estimated from the series."""
     if run.noise is not None:
@@ -266,53 +385,40 @@ def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     known = np.flatnonzero(np.isfinite(series))
     full_series = np.interp(np.arange(len(series)), known, series[known])
     context = run_context(run, Reference(run.mass or 1.0, 1.0))
-    path = _measured_path(run, context, full_series, load)
-    return MeasuredFrictionPiece(
-        run=index,
-        frames=rows,
-        t=path.t[rows],
-        y=series[rows],
-        sigma=np.full(len(rows), noise),
-        panels=FrameNodes(path.t),
-        at=rows,
-        per_frame=1,
-        x_hat=path.x,
-        v_hat=path.v,
-        a_hat=-full_series,
-        known=np.zeros_like(path.t),
-        path=path,
-        mass=1.0,
-        way=context.way,
-        systematic=run.drift or 0.0,
-    )
+    path, sigma = _measured_path(run, context, full_series, load), np.full(len(rows), noise)
+    piece = _friction_piece(index, path, full_series, rows, sigma)
+    return replace(piece, way=context.way, systematic=run.drift or 0.0)
 
 
-def _piece_of_points(run: Run, index: int, load: float) -> MeasuredFrictionPiece:
+def _piece_of_points(run: Run, index: int, load: float | Array) -> MeasuredFrictionPiece:
     """The piece of a table of speeds and forces: every row is compared, with its own deviation."""
     points, sigma = points_of(run)
     force, v = np.asarray(run.friction_N, dtype=float), run.motion.v
     least = max(MIN_NOISE_SHARE * float(np.max(np.abs(force))), 1e-12)
     t, still = run.motion.t - run.motion.t[0], np.zeros(len(v))
-    path = Path(
-        t, still, v, np.sign(v), load=load * (points.load if run.loads is not None else 1.0), mass=run.mass, steady=True
-    )
+    load = load * (points.load if run.loads is not None else 1.0)
+    path = Path(t, still, v, np.sign(v), load=load, mass=run.mass, steady=True)
+    piece = _friction_piece(index, path, force, np.arange(len(v)), np.maximum(sigma, least))
+    return replace(piece, way=np.stack([t, still, v]), points=points)
+
+
+def _friction_piece(index: int, path: Path, force: Array, rows: Rows, sigma: Array) -> MeasuredFrictionPiece:
+    """The piece of a force (n,) along a path, compared at some rows, there with the deviations sigma."""
     return MeasuredFrictionPiece(
         run=index,
-        frames=np.arange(len(v)),
-        t=t,
-        y=force,
-        sigma=np.maximum(sigma, least),
-        panels=FrameNodes(t),
-        at=np.arange(len(v)),
+        frames=rows,
+        t=path.t[rows],
+        y=force[rows],
+        sigma=sigma,
+        panels=FrameNodes(path.t),
+        at=rows,
         per_frame=1,
-        x_hat=still,
-        v_hat=v,
+        x_hat=path.x,
+        v_hat=path.v,
         a_hat=-force,
-        known=still,
+        known=np.zeros_like(path.t),
         path=path,
         mass=1.0,
-        way=np.stack([t, still, v]),
-        points=points,
     )
 
 
@@ -347,32 +453,10 @@ def _direction(v: Array, held: float) -> Array:
 
 def fit_measured_friction(model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """Fit a model from scratch: variable projection along the measured motion, then all unknowns together."""
-    problem = friction_problem(model, pieces, names, fps)
-    separable = SeparableModel(problem.layout, [friction_block(p) for p in pieces])
+    problem = MeasuredFrictionProblem.of(model, pieces, names, fps)
+    separable = SeparableModel(problem.layout, problem.blocks)
     state = _refine_modifiers(ProjectedProblem(separable, separable.data), variable_projection(separable)())
     return fit_with_scatter(problem, separable.law(state.nonlinear_values, state.coefficients), problem.first_starts())
-
-
-def friction_problem(
-    model: Model, pieces: Sequence[Piece], names: tuple[str, ...], fps: float
-) -> MeasuredFrictionProblem:
-    """Create the problem of a model that has no start values yet; FrictrackError if the runs lack what it needs."""
-    spans = tuple(_span(piece, fps) for piece in pieces)
-    return MeasuredFrictionProblem(model, ParameterLayout(model, names, spans), pieces)
-
-
-def friction_block(piece: Piece) -> DataBlock:
-    """Create the compared frames of a run as data of the separable model."""
-    weight = 1.0 / piece.sigma
-    return DataBlock(
-        run=piece.run,
-        path=piece.path,
-        data=piece.y * weight,
-        forward=lambda rows: rows_at_compared(rows, piece.at) * weight,
-        picture=lambda rows: np.zeros_like(rows_at_compared(rows, piece.at)),
-        friction=-piece.a_hat / piece.path.load,
-        compared_path=path_at_compared(piece, piece.path.x, piece.path.v, 1.0),
-    )
 
 
 def _refine_modifiers(problem: ProjectedProblem, state: SeparableSolution) -> SeparableSolution:
@@ -392,7 +476,7 @@ def _grid(problem: ProjectedProblem, nonlinear_values: Array, g: int) -> list[Ar
     scanned = {}
     for i in problem.separable.groups[g].nonlinear_slots:
         slot = layout.slots[i]
-        parameter = next(e for e in layout.model.effects if e.name == slot.effect).parameter(slot.parameter)
+        parameter = layout.effect(slot.effect).parameter(slot.parameter)
         if parameter.scan is not None:
             scanned[i] = parameter.scan(layout.span if slot.run is None else layout.spans[slot.run])
     most = max(int(MAX_GRID_POINTS ** (1 / max(len(scanned), 1))), 2)  # points per axis

@@ -30,7 +30,7 @@ from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_st
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames
+from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames, rms
 from frictrack.fit.uncertainty import Estimates, Misfit, linear_estimates
 from frictrack.records import Array, Curve, Run
 
@@ -73,7 +73,7 @@ def weight_by_noise(solution: Solution) -> tuple[Solution, FrictionNoise]:
     block = -(-solution.problem.n_frames // MAX_FRAMES)
     step = max(stride, block)
     sigma = noise.rms * float(np.sqrt(max(noise.correlation_frames, 1.0) / step))
-    pieces = [(_thinned if stride >= block else _averaged)(r, step) for r in solution.responses]
+    pieces = [_fewer_frames(r, stride, block) for r in solution.responses]
     ready = [replace(p, sigma=np.full(len(p.t), sigma)) for p in pieces]
     problem = solution.problem.rebuild(_at_rate(solution.problem.layout, 1 / step), ready)
     return hold(problem, solution.p, solution.starts, solution.tau), noise
@@ -96,14 +96,14 @@ def _over_all_frames(solution: Solution) -> Solution:
 
 def friction_noise(solution: Solution) -> FrictionNoise:
     """Estimate the noise of all runs: the white part, or the part that does not repeat between strokes if larger."""
-    white = _rms(np.concatenate([r.piece.sigma for r in solution.responses]))
+    white = rms(np.concatenate([r.piece.sigma for r in solution.responses]))
     if solution.problem.is_of_points:
         return FrictionNoise(white, 1.0, white)
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
-    if not found or (rms := _rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
+    if not found or (slow := rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
         return FrictionNoise(white, 1.0, white, count)
-    return FrictionNoise(rms, max(correlation_time_frames(d) for d in differences), white, count)
+    return FrictionNoise(slow, max(correlation_time_frames(d) for d in differences), white, count)
 
 
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
@@ -168,28 +168,21 @@ def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Arr
     return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
 
 
-def _thinned(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """Every few of the frames of a piece; those between repeat them, and those at a reversal must stay."""
+def _fewer_frames(response: PieceResponse, stride: int, block: int) -> MeasuredFrictionPiece:
+    """Every few of the frames of a piece; of a long series one for every block of neighbours of one direction."""
     piece = response.piece
     assert isinstance(piece, MeasuredFrictionPiece)
-    return piece if step == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), step), step)
-
-
-def _averaged(response: PieceResponse, step: int) -> MeasuredFrictionPiece:
-    """One frame for every block of neighbouring frames of one direction: the middle one, with their mean residual.
-
-    The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
-    friction is averaged but its residual.
-    """
-    piece = response.piece
-    assert isinstance(piece, MeasuredFrictionPiece)
-    n = len(piece.t) // step * step
-    frames = piece.frames[:n].reshape(-1, step)
-    direction = piece.path.s[piece.at[:n]].reshape(-1, step)
-    kept = (np.ptp(frames, axis=1) == step - 1) & (np.ptp(direction, axis=1) == 0)
-    middle = (np.arange(len(frames)) * step + step // 2)[kept]
-    residual = (piece.y - response.model_y)[:n].reshape(-1, step)[kept].mean(axis=1)
-    return replace(piece.at_frames_kept(middle, step), y=response.model_y[middle] + residual)
+    if stride >= block:  # frames between repeat them, and those at a reversal must stay
+        return piece if stride == 1 else piece.at_frames_kept(np.arange(0, len(piece.t), stride), stride)
+    # The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
+    # friction is averaged but its residual.
+    n = len(piece.t) // block * block
+    frames = piece.frames[:n].reshape(-1, block)
+    direction = piece.path.s[piece.at[:n]].reshape(-1, block)
+    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(direction, axis=1) == 0)
+    middle = (np.arange(len(frames)) * block + block // 2)[kept]
+    residual = (piece.y - response.model_y)[:n].reshape(-1, block)[kept].mean(axis=1)
+    return replace(piece.at_frames_kept(middle, block), y=response.model_y[middle] + residual)
 
 
 def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
@@ -203,7 +196,7 @@ def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
             "place, time and speed rise together in these records: what goes with one of them may go with another; a "
             "record at another speed, or one that slows down again, tells them apart"
         )
-    left = _rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
+    left = rms(np.concatenate([r.r * r.piece.sigma for r in solution.responses]))
     if noise.stroke_count and noise.correlation_frames > 1:
         interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
         out.append(
@@ -348,11 +341,7 @@ def _errors_of(responses: Sequence[PieceResponse]) -> dict[str, Any]:
     left = np.concatenate([r.piece.y - r.model_y for r in responses])
     force = np.concatenate([r.piece.y for r in responses])
     return dict.fromkeys(DISPLACEMENT_ERRORS) | {
-        "rms_N": _rms(left),
-        "noise_N": _rms(np.concatenate([r.piece.sigma for r in responses])),
+        "rms_N": rms(left),
+        "noise_N": rms(np.concatenate([r.piece.sigma for r in responses])),
         "relative_force_error": float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-30)),
     }
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -18,8 +18,7 @@ import numpy as np
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.separable.blocks import DataBlock
-from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.model import DataBlock, SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.records import Array
@@ -49,19 +48,7 @@ MIN_GAIN_SHARE = 1e-5  # least gain of a trial, share of the misfit
 
 
 def variable_projection(separable: SeparableModel) -> VariableProjection | ConstrainedVariableProjection:
-    """Create the search that fits a model along the measured motion.
-
-    Parameters
-    ----------
-    separable : SeparableModel
-        The model over its data.
-
-    Returns
-    -------
-    VariableProjection or ConstrainedVariableProjection
-        Callable that returns a `SeparableSolution`.
-
-    """
+    """Create the search that fits a model along the measured motion."""
     relaxed = any(e.relaxed for e in separable.layout.model.effects)
     return ConstrainedVariableProjection(separable) if relaxed else VariableProjection(separable)
 
@@ -219,10 +206,8 @@ class _RunSearch:
         return self.layout.slots[k].bounds if k is not None else (self.layout.fixed[self.effect.name, name],) * 2
 
     def _rows(self, g: int, values: Mapping[str, Array], p: Array | None = None) -> Array:
-        """Rows (S, k, M) of a group of the relaxed model at all scanned values of the shared parameter.
-
-        Other parameters of the effect have `values` (S,), other effects those of a parameter vector p (P,).
-        """
+        """Rows (S, k, M) of a group of the relaxed model at all scanned values of the shared parameter."""
+        # other parameters of the effect have `values` (S,), other effects those of a parameter vector p (P,)
         count = len(self.scanned)
         known = {} if p is None else {(s.effect, s.parameter): v for s, v in zip(self.layout.slots, p, strict=True)}
         known |= {(self.effect.name, name): own for name, own in {self.shared: self.scanned, **values}.items()}
@@ -339,10 +324,8 @@ class _RunSearch:
             yield self._with_values(p, values)
 
     def _misfits(self, p: Array, data: Array) -> Array:
-        """Misfits over shared parameter, and frequency and phase of every slow wave, (S, F, 8) or (S, F, 8, F', 8).
-
-        Of two sums a and b, other rows projected out, the amplitudes solve (aa ab; ab bb) c = (ay by).
-        """
+        """Misfits over shared parameter, and frequency and phase of every slow wave, (S, F, 8) or (S, F, 8, F', 8)."""
+        # of two sums a and b, other rows projected out, the amplitudes solve (aa ab; ab bb) c = (ay by)
         others = [*self.other_rows, *(self._rows(g, {}, p) for g in self.other_effects)]
         basis = np.linalg.qr(np.concatenate(others, axis=1).transpose(0, 2, 1))[0]  # (S, M, k)
         y = data - (basis @ (data @ basis)[:, :, None])[:, :, 0]
@@ -378,10 +361,9 @@ class _RunSearch:
 
 
 class _FreeWaves:
-    """The search for some waves with free amplitudes, at one value of the shared parameter.
+    """The search for some waves with free amplitudes, at one value of the shared parameter."""
 
-    What else the effect may consist of is projected out.
-    """
+    # what else the effect may consist of is projected out
 
     def __init__(self, run: _RunSearch, waves: Sequence[Wave], shared_value: float) -> None:
         self.run, self.waves, self.shared_value = run, waves, shared_value

@@ -3,28 +3,190 @@
 Independent effects are evaluated alone, a modifier together with the effects that it modifies (`EffectGroup`). A
 sinusoid of one amplitude and one phase enters as two quadratures, which are linear. If the phase belongs to the runs,
 every run has its own pair, and their common amplitude is left to the refinement.
+
+Data along the measured motion, and the linear map from a force to the change that it makes in them.
+
+A block is one stretch of one run. Its data (m,) are what the forces (and measurement shifts) of a model must explain
+after `forward`, in units of the noise. Forces are rows (..., n), so that a population is mapped at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from frictrack.effects import Effect, Path, Tie
 from frictrack.effects.models import Model
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
-from frictrack.fit.pieces import consecutive_slices
-from frictrack.fit.separable.blocks import DataBlock, repeat_values, tiled_path
+from frictrack.fit.pieces import Piece, consecutive_slices
 from frictrack.records import Array, Mask
 
+MAX_SAMPLES_KEPT = 20_000  # of a tiled path: to evaluate an effect along a longer one takes far longer than to tile it
+MIN_SAMPLES_PER_COMPARED = 2  # samples per compared frame from which a separate path is worth its cost
+Forward = Callable[[Array], Array]  # rows (..., n) to rows (..., m)
 Indices = NDArray[np.int_]
 Values = dict[str, dict[str, Any]]
 QUADRATURES = (0.0, np.pi / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class DataBlock:
+    """One stretch of one run: data (m,) ~ forward(force) + picture(shift), white noise of standard deviation one.
+
+    Attributes
+    ----------
+    run : int
+        Index of the run.
+    path : Path
+        Motion at the n samples.
+    data : array of shape (m,)
+        Whitened data.
+    forward : callable
+        Maps forces (..., n), N, to data (..., m).
+    picture : callable
+        Maps measurement shifts (..., n), m, to data (..., m).
+    friction : array of shape (n,)
+        Measured force at the reference load, N.
+    rest : float
+        Part of the squared data that no force along the path can change.
+    highest : float
+        Highest frequency at which periodic effects are searched, Hz.
+    compared_path : Path, optional
+        The path at the compared samples only, where these are few. It suffices for effects without memory.
+
+    """
+
+    run: int
+    path: Path
+    data: Array
+    forward: Forward
+    picture: Forward
+    friction: Array
+    rest: float = 0.0
+    highest: float = np.inf
+    compared_path: Path | None = None
+
+    def evaluation_path(self, has_memory: bool) -> Path:
+        """Return the path on which effects are evaluated: those without memory at the compared samples only."""
+        return self.path if self.compared_path is None or has_memory else self.compared_path
+
+
+def displacement_block(piece: Piece) -> DataBlock:
+    """Create a block from the displacement of a piece."""
+    q, _ = np.linalg.qr(piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t])))
+    twice = double_integral(piece.t)
+
+    def picture(rows: Array) -> Array:
+        white = np.moveaxis(piece.whitened(np.moveaxis(rows, -1, 0)), 0, -1)
+        clean: Array = white - (white @ q) @ q.T
+        return clean
+
+    known = np.interp(piece.t, piece.panels.t, piece.known)
+    return DataBlock(
+        run=piece.run,
+        path=path_of(piece),
+        data=picture(piece.y - twice(known)),
+        forward=lambda rows: picture(twice(rows) * (-1.0 / piece.mass)),
+        picture=picture,
+        friction=friction_series(piece),
+    )
+
+
+def rows_at_compared(rows: Array, at: NDArray[np.int_]) -> Array:
+    """Select the compared samples `at` (m,) of rows (..., n). Rows (..., m) are returned unchanged.
+
+    Examples
+    --------
+    >>> rows_at_compared(np.arange(4.0), np.array([1, 3]))
+    array([1., 3.])
+    >>> rows_at_compared(np.array([5.0, 7.0]), np.array([1, 3]))
+    array([5., 7.])
+
+    """
+    return rows if rows.shape[-1] == len(at) else rows[..., at]
+
+
+def path_at_compared(piece: Piece, x: Array, v: Array, level: float) -> Path | None:
+    """Return the path of a motion x, v (n,) at the compared frames only; None where these are most of its samples."""
+    if MIN_SAMPLES_PER_COMPARED * len(piece.at) > len(piece.path.t):
+        return None
+    return piece.at_frames(x[piece.at], v[piece.at], level)
+
+
+def path_of(piece: Piece) -> Path:
+    """Return the measured motion of a piece at its frames."""
+    nodes, t = piece.panels.t, piece.t
+    path = piece.at_frames(CubicSpline(nodes, piece.x_hat)(t), CubicSpline(nodes, piece.v_hat)(t), 1.0)
+    return replace(path, drive=None if piece.path.drive is None else np.interp(t, nodes, piece.path.drive))
+
+
+def double_integral(t: Array) -> Forward:
+    """Create the operator that integrates rows (..., n) over t (n,) twice, with start position and speed zero.
+
+    The second difference x[i+1] - 2 x[i] + x[i-1] is the mean of the force under a hat function, with the force a
+    parabola in between. For evenly spaced frames these are Numerov's weights h^2 (1, 10, 1)/12.
+
+    References
+    ----------
+    Hairer, E., Norsett, S. P. & Wanner, G. (1993). Solving Ordinary Differential Equations I, sec. III.10. Springer.
+
+    """
+    before, after = np.diff(t)[:-1], np.diff(t)[1:]
+    tilt, bend = (after**2 - before**2) / 6, (before**3 + after**3) / 12
+    left = (bend - after * tilt) / (before * (before + after))
+    right = (bend + before * tilt) / (after * (before + after))
+    middle = (before + after) / 2 - left - right
+
+    def twice(rows: Array) -> Array:
+        kinks = left * rows[..., :-2] + middle * rows[..., 1:-1] + right * rows[..., 2:]
+        out = np.zeros_like(rows)
+        np.cumsum(after * np.cumsum(kinks, axis=-1), axis=-1, out=out[..., 2:])
+        return out
+
+    return twice
+
+
+def friction_series(piece: Piece) -> Array:
+    """The friction force at the reference load along the measured motion of a piece, at its frames (n,), N."""
+    force = piece.mass * (piece.known - piece.a_hat) / piece.path.load
+    return np.interp(piece.t, piece.panels.t, force)
+
+
+def tiled_path(path: Path, count: int) -> Path:
+    """Return a path `count` times end to end, for a population; the last short one is kept with the path."""
+    if count == 1:
+        return path
+    kept: tuple[int, Path] | None = vars(path).get("_tiled")
+    if kept is not None and kept[0] == count:
+        return kept[1]
+    n = len(path.t)
+    repeated: dict[str, Any] = {
+        one.name: np.tile(value, count)
+        for one in fields(path)
+        if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
+    }
+    tiled = replace(path, starts=tuple(n * i for i in range(count)), **repeated)
+    if n * count <= MAX_SAMPLES_KEPT:
+        vars(path)["_tiled"] = count, tiled
+    return tiled
+
+
+def repeat_values(values: Any, n: int, is_depth: bool) -> Any:
+    """Repeat the values (Q,) of a population, n samples each; a common value stays a number.
+
+    A depth multiplies whole columns (n, k), so it has shape (Q n, 1).
+    """
+    values = np.ravel(values)
+    if values.size == 1 or (values == values[0]).all():
+        return float(values[0])
+    repeated = np.repeat(values, n)
+    return repeated[:, None] if is_depth else repeated
 
 
 @dataclass(frozen=True)
@@ -227,21 +389,7 @@ class SeparableModel:
     # --- evaluation
 
     def columns(self, g: int, nonlinear_values: Array, steps: Array) -> Array:
-        """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters.
-
-        Parameters
-        ----------
-        g : int
-            Index of the group.
-        nonlinear_values, steps : array of shape (P,)
-            Parameter vector, of which only non-linear values are used, and the steps of the differences.
-
-        Returns
-        -------
-        array of shape (1 + q, k, M)
-            Data per unit coefficient, in standard deviations; then the same per unit of each parameter.
-
-        """
+        """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters."""
         parts = []
         for b, block in enumerate(self.blocks):
             places = self.places[g].reshape(-1, len(self.layout.run_names))[:, block.run]
@@ -301,22 +449,7 @@ class SeparableModel:
     # --- conversion to the unknowns of the layout
 
     def law(self, nonlinear_values: Array, coefficients: Array) -> Array:
-        """Convert a separable solution to the unknowns of the layout.
-
-        Parameters
-        ----------
-        nonlinear_values : array of shape (P,)
-            Parameter vector with the non-linear values.
-        coefficients : array of shape (K,)
-            Linear coefficients.
-
-        Returns
-        -------
-        array of shape (P,)
-            All unknowns, phases within their bounds. A sinusoid has its amplitude (the mean over runs where it is
-            shared) and phases.
-
-        """
+        """Convert a separable solution to the unknowns of the layout."""
         p = np.array(nonlinear_values, dtype=float)
         estimates_by_slot: dict[int, list[float]] = {}
         pairs: dict[tuple[str, int | None], list[float]] = {}

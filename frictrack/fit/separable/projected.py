@@ -7,11 +7,15 @@ The model along the measured motion is linear in its coefficients c, given its n
 So c is solved for every p, and only p is searched (variable projection). A step needs only the Gram matrix of the
 columns. The friction levels are non-linear parameters here, with a penalty about one.
 
+Solve small quadratic problems within bounds, one at a time or for a population at once.
+
 References
 ----------
 Golub, G. H. & Pereyra, V. (1973). SIAM J. Numer. Anal. 10, 413-432.
 Kaufman, L. (1975). A variable projection method for solving separable nonlinear least squares problems. BIT 15,
 49-57.
+Portugal, L. F., Judice, J. J. & Vicente, L. N. (1994). A comparison of block pivoting and interior-point algorithms.
+Mathematics of Computation 63, 625-643.
 
 """
 
@@ -22,19 +26,98 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
-from frictrack.fit.parameters import LEVEL, direct_prior_equations, penalty_jacobian
-from frictrack.fit.separable.bounded import RIDGE, bounded_coefficients, solve_positive
+from frictrack.fit.parameters import LEVEL
+from frictrack.fit.penalties import direct_prior_equations, penalty_jacobian
 from frictrack.fit.separable.model import Indices, SeparableModel
 from frictrack.records import Array, Mask
 from frictrack.search import COST_OF_MEMORY, EvaluationBudget
 
+RIDGE = 1e-12  # relative; keeps nearly equal columns solvable
+POPULATION_RIDGE = 1e-9  # the same for a population, whose members may be far from any solution
+MAX_BLOCK_ROUNDS, MAX_ROUNDS = 6, 60  # rounds of pivoting: in blocks, and in all
+PULL_PRECISION = 1e-12  # relative; a smaller pull does not release a coefficient from its bound
 RELATIVE_STEP = 1e-6  # finite-difference step over the value, or over a thousandth of its range
 FIRST_DAMPING, MAX_DAMPING, MIN_DAMPING = 1e-6, 1e6, 1e-10
 MIN_DAMPING_AFTER_FAILURE = 1e-3  # larger ones end in other minima: two of 1000 searches for ATM2 missed their optimum
 COST_OF_EVALUATION = 0.1  # in a budget, where a simulation of all runs costs 1 (2 and 18 ms)
 MAX_PROMISE_FACTOR = 3.0  # times the predicted fall: the most that the misfit may still fall
 NO_INDICES: Indices = np.zeros(0, dtype=int)
+
+
+def bounded_coefficients(
+    gram: Array, right: Array, low: Array, high: Array, *, damping: float = 0.0
+) -> tuple[Array, Mask]:
+    """Minimise c' G c - 2 c' u within bounds.
+
+    Examples
+    --------
+    >>> c, free = bounded_coefficients(np.eye(2), np.array([1.0, -1.0]), np.zeros(2), np.full(2, 9.0))
+    >>> c.round(6).tolist(), free.tolist()
+    ([1.0, 0.0], [True, False])
+
+    """
+    size = np.sqrt(np.maximum(gram.diagonal(), 0.0))
+    dead = size == 0
+    size[dead] = 1.0
+    unit = gram / (size * size[:, None])
+    unit.flat[:: len(size) + 1] += RIDGE + damping + dead
+    if not (low == high).any():
+        c = solve_positive(unit, right / size) / size
+        if not ((c < low) | (c > high)).any():
+            return c, (c > low) & (c < high) & ~dead
+    c = _pivoted(unit[None], right[None] / size, (low * size)[None], (high * size)[None])[0] / size
+    c = np.clip(c, low, high)
+    return c, (c > low) & (c < high) & ~dead
+
+
+def bounded_population(gram: Array, right: Array, low: Array, high: Array) -> Array:
+    """Minimise c' G c - 2 c' u within bounds (K,) for all G (Q, K, K) and u (Q, K) at once; gives c (Q, K)."""
+    size = np.sqrt(np.einsum("qkk->qk", gram))
+    size[size == 0] = 1.0
+    unit = gram / size[:, :, None] / size[:, None, :] + POPULATION_RIDGE * np.eye(len(low))
+    c = np.linalg.solve(unit, (right / size)[:, :, None])[:, :, 0] / size
+    bad = np.flatnonzero(np.any((c < low) | (c > high), axis=1))
+    if len(bad):
+        c[bad] = _pivoted(unit[bad], right[bad] / size[bad], low * size[bad], high * size[bad]) / size[bad]
+    return np.clip(c, low, high)
+
+
+def _pivoted(unit: Array, right: Array, low: Array, high: Array) -> Array:
+    """Block pivoting: set coefficients (Q, K) on their bounds and release them until none changes."""
+    fixed = low == high
+    value = np.where(fixed, low, 0.0)
+    k, least_pull = np.arange(right.shape[1]), PULL_PRECISION * np.abs(right).max(initial=0.0)
+    for number in range(MAX_ROUNDS):
+        system = np.where(fixed[:, :, None] | fixed[:, None, :], 0.0, unit)
+        system[:, k, k] = np.where(fixed, 1.0, unit[:, k, k])
+        rest = np.where(fixed, value, right - np.einsum("qkj,qj->qk", unit, np.where(fixed, value, 0.0)))
+        c = np.linalg.solve(system, rest[:, :, None])[:, :, 0]
+        pull = right - np.einsum("qkj,qj->qk", unit, c)
+        leaving = ~fixed & ((c < low) | (c > high))
+        inward = ((c <= low) & (pull > least_pull)) | ((c >= high) & (pull < -least_pull))
+        changed = leaving | (fixed & (low < high) & inward)
+        if not changed.any():
+            break
+        if number >= MAX_BLOCK_ROUNDS:  # the first alone, which always ends (Murty 1974)
+            changed &= np.cumsum(changed, axis=1) == 1
+        value = np.where(leaving & changed, np.clip(c, low, high), value)
+        fixed ^= changed
+    return np.clip(c, low, high)
+
+
+def solve_positive(matrix: Array, right: Array) -> Array:
+    """Solve a small symmetric positive definite system; LAPACK is called directly, since checks take longer.
+
+    Examples
+    --------
+    >>> solve_positive(np.array([[4.0, 0.0], [0.0, 2.0]]), np.array([2.0, 2.0])).round(6).tolist()
+    [0.5, 1.0]
+
+    """
+    _, solution, info = dposv(matrix, right)
+    return np.asarray(solution if info == 0 else np.linalg.solve(matrix, right))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,25 +239,7 @@ class ProjectedProblem:
         groups: Iterable[int] | None = None,
         taking_part: Indices | None = None,
     ) -> SeparableSolution:
-        """Evaluate the solution for given non-linear values.
-
-        Parameters
-        ----------
-        nonlinear_values : array of shape (P,)
-            Parameter vector.
-        known : SeparableSolution, optional
-            Solution whose columns are reused for all groups not in `groups`; by default these take no part.
-        groups : iterable of int, optional
-            Groups to evaluate; default all.
-        taking_part : array of int, optional
-            Coefficients that take part from now on; default all of these groups.
-
-        Returns
-        -------
-        SeparableSolution
-            Coefficients, residual and misfit.
-
-        """
+        """Evaluate the solution for given non-linear values."""
         self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
         columns = {} if known is None else dict(known.columns)
         excluded = np.ones(len(self.separable.coefficients), bool) if known is None else known.excluded.copy()
@@ -254,25 +319,6 @@ class ProjectedProblem:
         """Refine the non-linear parameters of some groups and the friction levels by Levenberg-Marquardt.
 
         A solution stays as it is once the budget is spent.
-
-        Parameters
-        ----------
-        state : SeparableSolution
-            Where to start.
-        groups : iterable of int, optional
-            Groups to refine; default all.
-        steps : int
-            Largest number of steps.
-        enough : float
-            Stop when a step is predicted to gain less than this share of the misfit.
-        below : float
-            Stop when the misfit is not expected to fall below this value.
-
-        Returns
-        -------
-        SeparableSolution
-            The refined solution.
-
         """
         chosen = sorted(set(range(len(self.separable.groups)) if groups is None else groups))
         parameters = sorted({i for g in chosen for i in self.separable.groups[g].nonlinear_slots})

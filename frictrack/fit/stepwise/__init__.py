@@ -4,23 +4,27 @@
 
 from frictrack.fit.stepwise.growth import (
     add_effect,
-    guess_coefficients,
+    fit_displacement,
     refine_to_end,
+    refit_until_stop,
     remove_effect,
-    reorder_effects,
     simulate_trial,
 )
-from frictrack.fit.stepwise.order import EVENT_PARAMETERS, bic_penalty, entry_order, reversed_ties, ties_are_resolved
-from frictrack.fit.stepwise.scan_starts import effect_for_scan, scan_effect, scan_effects
 from frictrack.fit.stepwise.trial import (
-    STRONG_MISFIT_CHI2,
+    EVENT_PARAMETERS,
     CandidateTrial,
     baseline_misfit,
+    bic_penalty,
     deepen_trials,
+    effect_for_scan,
+    entry_order,
     gain_by_smaller_scatter,
     is_unconstrained,
     misfit_left_by_other,
     most_by_smaller_scatter,
+    scan_effect,
+    scan_effects,
+    ties_are_resolved,
     try_effect,
     try_effects,
     try_together,

@@ -1,71 +1,384 @@
-"""Add an effect to a fitted model where its scan gains most, or remove one, and refine the other parameters."""
+"""Fit displacements from scratch, and add an effect to a fitted model or remove one.
+
+From scratch, variable projection along the measured motion gives the start, output-error Gauss-Newton the result. If
+that leaves more than noise, effects are added one by one, each where its scan gains most.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import nullcontext, suppress
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
+from frictrack.fit.cutting import MIN_FRAMES, cut_into_pieces
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
+    PieceResponse,
     Solution,
     fit_with_scatter,
     refine,
     refit_with_scatter,
 )
-from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
-from frictrack.fit.pieces import Piece
-from frictrack.fit.stepwise.order import (
+from frictrack.fit.linearised import LinearisedModel, has_per_run_coefficients, linearise, measured_series
+from frictrack.fit.parameters import LEVEL
+from frictrack.fit.pieces import Piece, displacement_rows, without_starts
+from frictrack.fit.separable.common_amplitudes import variable_projection
+from frictrack.fit.separable.model import SeparableModel
+from frictrack.fit.separable.projected import ProjectedProblem
+from frictrack.fit.separable.varpro import is_scannable
+from frictrack.fit.stepwise.trial import (
     EVENT_PARAMETERS,
+    CandidateTrial,
     bic_penalty,
+    deepen_trials,
     entry_order,
+    is_unconstrained,
     model_without,
+    refine_on_measured_motion,
+    reversed_ties,
+    scan_effect,
     ties_are_resolved,
+    try_effect,
 )
-from frictrack.fit.stepwise.scan_starts import scan_effect
-from frictrack.fit.stepwise.trial import CandidateTrial, deepen_trials, refine_on_measured_motion, try_effect
-from frictrack.records import Array
+from frictrack.records import Array, Mask
 
+MAX_SETTINGS_TRIED = 600  # grid points tried
+MIN_WINDOW_FRAMES = 32  # frames per window; its start uses two degrees of freedom
+MAX_REFINEMENTS = 30  # function evaluations beyond the grid
+FIRST_SEGMENT_FRAMES = 128  # frames of the first, shortest stretches
+STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
+STOP_MARGIN_FRAMES = 2.0  # frames left out before a stop
+GOOD_CHI2_PER_FRAME = 1.15  # chi-squared per frame below which no second start is tried
+MAX_REVERSAL_SEGMENTS = 16  # segments used for the first fit of a long record with reversals
+COEFFICIENT_SHARES = (1.0, 0.5, 0.2, 0.0)  # factors on start coefficients, until the motion does not diverge
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking
 TRIAL_MIN_EXCESS_SHARE = 1e-3  # the same as a share of the chi-squared beyond noise
 SETTLING_STEPS = 2  # Gauss-Newton steps after which the starts of the motions belong to the law
 TRIAL_MAX_STEPS = 16  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
 
 
-def guess_coefficients(problem: LeastSquaresProblem) -> Array:
-    """Compute first coefficients of a linear model by least squares on the smoothed acceleration.
+def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """Fit a model to displacements from scratch, in several ways; the best result is returned.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    pieces : list of Piece
+        Pieces of all runs.
+    names : tuple of str
+        Names of the runs.
+    fps : float
+        Frame rate, 1/s.
+
+    Returns
+    -------
+    Solution
+        The fit.
+
+    Raises
+    ------
+    FrictrackError
+        If no effect is linear without a scan, or no motion can be integrated.
+
+    """
+    pieces = [p.with_clock(1.0) for p in pieces]  # pieces drawn from a fit may have its clock rate
+    if any(p.turns for p in pieces):
+        return _through_reversals(model, pieces, names, fps)
+    found = []
+    with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
+        found.append(_by_variable_projection(model, pieces, names, fps))
+    # a relaxed effect has too many parameters for a scan; one with memory takes ten times as long
+    can_grow = not any(e.relaxed or e.memory for e in model.effects)
+    if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
+        for other in (model, *reversed_ties(model)):
+            with suppress(FrictrackError) if found else nullcontext():
+                first, later = entry_order(other)
+                problem = _problem_of(first, pieces, names, fps)
+                found.append(_with_ties_of(_one_after_the_other(problem, _linear_guess(problem), other, later), model))
+    return refit_until_stop(min(found, key=lambda s: s.objective))
+
+
+def _problem_of(effects: list[Effect], pieces: list[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
+    """The problem of some effects over all pieces."""
+    if not effects:
+        raise FrictrackError("expected an effect without a scan, such as coulomb, in the model to start from")
+    return LeastSquaresProblem.of(Model(tuple(effects)), pieces, names, fps)
+
+
+def _by_variable_projection(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """The fit that variable projection starts; effects that it cannot scan are added afterwards."""
+    # clock errors are found in simulation, for few runs
+    later = [e for e in entry_order(model)[1] if not is_scannable(e) or e.clock is not None]
+    problem = _problem_of([e for e in model.effects if e not in later], pieces, names, fps)
+    blocks = problem.blocks
+    separable = SeparableModel(problem.layout, blocks)
+    search = variable_projection(separable)
+    state = search()
+    if absent := search.unneeded_events(state, bic_penalty(EVENT_PARAMETERS, separable.size)):
+        known = search.separable.layout.by_address(state.nonlinear_values)
+        problem = problem.rebuild(replace(problem.layout, absent=absent))
+        separable = SeparableModel(problem.layout, blocks)
+        projected = ProjectedProblem(separable, separable.data)
+        state = projected.refine(projected.at(problem.layout.unknowns(known)))
+    solution = _with_free_amplitudes(_refine_shrunk(problem, separable.law(state.nonlinear_values, state.coefficients)))
+    return _add_later(solution, model, later)
+
+
+def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
+    """The fit refined from p (P,), or from a share of its coefficients where the motion cannot be integrated."""
+    # along the measured motion a model that lacks an effect may have coefficients with which its own motion diverges
+    linear = np.array([s.linear for s in problem.layout.slots])
+    for share in COEFFICIENT_SHARES:
+        with suppress(FrictrackError):
+            return fit_with_scatter(problem, np.where(linear, share * p, p), problem.first_starts())
+    raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
+
+
+def _with_free_amplitudes(solution: Solution) -> Solution:
+    """One amplitude for all runs, or one per run where that lowers the BIC, wave after wave."""
+    runs = len(solution.problem.layout.run_names)
+    for effect in solution.problem.model.effects if runs > 1 else ():
+        own = [p for p in effect.parameters if p.role == "amplitude" and is_unconstrained(p) and not p.per_run]
+        if not own or not has_per_run_coefficients(effect):
+            continue
+        old = solution.problem.layout
+        free = effect.adjusted(**{p.name: {"per_run": True} for p in own})
+        layout = replace(old, model=Model(tuple(free if e is effect else e for e in old.model.effects)))
+        p = layout.unknowns(old.by_address(solution.p))
+        freed = fit_with_scatter(solution.problem.rebuild(layout), p, solution.starts, solution.tau)
+        if solution.objective - freed.objective > bic_penalty(len(own) * (runs - 1), solution.problem.n_frames):
+            solution = freed
+    return solution
+
+
+def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, later: list[Effect]) -> Solution:
+    """The fit of a first problem from p (P,), and then of the later effects of a model."""
+    return _add_later(fit_with_scatter(problem, p, problem.first_starts()), model, later)
+
+
+def _with_ties_of(solution: Solution, model: Model) -> Solution:
+    """The fit under the ties of `model`, refined from values found under other ties."""
+    old = solution.problem.layout
+    changes = {e.name: _changed_ties(old.effect(e.name), e) for e in model.effects}
+    if not any(changes.values()):
+        return solution
+    layout = replace(old, model=Model(tuple(old.effect(name).adjusted(**own) for name, own in changes.items())))
+    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
+    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
+    return fit_with_scatter(solution.problem.rebuild(layout), np.array(p), solution.starts, solution.tau or 0.03)
+
+
+def _changed_ties(fitted: Effect, wanted: Effect) -> dict[str, dict[str, Any]]:
+    """Tie and fixed value of the parameters of an effect whose tie is to be another one."""
+    changed = [p for p in wanted.parameters if p.tie != fitted.parameter(p.name).tie]
+    return {p.name: {"tie": p.tie, "fixed": p.fixed} for p in changed}
+
+
+def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
+    """The fit of runs with stops and reversals; with very many segments, on some of them first."""
+    subset = pieces[:: -(-len(pieces) // MAX_REVERSAL_SEGMENTS)]
+    if {p.run for p in subset} != {p.run for p in pieces}:
+        subset = pieces
+    start_effects, later = split_start_effects(model)
+    problem = _problem_of(start_effects, subset, names, fps)
+    guess = shoot_lengthening if any(p.slack for p in subset) else best_on_grid
+    found = _one_after_the_other(problem, guess(problem), model, later)
+    if len(subset) == len(pieces):
+        return found
+    problem = found.problem.rebuild(found.problem.layout, pieces)
+    return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
+
+
+def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
+    """Add the later effects of a model to the fit of the others, and refine to convergence."""
+    if not later:
+        return solution
+    for effect in later:  # also with one that it would replace: the model names both
+        solution = add_effect(solution, replace(effect, replaces=frozenset()))
+    return refine_to_end(reorder_effects(solution, model))
+
+
+def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
+    """Refit without the frames in which the model's own motion has stopped, or is within two frames of its stop.
+
+    The smoothed velocity changes sign too late at a stop; the simulated one does not.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    free : array of bool, shape (P,), optional
+        Unknowns that may change; default all, with the scatter of the levels.
+
+    Returns
+    -------
+    Solution
+        The fit to the shorter pieces; the given one if the motion cannot be integrated along these.
+
+    """
+    for _ in range(2 if solution.problem.simulates else 0):
+        kept = [_frames_before_stop(r) for r in solution.responses]
+        pieces = solution.problem.pieces
+        if all(n == len(p.t) for n, p in zip(kept, pieces, strict=True)):
+            break
+        shorter = [p.part(0, n) for n, p in zip(kept, pieces, strict=True)]
+        problem = solution.problem.rebuild(solution.problem.layout, shorter)
+        with suppress(FrictrackError):  # the motion under a law that lacks much cannot be integrated everywhere
+            if free is None:
+                solution = fit_with_scatter(problem, solution.p, solution.starts, solution.tau or 0.03)
+            else:
+                solution = refine(problem, solution.p, solution.starts, tau=solution.tau, free=free)
+    return solution
+
+
+def _frames_before_stop(response: PieceResponse) -> int:
+    """Frames of a piece before the stop of the simulated motion."""
+    piece, motion = response.piece, response.motion
+    if piece.turns:
+        return len(piece.t)
+    speed = (piece.path.s[0] * motion.v_edge)[piece.at]
+    slowing = -np.gradient(speed, piece.t)  # a mass that starts is slow too, but accelerates
+    near_stop = np.flatnonzero((slowing > 0) & (speed < STOP_MARGIN_FRAMES * slowing * np.gradient(piece.t)))
+    after = near_stop[near_stop >= MIN_FRAMES]
+    return int(after[0]) if len(after) else len(piece.t)
+
+
+def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
+    """Split effects: those without a scan start together, with modifiers and what they modify; the others are later."""
+    reshaped = frozenset[str]().union(*(e.modifies for e in model.effects if e.turns))
+    start_effects = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
+    return start_effects, [e for e in model.effects if e not in start_effects]
+
+
+# --- first values, by linear least squares along the smoothed motion
+
+
+def _linear_guess(problem: LeastSquaresProblem) -> Array:
+    """First coefficients (P,) of a model without scanned parameters, from the smoothed acceleration; levels are one."""
+    p = np.array([float(s.effect == LEVEL) for s in problem.layout.slots])
+    columns = np.concatenate([-_forces(problem, piece, p) / piece.mass for piece in problem.pieces])
+    right = np.concatenate([piece.a_hat - piece.known for piece in problem.pieces])
+    p[[s.linear for s in problem.layout.slots]] = np.linalg.lstsq(columns, right, rcond=1e-8)[0]
+    return p
+
+
+def best_on_grid(problem: LeastSquaresProblem) -> Array:
+    """Find the best grid point of the non-linear parameters, refined along the smoothed motion.
+
+    A force that depends on position, such as a spring, turns position errors into slow errors after two integrations.
+    Stretches are therefore compared whole and in windows, at the length at which the model explains most.
 
     Parameters
     ----------
     problem : LeastSquaresProblem
-        The problem of a model without scanned parameters.
+        The problem.
 
     Returns
     -------
     array of shape (P,)
-        Unknowns; friction levels one.
+        Start values.
 
     """
     layout = problem.layout
-    rows, right = [], []
-    p = np.array([1.0 if s.effect == "level" else 0.0 for s in layout.slots])
-    linear = [i for i, s in enumerate(layout.slots) if s.linear]
-    for piece in problem.pieces:
-        no_force = _acceleration(problem, piece, p)
-        units = [_acceleration(problem, piece, p + np.eye(len(p))[i]) - no_force for i in linear]
-        rows.append(np.stack(units, axis=1) if units else np.empty((len(no_force), 0)))
-        right.append(piece.a_hat - piece.known - no_force)
-    p[linear] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-8)[0]
+    scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != LEVEL]
+    points = list(product(*(_grid(problem, i) for i in scanned)))
+    longest = max(len(p.t) for p in problem.pieces)
+    lengths = [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= MIN_WINDOW_FRAMES)]  # 0: whole stretches
+    best, smallest_share, length = np.ones(len(layout.slots)), np.inf, 0
+    for point in points[:: -(-len(points) // MAX_SETTINGS_TRIED)]:
+        p = np.where([s.effect == LEVEL for s in layout.slots], 1.0, 0.0)
+        p[scanned] = point
+        for n, unknowns, residual, right in _solved_in_windows(problem, p, lengths):
+            unexplained_share = float(residual @ residual) / max(float(right @ right), 1e-300)
+            if unexplained_share < smallest_share:
+                best, smallest_share, length = unknowns, unexplained_share, n
+    if not scanned:
+        return best
+    low, high = (bound[scanned] for bound in layout.bounds)
+    scale = np.maximum(np.abs(best[scanned]), 1e-12)
+
+    def solved(theta: Array) -> tuple[int, Array, Array, Array]:
+        unknowns = best.copy()
+        unknowns[scanned] = np.clip(theta * scale, low, high)
+        return next(_solved_in_windows(problem, unknowns, [length]))
+
+    def residual_at(theta: Array) -> Array:
+        return solved(theta)[2]
+
+    inside = np.clip(best[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
+    bounds = low / scale, high / scale
+    return solved(least_squares(residual_at, inside, bounds=bounds, x_scale=1.0, max_nfev=MAX_REFINEMENTS).x)[1]
+
+
+def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
+    """Find start values (P,) for swinging masses: fit short stretches first, then longer and longer ones.
+
+    Over a whole record a slightly wrong model is soon out of phase, and no step leads back. In short stretches with
+    their own starts it is nearly linear (multiple shooting).
+
+    References
+    ----------
+    Bock, H. G. (1983). Recent advances in parameter identification techniques for O.D.E. Progress in Scientific
+    Computing 2, 95-121.
+
+    """
+    length, whole = FIRST_SEGMENT_FRAMES, max(len(piece.t) for piece in problem.pieces)
+    p = best_on_grid(problem.rebuild(problem.layout, cut_into_pieces(problem.pieces, length)))
+    while length < whole:
+        part = problem.rebuild(problem.layout, cut_into_pieces(problem.pieces, length))
+        with suppress(FrictrackError):  # a longer stretch may converge where this one does not
+            p = refine(part, p, part.first_starts(), max_steps=STEPS_PER_LENGTH).p
+        length *= 2
     return p
 
 
-def _acceleration(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
-    """Acceleration (3 p,) that the model with unknowns p (P,) adds along the smoothed motion."""
+def _grid(problem: LeastSquaresProblem, i: int) -> Array:
+    """Values of one unknown to try."""
+    slot = problem.layout.slots[i]
+    scan = problem.layout.effect(slot.effect).parameter(slot.parameter).scan
+    return np.array([np.mean(slot.bounds)]) if scan is None else scan(problem.layout.span)
+
+
+def _solved_in_windows(
+    problem: LeastSquaresProblem, p: Array, lengths: list[int]
+) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Yield window length, unknowns (P,) with the best coefficients, residual (n,) and data (n,), starts taken out."""
+    rows = [(piece, displacement_rows(piece, _forces(problem, piece, p))) for piece in problem.pieces]
+    linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
+    low, high = (bound[linear] for bound in problem.layout.bounds)
+    for n in lengths:
+        cut = np.concatenate([window for piece, own in rows for window in without_starts(piece, own, n)])
+        columns, right, out = cut[:, :-1], cut[:, -1], p.copy()
+        out[linear] = np.clip(np.linalg.lstsq(columns, right, rcond=1e-10)[0], low, high)
+        yield n, out, right - columns @ out[linear], right
+
+
+def _forces(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
+    """Forces (3 p, K) per unit coefficient along the smoothed motion of one piece; zero for those of other runs."""
     values, level = problem.layout.values(p, piece.run)
-    return np.asarray(-problem.model.force(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values) / piece.mass)
+    columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
+    places = {(e.name, q.name): k for e in problem.model.effects for k, q in enumerate(e.linear)}
+    return np.column_stack(
+        [
+            columns[s.effect][:, places[s.effect, s.parameter]]
+            if s.effect in columns and s.run in (None, piece.run)
+            else np.zeros_like(piece.known)
+            for s in problem.layout.slots
+            if s.linear
+        ]
+    )
+
+
+# --- one effect more, or one less
 
 
 def add_effect(solution: Solution, effect: Effect) -> Solution:
@@ -101,11 +414,11 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
     if not without_scan:
         raise FrictrackError(f"{effect.name} cannot be added to this law: its motion cannot be integrated")
     layout = replace(solution.problem.layout, model=Model(tuple(without_scan)), absent=frozenset())
-    problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    grown_solution = fit_with_scatter(problem, guess_coefficients(problem), problem.first_starts())
+    problem = solution.problem.rebuild(layout)
+    grown = fit_with_scatter(problem, _linear_guess(problem), problem.first_starts())
     for e in [effect, *scanned] if ties_are_resolved(effect, without_scan) else [*scanned, effect]:
-        grown_solution = _add_effect(grown_solution, e)
-    return reorder_effects(grown_solution, Model((*solution.problem.model.effects, effect)))
+        grown = _add_effect(grown, e)
+    return reorder_effects(grown, Model((*solution.problem.model.effects, effect)))
 
 
 def _add_effect(solution: Solution, effect: Effect) -> Solution:
@@ -139,7 +452,7 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
 
     """
     model = linearised.solution
-    problem, tau = model.problem.rebuild(trial.layout, model.problem.pieces), model.tau or 0.03
+    problem, tau = model.problem.rebuild(trial.layout), model.tau or 0.03
     starts = problem.first_starts()
     if problem.simulates:
         starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
@@ -158,11 +471,8 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
 
 
 def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
-    """Remove clock errors of runs that do not need one: the others share the nominal clock.
-
-    The model absorbs a common clock error of all runs. The run nearest to the median clock is therefore removed
-    first.
-    """
+    """Remove clock errors of runs that do not need one: the others share the nominal clock."""
+    # the model absorbs a common clock error of all runs: the run nearest to the median clock is removed first
     penalty = bic_penalty(EVENT_PARAMETERS, solution.problem.n_frames)
     while effect.clock is not None:
         layout = solution.problem.layout
@@ -172,11 +482,11 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
         middle = float(np.median([rates.get(r, 0.0) for r in range(len(layout.run_names))]))
         run = min(rates, key=lambda r: abs(rates[r] - middle))
         fewer_clocks = replace(layout, absent=layout.absent | {(effect.name, int(run or 0))})
-        known_values = dict(zip(layout.names, solution.p, strict=True))
-        problem = solution.problem.rebuild(fewer_clocks, solution.problem.pieces)
-        p = np.array([known_values[n] - rates[run] * n.startswith(f"{effect.name}.") for n in fewer_clocks.names])
+        p = fewer_clocks.unknowns(layout.by_address(solution.p))
+        p -= rates[run] * np.array([s.effect == effect.name for s in fewer_clocks.slots])
+        problem, tau = solution.problem.rebuild(fewer_clocks), solution.tau
         found = fit_with_scatter(
-            problem, p, solution.starts, solution.tau, max_steps=TRIAL_MAX_STEPS, min_fall=TRIAL_MIN_CHI2_FALL
+            problem, p, solution.starts, tau, max_steps=TRIAL_MAX_STEPS, min_fall=TRIAL_MIN_CHI2_FALL
         )
         if found.objective - solution.objective > penalty:
             break
@@ -186,10 +496,9 @@ def _with_few_clocks(solution: Solution, effect: Effect) -> Solution:
 
 def _without_effect(problem: LeastSquaresProblem, trial: CandidateTrial, model: Solution) -> Solution:
     """The model without the effect on trial, with its coefficients refined."""
-    layout, known = trial.layout, dict(zip(model.problem.layout.names, model.p, strict=True))
-    own = [s.linear and s.effect == trial.effect.name for s in layout.slots]
-    slots = zip(layout.names, trial.p, own, strict=True)
-    p = np.array([known.get(name, 0.0 if removed else value) for name, value, removed in slots])
+    layout = trial.layout
+    own = np.array([s.linear and s.effect == trial.effect.name for s in layout.slots], dtype=bool)
+    p = layout.unknowns(model.problem.layout.by_address(model.p), np.where(own, 0.0, trial.p))
     problem = problem.beginning_at(model.responses)
     return refine(problem, p, model.starts, tau=model.tau or 0.03, free=layout.coefficients, max_steps=4)
 
@@ -202,20 +511,18 @@ def refine_to_end(solution: Solution) -> Solution:
 def reorder_effects(solution: Solution, model: Model) -> Solution:
     """Return the same solution with the effects in the order of `model`."""
     old = solution.problem.layout
-    made = {e.name: e for e in old.model.effects}
-    ordered = tuple(replace(made[e.name], replaces=e.replaces) for e in model.effects)
+    ordered = tuple(replace(old.effect(e.name), replaces=e.replaces) for e in model.effects)
     if ordered == old.model.effects:
         return solution
     layout = replace(old, model=Model(ordered))
-    values = dict(zip(old.names, solution.p, strict=True))
-    p = np.array([values[n] for n in layout.names])
-    problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    problem = problem.beginning_at(solution.responses)  # a motion up to its stop may not be found again from afar
+    # a motion up to its stop may not be found again from afar
+    problem = solution.problem.rebuild(layout).beginning_at(solution.responses)
+    p = layout.unknowns(old.by_address(solution.p))
     return refine(problem, p, solution.starts, tau=solution.tau, max_steps=2)
 
 
 def remove_effect(solution: Solution, name: str) -> Solution:
-    """Remove an effect from a fitted model and refine the rest.
+    """Remove an effect from a fitted model, and refine the smaller one.
 
     Parameters
     ----------
@@ -233,9 +540,8 @@ def remove_effect(solution: Solution, name: str) -> Solution:
     old = solution.problem.layout
     absent = frozenset(pair for pair in old.absent if pair[0] != name)
     layout = replace(old, model=model_without(solution, name), absent=absent)
-    values = dict(zip(old.names, solution.p, strict=True))
-    problem = solution.problem.rebuild(layout, solution.problem.pieces)
-    firsts = [np.array([values[n] for n in layout.names])]
+    problem = solution.problem.rebuild(layout)
+    firsts = [layout.unknowns(old.by_address(solution.p))]
     if problem.simulates:  # the rest takes over what it can of the effect
         firsts.append(refine_on_measured_motion(linearise(solution), layout, firsts[0]))
     found = []

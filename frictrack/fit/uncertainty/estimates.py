@@ -1,11 +1,38 @@
 """Convert fitted unknowns to estimates: value, standard deviation, and the reason where no value is given.
 
 A parameter has no value if the data do not respond to it, or if its profile is not bounded.
+
+The standard deviations of a fit hold if only noise is left. A rejected model misses a force, which biases its
+parameters by far more than noise does. The missing force is modelled as a Gaussian process: independent in every run,
+or a function of position or speed that all runs share. Its size and length have the highest restricted likelihood.
+Its effect on the least-squares parameters is the sandwich
+
+    (J'J)^-1 J'T S T'J (J'J)^-1
+
+with T the trace of the force in the data and S its covariance. The part of the force that looks like the model cannot
+be seen in the residual, but it is as large as the part that can.
+
+Propagate the stated errors of scale and mass, which all runs share, to the reported parameters.
+
+The fit is made in measured lengths and with the stated mass. With a true length (1 + e) times the measured one and a
+true mass (1 + d) times the stated one, the measured motion obeys
+
+    m x'' = (K - e K - d D) - F / ((1 + e) (1 + d)),     K = D - m g sin(incline)
+
+to first order. A force is therefore (1 + e) (1 + d) times the fitted one, and the model also fits its parameters to the
+acceleration -(e K + d D) / m as if it were friction. An error of the incline is an unknown of the fit: `slope`.
+
+References
+----------
+Kennedy, M. C. & O'Hagan, A. (2001). Bayesian calibration of computer models. J. R. Stat. Soc. B 63, 425-464.
+Rasmussen, C. E. & Williams, C. K. I. (2006). Gaussian Processes for Machine Learning, ch. 5. MIT Press.
+White, H. (1982). Maximum likelihood estimation of misspecified models. Econometrica 50, 1-25.
+
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, NoReturn
@@ -15,16 +42,32 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus, join_words, lower_first
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import MIN_SINGULAR_VALUE, NORMAL_QUANTILE_975, Solution, covariance_of
+from frictrack.fit.least_squares import (
+    MIN_SINGULAR_VALUE,
+    NORMAL_QUANTILE_975,
+    ModelProjection,
+    PieceResponse,
+    Solution,
+    covariance_of,
+    displacement_response,
+    model_projection,
+    white_noise_covariance,
+)
 from frictrack.fit.parameters import LEVEL, MASS
+from frictrack.fit.penalties import prior_jacobian
+from frictrack.fit.routes import FittedRuns
+from frictrack.fit.smooth_functions import (
+    correlation_time_frames,
+    linear_interpolation_matrix,
+    matern_root,
+    most_likely_process,
+)
 from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
-from frictrack.fit.uncertainty.remarks import (
+from frictrack.fit.uncertainty.reported import (
     correlated_noise_remark,
     deciding_experiment,
     identifiability_remarks,
     negative_force_remark,
-)
-from frictrack.fit.uncertainty.reported_values import (
     parse_quantity,
     reported_names,
     reported_slots,
@@ -34,6 +77,23 @@ from frictrack.fit.uncertainty.reported_values import (
 from frictrack.records import Array
 
 MIN_CORRELATION = 0.95  # stronger correlations are reported
+# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
+MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
+UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
+KNOTS = {"x": 60, "v": 40}  # knots of a force that all runs share
+MAX_KNOTS, MIN_KNOTS, KNOTS_A_RUN = 400, 3, 32  # knots of independent forces: over all pieces; per piece
+CORRELATION_LENGTHS = (4.0, 1.5, 0.5, 0.2, 0.08)  # correlation lengths of the force, share of the axis
+SMOOTHNESS = 1.5  # of the force: its slope may jump, as at an edge; a smoother one would promise too much
+MAX_TRACE = 100.0  # standard deviations of noise; a larger force would not leave the motion as it was linearised
+MIN_EVIDENCE_SHARE = 0.5  # share of the best evidence; less plausible axes are ignored
+MIN_MISFIT_EVIDENCE = 10.0  # twice the rise of the log likelihood from which a misfit is reported
+MIN_AXIS_RANGE = 1e-6  # share of the largest value; narrower axes are ignored
+REJECTION_REMARK = (
+    "the model is rejected: it misses a force. A standard deviation of noise alone means nothing then; the wider one "
+    "holds for a missing force of the size that the residual shows"
+)
+MAX_NOISE_CHI2 = 1.2  # chi-squared per degree of freedom up to which a residual counts as noise
+_Forces = list[tuple[slice, Array]]  # per piece: which of all K forces act there, and their values (m, k) at its nodes
 
 
 @dataclass(frozen=True)
@@ -147,7 +207,7 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
         shown, std_shown = (None, None) if reason else (float(value), float(deviation))
         out[names[i]] = Estimate(shown, std_shown, layout.slots[i].unit, bool(at_bound[i]), reason)
     for (effect, parameter), value in layout.fixed.items():
-        unit = next(e for e in layout.model.effects if e.name == effect).parameter(parameter).unit
+        unit = layout.effect(effect).parameter(parameter).unit
         out[f"{effect}.{parameter}"] = Estimate(value, 0.0, unit, False, "fixed")
     out |= _tied_estimates(solution, covariance, out)
     correlated = correlations(names, reported_slots(layout), covariance)
@@ -179,11 +239,6 @@ def correlations(names: list[str], at: list[int], covariance: Array) -> list[tup
     r = covariance / d[:, None] / d
     pairs = [(a, b) for k, a in enumerate(at) for b in at[k + 1 :]]
     return [(names[a], names[b], round(float(r[a, b]), 4)) for a, b in pairs if abs(r[a, b]) > MIN_CORRELATION]
-
-
-# standard deviations of an amplitude from zero, and of a parameter from its bounds: certainly determined
-MIN_EVIDENCE, MIN_DISTANCE_STD = 8.0, 20.0
-UNDETERMINED_PHASE_STD = np.pi / NORMAL_QUANTILE_975  # rad; the 95 % interval covers the whole circle
 
 
 def unseen_reasons(solution: Solution, unseen: Array) -> dict[str, str]:
@@ -296,3 +351,193 @@ def _reason_unbounded(solution: Solution, covariance: Array, i: int) -> str | No
     except (FrictrackError, np.linalg.LinAlgError):
         return "its misfit cannot be followed"
     return next((why for is_bounded, why in found if not is_bounded), None)
+
+
+def with_stated_errors(found: Estimates, fitted: FittedRuns) -> Estimates:
+    """Add the stated errors of scale and mass to the standard deviations and intervals of fitted parameters."""
+    units = {name: one.unit for name, one in found.parameters.items() if one.std}
+    added = np.sqrt(np.sum(stated_error_changes(fitted, units) ** 2, axis=0))
+    wider = {name: _wider(found.parameters[name], float(more)) for name, more in zip(units, added, strict=True)}
+    return replace(found, parameters=Parameters(found.parameters | wider))
+
+
+def _wider(one: Estimate, more: float) -> Estimate:
+    """An estimate with one more independent standard deviation."""
+    if not more or one.value is None:
+        return one
+    std, misfit = (None if s is None else float(np.hypot(s, more)) for s in (one.std, one.std_misfit))
+    low, high = (
+        None if end is None else one.value + sign * float(np.hypot(end - one.value, NORMAL_QUANTILE_975 * more))
+        for sign, end in zip((-1, 1), one.interval or (None, None), strict=True)
+    )
+    return replace(one, std=std, std_misfit=misfit, interval=one.interval and (low, high))
+
+
+def stated_error_changes(fitted: FittedRuns, units: Mapping[str, str], of_mass: Array | None = None) -> Array:
+    """Compute by how much one standard deviation of each stated error changes reported parameters, (sources, A).
+
+    `units`: of the parameters by address; `of_mass` (A,): whether each is proportional to the mass, by default forces.
+    """
+    solution, problem = fitted.solution, fitted.solution.problem
+    scale = max((run.displacement.relative_scale_error for run in fitted.runs), default=0.0)
+    mass = max((run.sigma_mass / run.mass for run in fitted.runs if run.mass), default=0.0)
+    if not units or not (scale or (mass and problem.simulates)):
+        return np.zeros((0, len(units)))
+    values, jacobian = reported_values_and_jacobian(problem, solution.p, list(units))
+    lengths, forces = _powers(units.values(), force_has_length=problem.simulates)
+    if not problem.simulates:
+        return (scale * lengths * values)[None]
+    as_friction = [jacobian @ shift for shift in _shifts(solution)]
+    own = (lengths * values, (forces if of_mass is None else of_mass) * values)
+    return np.array([size * (o - f) for size, o, f in zip((scale, mass), own, as_friction, strict=True)])
+
+
+def _powers(units: Iterable[str], *, force_has_length: bool) -> tuple[Array, Array]:
+    """Powers of length and of mass (A,) in values of these units."""
+    lengths = [length_power(unit, force_has_length=force_has_length) for unit in units]
+    return np.array(lengths), np.array(["N" in unit for unit in units], dtype=float)
+
+
+def _shifts(solution: Solution) -> Iterator[Array]:
+    """Yield the changes (P,) of the unknowns per relative error of the scale, and of the mass."""
+    # a prior is of the true values, and so it takes a part of their error
+    layout = solution.problem.layout
+    covariance, priors = white_noise_covariance(solution)[0], prior_jacobian(layout, solution.p)
+    values = layout.reported_values(solution.p)
+    held = np.array([values[q.address] for q in layout.priors])
+    powers = _powers([layout.slots[layout.names.index(q.address)].unit for q in layout.priors], force_has_length=True)
+    known = [r.piece.known for r in solution.responses]
+    drives = [np.zeros(1) if (d := r.piece.path.drive) is None else d / r.piece.mass for r in solution.responses]
+    for power, of_all in zip(powers, (known, drives), strict=True):
+        rows = [_row(r, -own) @ r.jac for r, own in zip(solution.responses, of_all, strict=True)]
+        pull = solution.stacked([row[None] for row in rows]).sum(axis=0)
+        if layout.priors:
+            pull += priors.T @ (layout.prior_whitening @ (power * held))
+        yield covariance @ pull
+
+
+def _row(r: PieceResponse, acceleration: Array) -> Array:
+    """Whitened change (n,) of the measured position by an acceleration at the nodes (3 p,), another start taken out."""
+    inputs = np.broadcast_to(acceleration, r.piece.known.shape)[:, None]
+    moved = r.linear.edge_states(inputs, np.zeros((2, 1)))[r.piece.at, 0, 0]
+    row = r.piece.whitened((1 + r.shift_slope) * moved)
+    return np.asarray(row - r.q @ (r.q.T @ row))
+
+
+def length_power(unit: str, *, force_has_length: bool) -> float:
+    """Return the power of length in a unit: 1 of m/s; 0 of N s/m, where forces were computed from the motion.
+
+    Examples
+    --------
+    >>> [length_power(unit, force_has_length=True) for unit in ("N", "m/s", "N s/m", "N s^2/m^2", "1")]
+    [1.0, 1.0, 0.0, -1.0, 0.0]
+
+    """
+    power = 0.0
+    for sign, part in zip((1, -1), unit.partition("/")[::2], strict=True):
+        for factor in part.split():
+            symbol, _, exponent = factor.partition("^")
+            if symbol == "m" or (symbol == "N" and force_has_length):
+                power += sign * float(exponent or 1)
+    return power
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """The missing force of a rejected model."""
+
+    axis: str  # what the force is a function of: "t" (independent in every run), "x" or "v"
+    evidence: float  # twice the rise of the log restricted likelihood
+    covariance: Array  # what it adds to the covariance of the unknowns, (P, P)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON `misfit` of a fit."""
+        return {"axis": self.axis, "evidence": self.evidence, "words": REJECTION_REMARK}
+
+
+def misfit_of(solution: Solution) -> Misfit | None:
+    """Find the most likely missing force of a model, and its effect on the unknowns; None for noise alone."""
+    if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
+        return None
+    law = model_projection(solution)
+    inverse_hessian, _ = white_noise_covariance(solution)
+    candidates = []
+    for axis, forces, roots in _force_bases(solution):
+        gram, data, gradient = _trace_products(law, forces)
+        force = most_likely_process(gram, data, roots, MAX_TRACE)
+        moved = inverse_hessian @ gradient @ force.prior
+        candidates.append(Misfit(axis, force.gain, moved @ moved.T))
+    best = max(candidates, key=lambda m: m.evidence)
+    plausible = [m for m in candidates if m.evidence > MIN_EVIDENCE_SHARE * best.evidence]
+    return _widest_covariance(best, plausible) if best.evidence > MIN_MISFIT_EVIDENCE else None
+
+
+def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array, Array]:
+    """Inner products of the traces of K unit forces in the data."""
+    # they are those of what the model cannot follow of them with itself (K, K), with the residual (K,), and those of
+    # the whole traces with the Jacobian (P, K)
+    size = max(columns.stop for columns, _ in forces)
+    gram, data = np.zeros((size, size)), np.zeros(size)
+    on_model, gradient = np.zeros((law.u.shape[1], size)), np.zeros((len(law.solution.p), size))
+    for rows, response, (columns, values) in zip(law.rows, law.responses, forces, strict=True):
+        trace = displacement_response(response, values)
+        gram[columns, columns] += trace.T @ trace
+        data[columns] += law.r[rows] @ trace
+        on_model[:, columns] += law.u[rows].T @ trace
+        gradient[response.active, columns] += response.jac.T @ trace
+    return gram - on_model.T @ on_model, data, gradient
+
+
+def _widest_covariance(best: Misfit, plausible: list[Misfit]) -> Misfit:
+    """The most likely force, its covariance scaled to the largest standard deviation under any plausible force."""
+    # the axis of the missing force is uncertain, and the standard deviations must hold for each plausible one
+    own = np.sqrt(np.maximum(np.diag(best.covariance), 1e-300))
+    largest = np.sqrt(np.max([np.diag(m.covariance) for m in plausible], axis=0))
+    scale = np.maximum(largest / own, 1.0)
+    return Misfit(best.axis, best.evidence, best.covariance * scale[:, None] * scale)
+
+
+def dispersion(solution: Solution) -> float:
+    """Compute the factor by which differences of chi-squared are divided while a model leaves more than noise.
+
+    It is chi-squared per degree of freedom times the correlation time of the residual in frames, at least 1
+    (quasi-likelihood; Wedderburn 1974, Biometrika 61, 439-447).
+    """
+    free = max(solution.problem.n_frames - len(solution.p) - 2 * len(solution.responses), 1)
+    chi2_per_frame = solution.chi2 / free
+    if chi2_per_frame < MAX_NOISE_CHI2:
+        return 1.0
+    return max(chi2_per_frame * max(1.0, *(correlation_time_frames(r.r) for r in solution.responses)), 1.0)
+
+
+def _force_bases(solution: Solution) -> Iterator[tuple[str, _Forces, list[Array]]]:
+    """Yield axis, unit forces through knots along every piece, and roots of their covariances for every length."""
+    motions = [_motion_at_nodes(solution, r) for r in solution.responses]
+    count = int(np.clip(MAX_KNOTS // len(motions), MIN_KNOTS, KNOTS_A_RUN))
+    own: _Forces = [
+        (slice(i * count, (i + 1) * count), linear_interpolation_matrix(t, np.linspace(t[0], t[-1], count)))
+        for i, (t, *_) in enumerate(motions)
+    ]
+    yield "t", own, [np.asarray(np.kron(np.eye(len(motions)), root)) for root in _roots(count)]
+    for axis, values in (("x", [x for _, x, _, _ in motions]), ("v", [np.abs(v) for _, _, v, _ in motions])):
+        low, high = min(float(u.min()) for u in values), max(float(u.max()) for u in values)
+        if not high - low > MIN_AXIS_RANGE * max(abs(low), abs(high)):
+            continue
+        knots = np.linspace(low, high, KNOTS[axis])
+        dry = [factor for *_, factor in motions]
+        for factors in (dry, [np.sign(f) if axis == "v" else np.ones_like(f) for f in dry]):
+            pairs = zip(values, factors, strict=True)
+            shared = [(slice(0, len(knots)), linear_interpolation_matrix(u, knots) * f[:, None]) for u, f in pairs]
+            yield axis, shared, _roots(len(knots))
+
+
+def _roots(count: int) -> list[Array]:
+    return [matern_root(np.linspace(0.0, 1.0, count), length, SMOOTHNESS) for length in CORRELATION_LENGTHS]
+
+
+def _motion_at_nodes(solution: Solution, response: PieceResponse) -> tuple[Array, Array, Array, Array]:
+    """Time, position, velocity, and load times direction at the nodes of one piece, (m,) each."""
+    piece = response.piece
+    _, level = solution.problem.layout.values(solution.p, piece.run)
+    path = piece.path_at_nodes(response.motion.x, response.motion.v, level)
+    return piece.panels.t, path.x, path.v, path.load * path.s

@@ -35,7 +35,7 @@ from frictrack.fit.least_squares import (
     white_noise_covariance,
 )
 from frictrack.fit.routes import FittedRuns, require_one_fit
-from frictrack.fit.uncertainty.reported_values import Quantity, parse_quantity
+from frictrack.fit.uncertainty.reported import Quantity, parse_quantity
 from frictrack.records import Array, Mask
 
 QUANTILE_TOLERANCE = 5e-3  # share of the quantile: accuracy of an end
@@ -193,8 +193,8 @@ class FixedQuantityProblem(LeastSquaresProblem):
         changed: dict[str, Any] = {
             name: getattr(r, name) + np.outer(getattr(r, name)[:, at], share) for name in ("jac", "on_start")
         }
-        if (displacement := getattr(r, "plain", None)) is not None:  # behind an acceleration chain
-            changed["plain"] = self._with_pivot_derivative(displacement, derivative)
+        if (displacement := getattr(r, "displacement", None)) is not None:  # behind an acceleration chain
+            changed["displacement"] = self._with_pivot_derivative(displacement, derivative)
         return replace(r, **changed)
 
 

@@ -7,12 +7,11 @@ a worker against all tasks that were there; the second time, a task runs alone, 
 
 from __future__ import annotations
 
+import asyncio
 import logging
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 from uuid import uuid4
 
@@ -23,6 +22,7 @@ from frictrack.base.workers import WorkerPool
 MAX_ATTEMPTS = 3  # of one task that is lost with the scheduler
 SCHEDULER_TIMEOUT_S = 20.0  # s to wait for the first answer
 RESTART_TIMEOUT_S = 300.0  # s to wait for a scheduler that was lost
+LOST = f"the Dask scheduler was lost {MAX_ATTEMPTS} times while this was computed; run the batch again"
 _CLIENT_LOGGERS = ("distributed.batched", "distributed.client")  # their tracebacks of a lost scheduler are no news
 
 
@@ -53,38 +53,21 @@ def cluster_workers(address: str) -> Iterator[WorkerPool]:
         yield _ClusterPool(client, address)
 
 
-@dataclass(frozen=True)
-class _ClusterTask:
-    """A task and what happened to it so far."""
-
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    found: Future[Any] = field(default_factory=Future)
-    losses: int = 0  # times that it was lost with the scheduler
-    is_suspect: bool = False  # whether workers died while they had it
-    workers: tuple[str, ...] = ()  # those with space on the disk, if one had none
-
-
 class _ClusterPool:
-    """Workers of a Dask cluster. Everything but `submit` and `capacity` runs in the thread of the client.
-
-    Tasks run together until workers died of one of them. Such suspects wait until the others have ended, or fill all
-    of the capacity, and run one by one; tasks that are submitted meanwhile are held.
-    """
+    """Workers of a Dask cluster. Everything but `submit` and `capacity` runs in the loop of the client."""
 
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
         self._threads: dict[str, int] = {}  # by address of the worker
-        self._pinned: dict[Any, tuple[str, ...]] = {}  # by future of Dask
-        self._together = 0  # tasks that are no suspects and under way
-        self._alone = False  # whether a suspect is under way
-        self._suspects: deque[_ClusterTask] = deque()  # that wait
-        self._held: deque[_ClusterTask] = deque()  # other tasks, submitted while a suspect is under way
+        self._pinned: dict[Any, tuple[str, ...]] = {}  # by future of Dask: the workers that it waits for
+        self._under_way = 0  # tasks
+        self._is_alone = False  # whether the one under way runs alone
+        self._changed = asyncio.Condition()  # of these two
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        task = _ClusterTask(function, arguments)
-        self._client.loop.add_callback(self._enter, task)
-        return task.found
+        found: Future[Any] = Future()
+        self._client.loop.add_callback(self._run, found, function, arguments)
+        return found
 
     def capacity(self) -> int:
         """Return twice the number of threads, so that no worker waits for us; 0 while the scheduler is lost."""
@@ -104,93 +87,71 @@ class _ClusterPool:
                 future.cancel()
         return 2 * max(1, sum(self._threads.values()))
 
-    def _enter(self, task: _ClusterTask) -> None:
-        """Begin a task as soon as it may run."""
-        if task.is_suspect:
-            self._suspects.append(task)
-        elif self._alone:
-            self._held.append(task)
-        else:
-            self._together += 1
-            self._begin(task)
-        self._begin_suspect()
-
-    def _leave(self, task: _ClusterTask) -> None:
-        """Begin what waited for a task that has ended."""
-        if task.is_suspect:
-            self._alone, held = False, [*self._held]
-            self._held.clear()
-            for one in held:
-                self._enter(one)
-        else:
-            self._together -= 1
-        self._begin_suspect()
-
-    def _begin_suspect(self) -> None:
-        """Begin the first suspect if nothing else is under way."""
-        if self._suspects and not self._alone and not self._together:
-            self._alone = True
-            self._begin(self._suspects.popleft())
-
-    def _begin(self, task: _ClusterTask) -> None:
-        how: dict[str, Any] = {"key": f"{task.function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
-        if task.workers:
-            how["workers"] = list(task.workers)
-        future = self._client.submit(_call, task.function, task.arguments, pure=False, **how)
-        if task.workers:
-            self._pinned[future] = task.workers
-        self._client.loop.add_callback(self._follow, task, future)
-
-    async def _follow(self, task: _ClusterTask, future: Any) -> None:
-        """Wait for a task. What is neither its result nor its own error happened on the way to us: it is lost."""
-        value: Any = None
-        error: Exception | None = None
-        try:
-            value = await self._client.gather(future, asynchronous=True)
-        except Exception as e:  # noqa: BLE001 - a task may raise anything
-            error = e
-        self._pinned.pop(future, None)
-        if error is None or future.status == "error":
-            self._ended(task, value, error)
-        else:
-            self._lost(task)
-
-    def _ended(self, task: _ClusterTask, value: Any, error: Exception | None) -> None:
-        """Give the result of a task on, or submit it again."""
+    async def _run(self, found: Future[Any], function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        """Compute a task, again if what ran it is lost: the scheduler, the worker, or the space on a disk."""
         from distributed import KilledWorker  # noqa: PLC0415 - optional
 
-        if isinstance(error, KilledWorker) and not task.is_suspect:
-            self._enter(replace(task, is_suspect=True))
-            self._leave(task)
-        elif isinstance(error, DiskFullError) and not task.workers and (others := self._others(error.worker)):
-            self._begin(replace(task, workers=others))
-        elif isinstance(error, KilledWorker):
-            self._finish(task, FrictrackError(_describe_deaths(error)))
-        else:
-            self._finish(task, error, value)
+        losses, alone = 0, False
+        workers: tuple[str, ...] = ()  # those with space on the disk, if one had none
+        while not found.done():
+            async with self._place(alone=alone):
+                value, error = await self._attempt(function, arguments, workers)
+            if isinstance(error, _LostError):
+                if self._client.status in ("closing", "closed"):
+                    return  # `capacity` says so
+                losses, workers = losses + 1, ()
+                if losses == MAX_ATTEMPTS:
+                    found.set_exception(FrictrackError(LOST))
+            elif isinstance(error, KilledWorker) and not alone:
+                alone = True  # so that its deaths are its own
+            elif isinstance(error, DiskFullError) and not workers and (others := self._others(error.worker)):
+                workers = others
+            elif error is not None:
+                found.set_exception(
+                    FrictrackError(_describe_deaths(error)) if isinstance(error, KilledWorker) else error
+                )
+            else:
+                found.set_result(value)
 
-    def _lost(self, task: _ClusterTask) -> None:
-        """Submit a task again that was lost with the scheduler, or that waited for workers which have died."""
-        if self._client.status in ("closing", "closed"):
-            return  # `capacity` says so
-        if task.losses + 1 < MAX_ATTEMPTS:
-            self._begin(replace(task, losses=task.losses + 1, workers=()))
-            return
-        what = f"the Dask scheduler was lost {MAX_ATTEMPTS} times while this was computed; run the batch again"
-        self._finish(task, FrictrackError(what))
+    @asynccontextmanager
+    async def _place(self, *, alone: bool) -> AsyncIterator[None]:
+        """Wait until a task may run: one alone when nothing is under way, the others while none runs alone."""
+        async with self._changed:
+            await self._changed.wait_for(lambda: not (self._is_alone or (alone and self._under_way)))
+            self._is_alone, self._under_way = alone, self._under_way + 1
+        try:
+            yield
+        finally:
+            async with self._changed:
+                self._is_alone, self._under_way = False, self._under_way - 1
+                self._changed.notify_all()
 
-    def _finish(self, task: _ClusterTask, error: BaseException | None, value: Any = None) -> None:
-        self._leave(task)
-        if error is not None:
-            task.found.set_exception(error)
-        else:
-            task.found.set_result(value)
+    async def _attempt(
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], workers: tuple[str, ...]
+    ) -> tuple[Any, Exception | None]:
+        """Return the result of a task, or its error. What is neither happened on the way to us: it is lost."""
+        how: dict[str, Any] = {"key": f"{function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
+        if workers:
+            how["workers"] = list(workers)
+        future = self._client.submit(_call, function, arguments, pure=False, **how)
+        if workers:
+            self._pinned[future] = workers
+        try:
+            return await self._client.gather(future, asynchronous=True), None
+        except Exception as e:  # noqa: BLE001 - a task may raise anything
+            return None, e if future.status == "error" else _LostError()
+        finally:
+            self._pinned.pop(future, None)
 
     def _others(self, full: str) -> tuple[str, ...]:
         """Return the workers on other hosts than this one; the other ones on this host if there is no other host."""
         others = [worker for worker in self._threads if worker != full]
         elsewhere = [worker for worker in others if _host(worker) != _host(full)]
         return tuple(elsewhere or others)
+
+
+class _LostError(Exception):
+    """A task was lost with the scheduler, or waited for workers that have died."""
 
 
 def _host(address: str) -> str:

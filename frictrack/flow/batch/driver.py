@@ -1,4 +1,18 @@
-"""Run a batch: find the studies, skip finished ones, run the others, write tables and page."""
+"""Run a batch: find the studies, skip finished ones, run the others, test for trends, write tables and page.
+
+The studies are in the order in which the user named them. A value y_i with standard deviation s_i varies from study to
+study by more than s_i:
+
+    y_i = a + b i + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
+
+tau is the value at which the weighted sum of squares equals its expectation n - 2, and b is tested by Student's t with
+n - 2 degrees of freedom.
+
+References
+----------
+Paule & Mandel (1982), J. Res. NBS 87, 377 (tau, here with a slope).
+
+"""
 
 from __future__ import annotations
 
@@ -6,30 +20,224 @@ import glob
 import json
 import os
 import re
-import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from frictrack.base.distributions import student_sf
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import atomic_write, make_internal_folder
+from frictrack.base.files import append_line, atomic_write, make_internal_folder
+from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
 from frictrack.base.workers import local_workers
+from frictrack.fit import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.flow.batch.cluster import cluster_workers
 from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged
-from frictrack.flow.batch.trends import condition_trends, find_trends
 from frictrack.present.report import write_campaign
+from frictrack.records import Array
 from frictrack.results import to_builtins
+from frictrack.settings.priors import Prior
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MIN_TABLE_INTERVAL_S = 10.0  # between two tables while studies are running
-MAX_TABLE_TIME_SHARE = 0.05  # of the whole time
+MIN_POINTS = 4  # needed to fit a slope
+MIN_VARIANCE = 1e-12  # of values without a deviation, over their spread
+ALPHA = 0.01  # for all trends over the series together, and for those over all conditions
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+Condition = tuple[float | str, str]  # value and unit; a category has no unit
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """The trend of one quantity over the series."""
+
+    name: str  # name, unit: the quantity
+    unit: str
+    at: Array  # positions in the series, from 1, (n,)
+    value: Array  # value, std: values and their standard deviations, NaN where unknown, (n,)
+    std: Array
+    slope: float  # slope, slope_std: change per position, and its standard deviation
+    slope_std: float
+    p: float  # p-value of no slope, multiplied by the number of trends (Bonferroni)
+    scatter: float  # standard deviation tau from study to study
+    axis: str = "study"  # what a position is: "study" or "run"
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is a trend, at `ALPHA` for all quantities together."""
+        return self.p < ALPHA
+
+    @property
+    def change(self) -> float:
+        """Change from the first to the last position."""
+        return self.slope * float(self.at[-1] - self.at[0])
+
+    @property
+    def change_std(self) -> float:
+        """Standard deviation of the change."""
+        return self.slope_std * float(self.at[-1] - self.at[0])
+
+    def to_plot(self) -> dict[str, Any]:
+        """Return everything that the page draws."""
+        keys = ("holds", "change", "change_std")
+        return {**vars(self), "along": self.axis, **{key: getattr(self, key) for key in keys}}
+
+    def summary(self) -> dict[str, Any]:
+        """Return the trend as JSON."""
+        keys = ("slope", "slope_std", "change", "change_std", "scatter", "p", "holds")
+        head = {"n": len(self.at), "name": self.name, "unit": self.unit, "along": self.axis}
+        return {**head, **{key: getattr(self, key) for key in keys}}
+
+
+def find_trends(outcomes: Sequence[StudyOutcome]) -> list[Trend]:
+    """Test every parameter, the noise and the friction level for a trend."""
+    first = [next((row for row in one.rows if row.get("verdict")), {}) for one in outcomes]
+    units = {name: unit for one in outcomes for name, unit in one.units.items()}
+    found = [_trend(name, unit, _column(first, name), _deviations(first, name)) for name, unit in units.items()]
+    noise = [_mean(_column(one.rows, "noise_um")) for one in outcomes]
+    found.append(_trend("noise of the displacement", "µm", np.array(noise)))
+    fitted = [row for one in outcomes for row in one.rows if row.get("role") == "fit"]
+    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), axis="run"))
+    known = [one for one in found if one is not None]
+    return [replace(one, p=min(1.0, one.p * len(known))) for one in known]
+
+
+def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
+    """Return standard deviations of a parameter; if the model was rejected, those that include the misfit."""
+    wider = _column(rows, f"{name} std_misfit")
+    return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
+
+
+def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> Trend | None:
+    """Return the trend of values y (n,) with standard deviations s (n,); None for too few values or a constant."""
+    known = np.isfinite(y)
+    if np.count_nonzero(known) < MIN_POINTS or np.ptp(y[known]) == 0.0:
+        return None
+    s = np.full(len(y), np.nan) if s is None else s
+    at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
+    slope, slope_std, scatter, p = fit_slope(at, y, np.nan_to_num(s))
+    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, axis)
+
+
+def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
+    """Fit a straight line to values that scatter by more than their standard deviations.
+
+    References
+    ----------
+    Paule & Mandel (1982), J. Res. NBS 87, 377.
+
+    Examples
+    --------
+    >>> slope, _, tau, p = fit_slope(np.arange(6.0), np.array([0.0, 1.1, 1.9, 3.0, 4.1, 5.0]), np.full(6, 0.1))
+    >>> round(slope, 2), tau, p < 0.001
+    (1.0, 0.0, True)
+
+    """
+    unit, spread = float(np.std(y)) or 1.0, float(np.std(at))
+    rows = np.column_stack([np.ones(len(y)), (at - np.mean(at)) / spread])
+    seen = ParameterEstimates((y - np.mean(y)) / unit, (s / unit) ** 2 + MIN_VARIANCE, rows)
+    tau = seen.scatter_of(seen.degrees)  # the sum of squares equals its expectation
+    b, covariance, _ = seen.at_scatter(tau)
+    deviation = float(np.sqrt(covariance[1, 1]))
+    p = float(2.0 * student_sf(abs(b[1]) / deviation, seen.degrees))
+    return float(b[1]) * unit / spread, deviation * unit / spread, tau * unit, p
+
+
+def _column(rows: Sequence[Mapping[str, Any]], key: str) -> Array:
+    """Return the numbers of a column (n,), NaN where there are none."""
+    found = (row.get(key) for row in rows)
+    return np.array([value if isinstance(value, int | float) else np.nan for value in found], dtype=np.float64)
+
+
+def _mean(values: Array) -> float:
+    """Return the mean of the finite values; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.mean(known)) if len(known) else np.nan
+
+
+def read_condition(raw: float | str) -> Condition:
+    """Read a condition: a number, a number with a unit, or the name of a category.
+
+    Examples
+    --------
+    >>> read_condition("20 degC"), read_condition(3), read_condition("steel on brass")
+    ((20.0, 'degC'), (3.0, ''), ('steel on brass', ''))
+
+    """
+    if not isinstance(raw, str):
+        return float(raw), ""
+    found = _QUANTITY.fullmatch(raw)
+    return (float(found[1]), found[2]) if found else (raw.strip(), "")
+
+
+def condition_trends(outcomes: Sequence[StudyOutcome]) -> list[dict[str, Any]]:
+    """Fit the trends over every condition that studies state.
+
+    A study takes part if it states the condition and has a law of its own: fitted without the prior of another study,
+    with the model that most of these studies have.
+    """
+    names = list(dict.fromkeys(name for one in outcomes for name in one.conditions))
+    entries = [_entry(name, outcomes) for name in names]
+    count = max(sum(len(entry["trends"]) for entry in entries), 1)
+    for entry in entries:
+        for one in entry["trends"]:
+            one["holds"] = one["p"] * count < ALPHA
+    return entries
+
+
+def _entry(name: str, outcomes: Sequence[StudyOutcome]) -> dict[str, Any]:
+    """Return the JSON of one condition."""
+    stated = [(one, read_condition(one.conditions[name])) for one in outcomes if name in one.conditions and one.law]
+    laws = [Prior.from_toml(one.law, one.study) for one, _ in stated]
+    usual = Counter(law.model for law in laws).most_common(1)
+    same = [i for i, law in enumerate(laws) if law.model == usual[0][0]]
+    left_out = [one.study for one in outcomes if name in one.conditions]
+    used = [stated[i][0].study for i in same]
+    unit = stated[same[0]][1][1] if same else ""
+    head = {"condition": name, "unit": unit, "studies": used, "left_out": [s for s in left_out if s not in used]}
+    units = {stated[i][1][1] for i in same}
+    try:
+        if len(units) > 1:
+            raise FrictrackError(f"expected one unit of {name} but got {', '.join(sorted(units))}")
+        found = trend([laws[i] for i in same], [stated[i][1][0] for i in same], name)
+    except FrictrackError as e:
+        return {**head, "load": None, "trends": [], "reason": str(e), "words": [f"no trend over {name}: {e}"]}
+    return {
+        **head,
+        "load": found.load,
+        "trends": [one.summary() for one in found.trends.values()],
+        "reason": None,
+        "words": list(_words(found, unit)),
+    }
+
+
+def _words(found: CovariateTrends, unit: str) -> Iterator[str]:
+    """Yield one sentence per parameter."""
+    for name, one in found.trends.items():
+        own = "" if one.unit == "1" else f" {one.unit}"
+        scatter = f"scatter between studies {one.scatter:.2g}{own}, p = {one.p:.2g}"
+        yield f"over {found.condition}, {name} {_change(one, own, unit)}; {scatter}"
+    if found.load is not None:
+        yield f"forces of these trends belong to a load of {found.load:.4g} N"
+
+
+def _change(one: CovariateTrend, own: str, unit: str) -> str:
+    """Return the slope, or the value of every category."""
+    rows: Mapping[str, str] = {
+        term: f"{format_plus_minus(float(value), float(std))}{own}"
+        for term, value, std in zip(one.terms, one.coefficients, one.std, strict=True)
+    }
+    if one.origin is not None:
+        return f"changes by {rows['slope']} per {unit or 'unit'}"
+    return "is " + ", ".join(f"{value} ({term})" for term, value in rows.items())
+
+
 FIRST_COLUMNS = ("study", "run", "role", "verdict", "missing", "reason", "model", "domain")  # of the table of runs
 
 
@@ -67,86 +275,47 @@ def batch(
     """
     paths = find_studies(patterns)
     labels = {path.resolve(): path for path in paths}
-    journal = Journal(_journal_path(stem))
+    journal = Journal(make_internal_folder(stem.parent) / f"{stem.name}.jsonl")
     outcomes = journal.finished(labels, seed)
     state = BatchState(len(labels), kept=len(outcomes))
     todo = [path for path in labels if path not in outcomes]
-    output = _BatchOutput(stem, labels, outcomes)
     if todo:
         with cluster_workers(scheduler) if scheduler else local_workers(workers) as pool:
             for one in Scheduler(todo, seed, pool, state).run(watch):
                 journal.append(one)
                 outcomes[Path(one.study)] = one
-                output.write_if_due()
-    return output.write_all(state)
+    return _write_results(stem, [(label, outcomes[path]) for path, label in labels.items() if path in outcomes], state)
 
 
-def _journal_path(stem: Path) -> Path:
-    """Return the path of the journal, in a hidden folder; the journal of an earlier version is moved there."""
-    path, former = make_internal_folder(stem.parent) / f"{stem.name}.jsonl", stem.with_name(f"{stem.name}.jsonl")
-    if former.is_file() and not path.exists():
-        with suppress(OSError):  # its studies are then run again
-            former.replace(path)
-    return path
-
-
-@dataclass
-class _BatchOutput:
-    """Write the files of a batch."""
-
-    stem: Path
-    labels: dict[Path, Path]  # a study file from the root -> as the user named it
-    outcomes: dict[Path, StudyOutcome]
-    _next: float = 0.0
-
-    def write_if_due(self) -> None:
-        """Write the table of the finished studies, unless it was written shortly before."""
-        start = time.monotonic()
-        if start >= self._next:
-            self._write_table()
-            end = time.monotonic()
-            self._next = end + max(MIN_TABLE_INTERVAL_S, (end - start) / MAX_TABLE_TIME_SHARE)
-
-    def write_all(self, state: BatchState) -> dict[str, Any]:
-        """Write tables and page; return the JSON of `batch`."""
-        files = self._write_table()
-        kept = [(label, self.outcomes[path]) for path, label in self.labels.items() if path in self.outcomes]
-        studies = [{"study": str(label), **one.summary} for label, one in kept]
-        found = find_trends([one for _, one in kept])
-        result: dict[str, Any] = to_builtins(
-            {
-                "studies": studies,
-                "failed": [{"study": str(label), **failure} for label, one in kept for failure in one.failures],
-                "kept": state.kept,
-                "seconds": state.seconds,
-                "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
-                "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
-                "trends": [trend.summary() for trend in found],
-                "conditions": condition_trends([one for _, one in kept]),
-                "tables": [str(path) for path in files],
-            }
-        )
-        plots = [trend.to_plot() for trend in found]
-        output = write_campaign(result, plots, self._links(), self.stem.with_name(f"{self.stem.name}.html"))
-        return result | {"output": str(output)}
-
-    def _write_table(self) -> list[Path]:
-        units = {name: unit for one in self.outcomes.values() for name, unit in one.units.items()}
-        return write_table(self._rows(), self.stem, units)
-
-    def _rows(self) -> list[dict[str, Any]]:
-        kept = ((label, self.outcomes.get(path)) for path, label in self.labels.items())
-        return [{"study": str(label), **row} for label, one in kept if one for row in one.rows]
-
-    def _links(self) -> dict[str, str]:
-        """Return the path of every report, relative to the page."""
-        folder = self.stem.resolve().parent
-        reports = {
-            str(label): Path(self.outcomes[path].summary["results"]) / "report.html"
-            for path, label in self.labels.items()
-            if path in self.outcomes and self.outcomes[path].summary.get("results")
+def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state: BatchState) -> dict[str, Any]:
+    """Write tables and page of the studies, each as the user named it; return the JSON of `batch`."""
+    outcomes = [one for _, one in done]
+    rows = [{"study": str(label), **row} for label, one in done for row in one.rows]
+    files = write_table(rows, stem, {name: unit for one in outcomes for name, unit in one.units.items()})
+    studies = [{"study": str(label), **one.summary} for label, one in done]
+    found = find_trends(outcomes)
+    result: dict[str, Any] = to_builtins(
+        {
+            "studies": studies,
+            "failed": [{"study": str(label), **failure} for label, one in done for failure in one.failures],
+            "kept": state.kept,
+            "seconds": state.seconds,
+            "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
+            "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
+            "trends": [trend.summary() for trend in found],
+            "conditions": condition_trends(outcomes),
+            "tables": [str(path) for path in files],
         }
-        return {name: Path(os.path.relpath(report, folder)).as_posix() for name, report in reports.items()}
+    )
+    folder = stem.resolve().parent
+    reports = {
+        str(label): Path(os.path.relpath(Path(one.summary["results"]) / "report.html", folder)).as_posix()
+        for label, one in done
+        if one.summary.get("results")
+    }
+    plots = [trend.to_plot() for trend in found]
+    page = write_campaign(result, plots, reports, stem.with_name(f"{stem.name}.html"))
+    return result | {"output": str(page)}
 
 
 def find_studies(patterns: Sequence[str]) -> list[Path]:
@@ -186,14 +355,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 class Journal:
-    """A file of JSON lines that is only appended to; an incomplete last line is ignored.
-
-    Parameters
-    ----------
-    path
-        The file; it is created when the first study is appended.
-
-    """
+    """A file of JSON lines that is only appended to; an incomplete last line is ignored."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -208,13 +370,7 @@ class Journal:
         """Append the outcome of a study."""
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("ab") as file:
-                if file.tell() and not _ended(self.path):
-                    file.write(b"\n")  # after an incomplete line
-                file.write(line.encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
+            append_line(self.path, line)
         except OSError as e:
             raise FrictrackError(
                 f"cannot write {self.path}: {e.strerror or e}; what was finished before is kept"
@@ -237,12 +393,6 @@ class Journal:
             except (ValueError, TypeError, KeyError, AttributeError):
                 continue  # incomplete or not ours: the study is run again
         return outcomes
-
-
-def _ended(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
 
 
 def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:

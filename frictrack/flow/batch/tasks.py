@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from frictrack.base.errors import DiskFullError, FrictrackError, is_disk_full
 from frictrack.base.remote import RemoteFile, locate
 from frictrack.base.workers import WorkerPool
 from frictrack.flow import Session, open_study, run_pipeline
-from frictrack.study import RunTable, Study
+from frictrack.study import Study
 
 FileStates = dict[str, list[int]]  # path -> size, time of change in ns
 Reasons = Mapping[str, str]  # run -> why it failed
@@ -58,37 +58,17 @@ def _state(path: Path | RemoteFile) -> list[int]:
 
 @dataclass
 class StudyOutcome:
-    """The outcome of a study.
-
-    Attributes
-    ----------
-    study
-        Absolute path of the study file.
-    summary
-        The row of the study in the table of the page.
-    rows
-        One row per run.
-    units
-        Units of the parameters.
-    files
-        States of the study's files; empty if something failed, so that the next batch tries again.
-    conditions
-        Conditions that the study file states, by name.
-    law
-        The law as a prior file; "" where there is none, or where it rests on the prior of another study.
-    seed, seconds
-        Seed of the diagnosis, and computing time, s.
-
-    """
+    """The outcome of a study."""
 
     study: str  # the file, from the root
-    summary: dict[str, Any]
-    rows: list[dict[str, Any]]
+    summary: dict[str, Any]  # the row of the study in the table of the page
+    rows: list[dict[str, Any]]  # one row per run
     units: dict[str, str] = field(default_factory=dict)  # of the parameters
+    # states of the study's files; empty if something failed, so that the next batch tries again
     files: FileStates = field(default_factory=dict)
-    conditions: dict[str, float | str] = field(default_factory=dict)
-    law: str = ""
-    seed: int = 0
+    conditions: dict[str, float | str] = field(default_factory=dict)  # conditions that the study file states, by name
+    law: str = ""  # the law as a prior file; "" where there is none, or where it rests on the prior of another study
+    seed: int = 0  # seed, seconds: seed of the diagnosis, and computing time, s
     seconds: float = 0.0
 
     @property
@@ -183,7 +163,7 @@ def without_runs(study: Study, failed: Reasons) -> Study:
 
 def _measure_run(study: Study, name: str) -> str | None:
     """Bring every stage of a run up to date; return the reason if one fails, else None."""
-    pipeline = run_pipeline(study, _run(study, name))
+    pipeline = run_pipeline(study, next(run for run in study.runs if run.name == name))
     try:
         for stage in pipeline.stages:
             if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
@@ -191,10 +171,6 @@ def _measure_run(study: Study, name: str) -> str | None:
     except Exception as e:  # noqa: BLE001
         return _reason(e).removeprefix(f'run "{name}", ')
     return None
-
-
-def _run(study: Study, name: str) -> RunTable:
-    return next(run for run in study.runs if run.name == name)
 
 
 def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOutcome:
@@ -209,7 +185,8 @@ def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOut
         **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
         **{f"{name} std_misfit": p["std_misfit"] for name, p in fit["parameters"].items() if "std_misfit" in p},
     }
-    rows = [shared | _run_row(run) for run in fit["per_run"]]
+    own = ("run", "role", "level", "noise_um", "segments")
+    rows = [shared | {k: run.get(k) for k in own} | run.get("errors", {}) for run in fit["per_run"]]
     rows += [{"run": run, "reason": why} for run, why in failed.items()]
     summary = {
         "verdict": diagnosis["verdict"],
@@ -223,44 +200,20 @@ def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOut
     return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
 
 
-def _run_row(run: dict[str, Any]) -> dict[str, Any]:
-    own = {k: run.get(k) for k in ("run", "role", "level", "noise_um", "segments")}
-    return own | run.get("errors", {})
-
-
 POLL_INTERVAL_S = 0.5
 
 
 @dataclass
 class BatchState:
-    """The progress of a batch.
+    """The progress of a batch."""
 
-    Attributes
-    ----------
-    studies
-        Number of studies.
-    kept
-        Number of studies that were finished before.
-    done
-        Studies that have ended, failed ones included.
-    runs
-        Number of runs of those.
-    failures
-        "study", "run" and "reason" of every failure.
-    under_way
-        Task -> time at which it began, s.
-    began
-        Time at which the batch began, s.
-
-    """
-
-    studies: int
-    kept: int = 0
-    done: list[str] = field(default_factory=list)
-    runs: int = 0
-    failures: list[dict[str, str]] = field(default_factory=list)
-    under_way: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.monotonic)
+    studies: int  # number of studies
+    kept: int = 0  # number of studies that were finished before
+    done: list[str] = field(default_factory=list)  # studies that have ended, failed ones included
+    runs: int = 0  # number of runs of those
+    failures: list[dict[str, str]] = field(default_factory=list)  # "study", "run" and "reason" of every failure
+    under_way: dict[str, float] = field(default_factory=dict)  # task -> time at which it began, s
+    began: float = field(default_factory=time.monotonic)  # time at which the batch began, s
 
     @property
     def seconds(self) -> float:
@@ -277,48 +230,46 @@ class BatchState:
 Watch = Callable[[BatchState], None]
 
 
+Call = tuple[
+    Callable[..., Any], tuple[Any, ...], str
+]  # a function of this module, its arguments, and the film it is of
+
+
+def study_steps(path: Path, seed: int) -> Generator[list[Call], list[Any], StudyOutcome]:
+    """Run one study: yield calls that may run side by side, receive their results or errors; return the outcome."""
+    (first,) = yield [(begin_study, (path, seed), "")]
+    if isinstance(first, StudyOutcome):
+        return first
+    if not isinstance(first, StudyStarted):
+        return failed_study(path, {}, describe_failure(first))
+    reasons = yield [(measure_film, (path, run, dict(first.failed)), run) for run in first.others]
+    said = [describe_failure(one) if isinstance(one, BaseException) else one for one in reasons]
+    failed = first.failed | {run: why for run, why in zip(first.others, said, strict=True) if why is not None}
+    (done,) = yield [(finish_study, (path, seed, dict(failed)), "")]
+    return done if isinstance(done, StudyOutcome) else failed_study(path, failed, describe_failure(done))
+
+
 @dataclass
-class _StudyProgress:
-    """A study that is being run."""
+class _Running:
+    """A study under way: what it does next, and the results of the calls that it waits for."""
 
     path: Path
-    films: int = 0  # number of films that are being measured
-    failed: dict[str, str] = field(default_factory=dict)  # run -> reason
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A call of a function of `frictrack.flow.batch.tasks`; `run` names the film that it measures."""
-
-    study: _StudyProgress
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    run: str = ""
+    steps: Generator[list[Call], list[Any], StudyOutcome]
+    results: list[Any] = field(default_factory=list)
+    waits_for: int = 0  # calls
 
 
 class Scheduler:
-    """Submit the tasks of all studies to a pool of workers.
-
-    Parameters
-    ----------
-    studies
-        Paths of the study files.
-    seed
-        Seed of the diagnoses.
-    pool
-        The workers.
-    state
-        Is updated while the batch runs.
-
-    """
+    """Submit the calls of all studies to a pool of workers."""
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
-        self.seed = seed
         self.pool = pool
         self.state = state
-        self._studies = deque(studies)
-        self._tasks: deque[_Task] = deque()  # of studies that have begun: they come before new studies
-        self._running: dict[Future[Any], _Task] = {}
+        self._studies = deque(_Running(path, study_steps(path, seed)) for path in studies)
+        self._calls: deque[tuple[_Running, int, Call]] = (
+            deque()
+        )  # of studies that have begun: they come before new ones
+        self._running: dict[Future[Any], tuple[_Running, int, str]] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
         """Yield the outcome of every study as it ends; call `watch` several times a second."""
@@ -326,54 +277,38 @@ class Scheduler:
             watch(self.state)
             ended, _ = wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED)
             for future in ended:
-                task = self._running.pop(future)
-                self.state.under_way.pop(_title(task), None)
-                done = self._on_task_end(task, future)
+                study, place, title = self._running.pop(future)
+                self.state.under_way.pop(title, None)
+                study.results[place] = _result_or_error(future)
+                study.waits_for -= 1
+                done = None if study.waits_for else self._advance(study)
                 if done is not None:
                     self._count(done)
                     yield done
         watch(self.state)
 
     def _fill(self) -> bool:
-        """Submit as many tasks as the pool has capacity for; return whether any task or study is left."""
+        """Submit as many calls as the pool has capacity for; return whether any call or study is left."""
         room = self.pool.capacity()
-        while len(self._running) < room and (self._tasks or self._studies):
-            task = self._tasks.popleft() if self._tasks else self._start_task(self._studies.popleft())
-            self._running[self.pool.submit(task.function, *task.arguments)] = task
-            self.state.under_way[_title(task)] = time.monotonic()
-        return bool(self._tasks or self._studies)
+        while len(self._running) < room and (self._calls or self._studies):
+            if not self._calls:
+                self._advance(self._studies.popleft())
+            study, place, (function, arguments, run) = self._calls.popleft()
+            title = f"{study.path}, {run}" if run else str(study.path)
+            self._running[self.pool.submit(function, *arguments)] = (study, place, title)
+            self.state.under_way[title] = time.monotonic()
+        return bool(self._calls or self._studies)
 
-    def _start_task(self, path: Path) -> _Task:
-        return _Task(_StudyProgress(path), begin_study, (path, self.seed))
-
-    def _on_task_end(self, task: _Task, future: Future[Any]) -> StudyOutcome | None:
-        """Continue the study of a task that has ended; return the outcome if the study has ended."""
-        study = task.study
-        error = _task_error(future)
-        if task.function is measure_film:
-            reason = describe_failure(error) if error is not None else future.result()
-            study.films -= 1
-            if reason is not None:
-                study.failed[task.run] = reason
-            self._finish_if_measured(study)
-            return None
-        if error is not None:
-            return failed_study(study.path, study.failed, describe_failure(error))
-        found = future.result()
-        if isinstance(found, StudyStarted):
-            study.failed |= found.failed
-            study.films = len(found.others)
-            self._tasks += [
-                _Task(study, measure_film, (study.path, run, dict(study.failed)), run) for run in found.others
-            ]
-            self._finish_if_measured(study)
-            return None
-        return found if isinstance(found, StudyOutcome) else None
-
-    def _finish_if_measured(self, study: _StudyProgress) -> None:
-        """Submit the last task of a study when all its films have been measured."""
-        if study.films == 0:
-            self._tasks.append(_Task(study, finish_study, (study.path, self.seed, dict(study.failed))))
+    def _advance(self, study: _Running) -> StudyOutcome | None:
+        """Give a study its results and take its next calls; return the outcome if it has ended."""
+        try:
+            calls = study.steps.send(study.results) if study.results else next(study.steps)
+        except StopIteration as end:
+            outcome: StudyOutcome = end.value
+            return outcome
+        study.results, study.waits_for = [None] * len(calls), len(calls)
+        self._calls += [(study, place, call) for place, call in enumerate(calls)]
+        return None
 
     def _count(self, done: StudyOutcome) -> None:
         self.state.done.append(done.study)
@@ -381,14 +316,8 @@ class Scheduler:
         self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
 
 
-def _task_error(future: Future[Any]) -> BaseException | None:
-    """Return why a task has no result; None if it has one."""
+def _result_or_error(future: Future[Any]) -> Any:
+    """Return the result of a call, or why it has none."""
     if future.cancelled():
         return FrictrackError("its task was cancelled, as happens when workers are shut down; run the batch again")
-    return future.exception()
-
-
-def _title(task: _Task) -> str:
-    """Return the name of a task for the user."""
-    name = str(task.study.path)
-    return f"{name}, {task.run}" if task.run else name
+    return future.exception() or future.result()

@@ -6,11 +6,9 @@ In Python, a crate is written from a session and reproduced in a new folder.
     write_crate(Session(open_study("study.toml")), Path("study.crate.zip"), CrateOptions(licence="CC-BY-4.0"))
     reproduce_crate(Path("study.crate.zip"), Path("again"))["equal"]
 
-    payload      what is in a crate; open it safely
-    metadata     its description in JSON-LD: authors, units, versions, columns of tables
-    writing      write it
-    reading      read it, find and check the recordings
-    reproducing  compute its results again and compare them
+    payload      what is in a crate: its files, tables and versions; open it safely
+    writing      describe it in JSON-LD, and write it
+    reproducing  read it, find and check the recordings, compute its results again and compare them
 """
 
 from frictrack.flow.crate.reproducing import reproduce_crate

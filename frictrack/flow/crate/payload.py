@@ -1,4 +1,4 @@
-"""List the files of a crate: the study file, what it was computed from, and the results.
+"""List the files of a crate: the study file, what it was computed from, the results, and tables of them with units.
 
 A file lies in the crate where it lies beside the study file, so that the unpacked crate is a study like any other. An
 input from outside the folder of the study gets a place in ``inputs/``. A recording of more than `MAX_INCLUDED_BYTES`
@@ -7,22 +7,28 @@ is described by its name, size and hash only, unless it is asked for; tables are
 
 from __future__ import annotations
 
+import csv
+import io
 import os
+import platform
 import re
 import shutil
 import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.remote import RemoteFile, local_path, locate
+from frictrack.base.version import __version__
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
+from frictrack.results import Results
 from frictrack.study import Study, read_toml
 
 MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
@@ -100,66 +106,31 @@ RESULTS = "results"  # the same of the results
 
 @dataclass(frozen=True)
 class Part:
-    """One file of a crate.
+    """One file of a crate."""
 
-    Attributes
-    ----------
-    source
-        The file on this machine.
-    place
-        Its path in the crate, with slashes.
-    role
-        "study", "input" or "result".
-    size, sha256
-        Its bytes, and their SHA-256.
-    is_film
-        Whether it belongs to a film, which is not compressed again.
-    is_included
-        Whether the crate contains it; else it is described by its hash.
-
-    """
-
-    source: Path
-    place: str
-    role: str
-    size: int
+    source: Path  # the file on this machine
+    place: str  # its path in the crate, with slashes
+    role: str  # "study", "input" or "result"
+    size: int  # size, sha256: its bytes, and their SHA-256
     sha256: str
-    is_film: bool = False
-    is_included: bool = True
+    is_film: bool = False  # whether it belongs to a film, which is not compressed again
+    is_included: bool = True  # whether the crate contains it; else it is described by its hash
 
     @classmethod
     def read(cls, source: Path, place: str, role: str, *, is_film: bool = False, is_included: bool = True) -> Part:
         """Return the part of a file, with its size and hash."""
-        try:
+        with os_errors_as(f"cannot read {source}"):
             size = source.stat().st_size
             return cls(source, safe_place(place), role, size, hash_path(source), is_film, is_included)
-        except OSError as e:
-            raise FrictrackError(f"cannot read {source}: {e.strerror or e}") from e
 
 
 @dataclass(frozen=True)
 class Payload:
-    """All files of a crate.
+    """All files of a crate."""
 
-    Attributes
-    ----------
-    parts
-        The files.
-    moved
-        Place in the crate by the path in the study file, of what lies elsewhere in the crate.
-    results
-        Place of the folder of the results.
-
-    """
-
-    parts: tuple[Part, ...]
-    moved: dict[str, str]
-    results: str
-
-    @property
-    def by_hash(self) -> list[Part]:
-        """The files that the crate does not contain."""
-        return [part for part in self.parts if not part.is_included]
+    parts: tuple[Part, ...]  # the files
+    moved: dict[str, str]  # place in the crate by the path in the study file, of what lies elsewhere in the crate
+    results: str  # place of the folder of the results
 
 
 def list_payload(session: Session, *, include_recordings: bool) -> Payload:
@@ -245,7 +216,7 @@ class _Places:
     def moved(self) -> dict[str, str]:
         """Return the places by the texts of the study file that name what was moved."""
         raw = read_toml(self._study.path.name, self._study.path.read_text(encoding="utf-8"))
-        texts = dict.fromkeys(text for text in _texts(raw) if text)
+        texts = dict.fromkeys(text for *_, text in texts_in(raw) if text)
         found = {text: self._place(text) for text in texts}
         return {text: place for text, place in found.items() if place not in (None, text)}
 
@@ -257,15 +228,203 @@ class _Places:
         return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts in tables and lists."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from _texts(part)
+def texts_in(tables: Any) -> Iterator[tuple[Any, Any, str]]:
+    """Yield container, key and value of every text in tables and lists."""
+    items = tables.items() if isinstance(tables, dict) else enumerate(tables) if isinstance(tables, list) else ()
+    for key, part in list(items):
+        if isinstance(part, str):
+            yield tables, key, str(part)
+        else:
+            yield from texts_in(part)
 
 
 def _absolute(path: Path) -> Path:
     """Return the absolute path without ``..``; links are kept."""
     return Path(os.path.abspath(path))  # Path.absolute keeps "..", Path.resolve follows links
+
+
+QUDT = "http://qudt.org/vocab/unit/"
+
+
+class UnitCode(NamedTuple):
+    """The codes of a unit: UCUM, and the name in QUDT."""
+
+    ucum: str
+    qudt: str = ""
+
+    @property
+    def address(self) -> str:
+        """Address of the unit in QUDT; its UCUM code after ``ucum:`` where QUDT does not have it."""
+        if self.qudt:
+            return QUDT + self.qudt
+        return f"ucum:{self.ucum}" if self.ucum else ""
+
+
+UNIT_CODES = {
+    "1": UnitCode("1", "UNITLESS"),
+    "%": UnitCode("%", "PERCENT"),
+    "1/m": UnitCode("m-1", "PER-M"),
+    "1/m^2": UnitCode("m-2", "PER-M2"),
+    "1/s": UnitCode("s-1", "PER-SEC"),
+    "Hz": UnitCode("Hz", "HZ"),
+    "N": UnitCode("N", "N"),
+    "N (s/m)^n": UnitCode(""),  # n is a parameter
+    "N s": UnitCode("N.s", "N-SEC"),
+    "N s/m": UnitCode("N.s/m", "N-SEC-PER-M"),
+    "N s^2/m^2": UnitCode("N.s2/m2", "KiloGM-PER-M"),  # the same unit: N s²/m² = kg/m
+    "N/m": UnitCode("N/m", "N-PER-M"),
+    "N/s": UnitCode("N/s"),
+    "g": UnitCode("g", "GM"),
+    "kg": UnitCode("kg", "KiloGM"),
+    "m": UnitCode("m", "M"),
+    "m/s": UnitCode("m/s", "M-PER-SEC"),
+    "m/s^2": UnitCode("m/s2", "M-PER-SEC2"),
+    "ms": UnitCode("ms", "MilliSEC"),
+    "px": UnitCode("{pixel}"),  # an annotation: UCUM counts pixels as 1
+    "rad": UnitCode("rad", "RAD"),
+    "s": UnitCode("s", "SEC"),
+    "s/m": UnitCode("s/m"),
+    "um": UnitCode("um", "MicroM"),
+}  # by the unit as frictrack writes it
+
+
+def unit_code(unit: str) -> UnitCode:
+    """Return the codes of a unit; empty codes for one that a user's own effect brings in."""
+    return UNIT_CODES.get(unit, UnitCode(""))
+
+
+PACKAGES = {"numpy": "numpy", "scipy": "scipy", "h5py": "h5py", "opencv": "opencv-python-headless"}
+CPU_INFO = Path("/proc/cpuinfo")
+FRICTRACK = "frictrack"
+MACHINE = ("operating system", "processor")  # what is no software package
+
+
+def platform_versions() -> dict[str, str]:
+    """Return the versions by name: frictrack, python, the packages, BLAS, operating system, processor.
+
+    The same versions give the same results bit for bit: BLAS chooses its kernels by the processor.
+
+    Examples
+    --------
+    >>> sorted(platform_versions())[:3]
+    ['blas', 'frictrack', 'h5py']
+
+    """
+    found = {FRICTRACK: __version__, "python": f"{platform.python_implementation()} {platform.python_version()}"}
+    found |= {name: _package_version(package) for name, package in PACKAGES.items()}
+    return found | {"blas": _blas(), "operating system": _operating_system(), "processor": _processor()}
+
+
+def _package_version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # another distribution of the same module
+        return "unknown"
+
+
+def _blas() -> str:
+    """Return the linear algebra that NumPy and SciPy were built with, and its kernels for this processor."""
+    import numpy.linalg  # noqa: F401, PLC0415 - loads the library that is asked for
+    import scipy.linalg  # noqa: F401, PLC0415
+    from threadpoolctl import threadpool_info  # noqa: PLC0415 - as they
+
+    # OpenCV, which is loaded only where a film is read, has a library of its own
+    found = [one for one in threadpool_info() if one["user_api"] == "blas" and "opencv" not in str(one["filepath"])]
+    names = [f"{one['internal_api']} {one['version']} {one.get('architecture', '')}".strip() for one in found]
+    return ", ".join(sorted(set(names))) or "unknown"
+
+
+def _operating_system() -> str:
+    library = " ".join(part for part in platform.libc_ver() if part)
+    release = platform.mac_ver()[0] or (platform.release() if platform.system() == "Windows" else library)
+    return f"{platform.system()} {release} {platform.machine()}"
+
+
+def _processor() -> str:
+    try:
+        lines = CPU_INFO.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, "") or platform.processor() or platform.machine() or "unknown"
+
+
+COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
+TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
+PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
+BUDGET_COLUMNS = (
+    *("run", "quantity", "estimate_N", "source", "input_standard_uncertainty", "input_unit", "input_ucum"),
+    *("contribution_mean_N", "share_of_variance_mean", "contribution_frame_N", "share_of_variance_frame"),
+    *("common_to", "known_from"),
+)
+
+
+def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield one row per parameter of every model."""
+    for model in results.models:
+        for name, found in model.summary["parameters"].items():
+            code = unit_code(found["unit"])
+            low, high = found.get("interval") or (None, None)
+            yield {
+                "model": model.name,
+                "current": model.current,
+                "parameter": name,
+                "value": found["value"],
+                "standard_uncertainty": found["std"],
+                "standard_uncertainty_misfit": found.get("std_misfit"),
+                "interval_low": low,
+                "interval_high": high,
+                "unit": found["unit"],
+                "ucum": code.ucum,
+                "qudt": code.address,
+                "reason": found["reason"],
+            }
+
+
+def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
+    for run in results.runs:
+        for row in run.budget.get("rows", ()):
+            common = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
+            if row["source"] == TOTAL:
+                yield common | {"source": "combined standard uncertainty"} | _contributions(row, 1)
+                expanded = f"expanded uncertainty, k = {COVERAGE_FACTOR}"
+                yield common | {"source": expanded} | _contributions(row, COVERAGE_FACTOR)
+                continue
+            yield (
+                common
+                | {
+                    "source": row["source"],
+                    "input_standard_uncertainty": row["size"],
+                    "input_unit": row["unit"],
+                    "input_ucum": unit_code(row["unit"]).ucum,
+                    "share_of_variance_mean": row["share_mean"],
+                    "share_of_variance_frame": row["share_frame"],
+                    "common_to": row["common"],
+                    "known_from": row["told"],
+                }
+                | _contributions(row, 1)
+            )
+
+
+def _contributions(row: Mapping[str, Any], factor: int) -> dict[str, Any]:
+    """Return the effect on the mean friction force and on the force of one frame, N."""
+    parts = {"contribution_mean_N": row["mean_N"], "contribution_frame_N": row["frame_N"]}
+    return {name: None if size is None else factor * size for name, size in parts.items()}
+
+
+def table_files(results: Results) -> dict[str, bytes]:
+    """Return the tables by file name, as CSV in UTF-8."""
+    parameters = list(parameter_rows(results))
+    tables = {
+        PARAMETERS: (tuple(parameters[0]) if parameters else (), parameters),
+        BUDGET: (BUDGET_COLUMNS, budget_rows(results)),
+    }
+    found = {}
+    for name, (columns, rows) in tables.items():
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        found[name] = text.getvalue().encode()
+    return found

@@ -1,61 +1,238 @@
-"""Compute the results of a crate again and compare every number."""
+"""Read a crate, find its recordings, compute its results again and compare every number."""
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import re
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
-from frictrack.base.errors import FrictrackError
-from frictrack.base.remote import only_listed
-from frictrack.flow import (
-    EXCLUDED,
-    Progress,
-    Session,
-    Values,
-    no_progress,
-    open_study,
-    recorded_models,
-    repeat_models,
-    stored_values,
-)
-from frictrack.flow.crate.metadata import FRICTRACK, platform_versions
-from frictrack.flow.crate.payload import unpack
-from frictrack.flow.crate.reading import Crate, find_inputs, has_same_bytes, read_crate, set_up_study
+from frictrack import flow
+from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.number_format import first_words
+from frictrack.base.remote import is_address, local_path, locate, only_listed
+from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
+from frictrack.flow.crate.writing import METADATA, MOVED
+
+MAX_METADATA_BYTES = 200_000_000  # of ro-crate-metadata.json
+ABSENT = "ni:"  # how the address of a file begins that the crate does not contain
+
+
+@dataclass(frozen=True)
+class CrateFile:
+    """A file that a crate describes."""
+
+    place: str  # its path in the crate
+    size: int  # size, sha256: its bytes, and their SHA-256
+    sha256: str
+    is_included: bool  # whether the crate contains it
+
+
+@dataclass(frozen=True)
+class Crate:
+    """The description of a crate."""
+
+    folder: Path  # the unpacked crate
+    study: CrateFile  # the study file
+    inputs: tuple[CrateFile, ...]  # inputs, results: what the study was computed from, and what was computed
+    results: tuple[CrateFile, ...]
+    moved: dict[str, str]  # place in the crate by the path in the study file, of what lies elsewhere
+    versions: dict[str, str]  # versions of software and machine that computed the results
+
+    def path(self, file: CrateFile) -> Path:
+        """Return the path of a file in the crate, which need not exist."""
+        return _inside(self.folder, file.place)
+
+
+def read_crate(folder: Path) -> Crate:
+    """Read the description of an unpacked crate."""
+    path = _inside(folder, METADATA)
+    try:
+        if path.stat().st_size > MAX_METADATA_BYTES:
+            raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FrictrackError:
+        raise
+    except FileNotFoundError as e:
+        raise FrictrackError(f"expected an RO-Crate but {folder} has no {METADATA}", usage=True) from e
+    except (OSError, ValueError, RecursionError) as e:
+        raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
+    try:
+        return _crate(folder, {one["@id"]: one for one in raw["@graph"]})
+    except FrictrackError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as e:
+        raise FrictrackError(
+            f"expected a crate of `frictrack export --to crate` but {path} describes something else ({e!r})"
+        ) from e
+
+
+def has_same_bytes(path: Path, described: CrateFile) -> bool:
+    """Return whether a file exists and has the bytes that a crate describes."""
+    with os_errors_as(f"cannot read {path}"):
+        return path.is_file() and path.stat().st_size == described.size and flow.hash_path(path) == described.sha256
+
+
+def _inside(folder: Path, place: str) -> Path:
+    path = folder / place
+    try:
+        if path.resolve().is_relative_to(folder.resolve()):
+            return path
+    except (OSError, RuntimeError):  # links in a circle
+        pass
+    raise FrictrackError(f"expected {place} inside {folder} but it is a link out of it; do not trust this crate")
+
+
+def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
+    root = entities["./"]
+    action = entities[_ids(root["mentions"])[0]]
+    study = root["mainEntity"]["@id"]
+    objects = [entities[name] for name in _ids(action["object"])]
+    files = [one for one in objects if one["@type"] == "File" and one["@id"] != study]
+    moved = {one["name"]: safe_place(one["value"]) for one in objects if one.get("propertyID") == MOVED}
+    return Crate(
+        folder,
+        _file(entities[study]),
+        tuple(_file(one) for one in files),
+        tuple(_file(entities[name]) for name in _ids(action["result"])),
+        moved,
+        _versions(entities, entities[action["instrument"]["@id"]]),
+    )
+
+
+def _file(entity: Mapping[str, Any]) -> CrateFile:
+    is_included = not entity["@id"].startswith(ABSENT)
+    place = unquote(entity["@id"]) if is_included else entity["localPath"]
+    return CrateFile(safe_place(place), int(entity["contentSize"]), str(entity["sha256"]), is_included)
+
+
+def _versions(entities: Mapping[str, Any], software: Mapping[str, Any]) -> dict[str, str]:
+    required = [entities[name] for name in _ids(software["softwareRequirements"])]
+    found = {one["name"]: str(one["softwareVersion"]) for one in (software, *required)}
+    if software["name"] != FRICTRACK:
+        raise ValueError(software["name"])
+    machine = (software["operatingSystem"], software["processorRequirements"])
+    return found | dict(zip(MACHINE, map(str, machine), strict=True))
+
+
+def _ids(values: Any) -> list[str]:
+    """Return the addresses of one reference or several."""
+    references: Iterable[Any] = values if isinstance(values, list) else [values]
+    return [one["@id"] for one in references]
+
+
+MAX_LISTED = 5  # files that a message names
+_listed = partial(first_words, most=MAX_LISTED)
+
+
+def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
+    """Make a copy of the study in an empty folder; return its study file."""
+    study = folder / crate.study.place
+    with os_errors_as(f"cannot copy the study into {folder}"):
+        study.parent.mkdir(parents=True, exist_ok=True)
+        for place, source in inputs.items():
+            _link(source, folder / place)
+        text = crate.path(crate.study).read_bytes()
+        study.write_bytes(_with_places(text, crate.moved) if crate.moved else text)
+    return study
+
+
+def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress | None) -> dict[str, Path]:
+    """Return the inputs on this machine by their places; every one has the bytes that the crate says."""
+    found: dict[str, Path] = {}
+    missing: list[str] = []
+    changed: list[str] = []
+    candidates = _files_by_name(recordings)
+    remote = {text: place for text, place in crate.moved.items() if is_address(text) and not text.startswith("file:")}
+    addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
+    for one in (crate.study, *crate.inputs):
+        name = PurePosixPath(one.place)
+        known = [crate.path(one)] if one.is_included else candidates.get(name.name, [])
+        if progress is not None and not known and (address := addresses.get(name.with_suffix(""))):
+            progress(0, 0, f"fetching {address}")
+            known = [local_path(locate(address)).with_name(name.name)]
+        there = [path for path in known if path.is_file()]
+        same = next((path for path in there if has_same_bytes(path, one)), None)
+        if same is not None:
+            found[one.place] = same.absolute()
+        elif one.is_included or not there:
+            (changed if there else missing).append(one.place)
+        else:
+            changed.append(f"{one.place} (found as {there[0]})")
+    faults = []
+    if missing:
+        where = "in the crate" if recordings is None else f"in {recordings}"
+        faults.append(f"{_listed(missing)} {'is' if len(missing) == 1 else 'are'} not {where}")
+    if changed:
+        faults.append(f"{_listed(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says")
+    if faults:
+        advice = "give --recordings FOLDER with the original recordings"
+        if addresses and progress is None:
+            advice += f", or --allow-addresses to fetch {_listed([*addresses.values()])}"
+        raise FrictrackError(f"expected the inputs of the study but {' and '.join(faults)}; {advice}")
+    found.pop(crate.study.place)
+    return found
+
+
+def _files_by_name(folder: Path | None) -> dict[str, list[Path]]:
+    if folder is None:
+        return {}
+    if not folder.is_dir():
+        raise FrictrackError(f"expected a folder of recordings but got {folder}", usage=True)
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.rglob("*")):
+        found.setdefault(path.name, []).append(path)
+    return found
+
+
+def _link(source: Path, target: Path) -> None:
+    """Link a file to its place in the copy of the study; it is copied where the system has no links."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.symlink(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+
+
+def _with_places(text: bytes, moved: Mapping[str, str]) -> bytes:
+    """Replace paths in a study file by those in the crate; comments are kept."""
+    try:
+        document = tomlkit.parse(text.decode())
+    except (TOMLKitError, UnicodeDecodeError) as e:
+        raise FrictrackError(f"the study file of the crate is not valid TOML: {e}") from e
+    for container, key, value in list(texts_in(document)):
+        if value in moved:
+            container[key] = moved[value]
+    return tomlkit.dumps(document).encode()
+
 
 RELATIVE_TOLERANCE = 1e-9  # of numbers that were computed on another platform
 
 
-@dataclass(frozen=True)
-class Approximate:
-    """Numbers of which fewer digits are the same on another platform, by their names, and why."""
-
-    pattern: re.Pattern[str]
-    tolerance: float
-    reason: str
-
-
-APPROXIMATE = (
-    Approximate(
+APPROXIMATE = (  # names of numbers of which fewer digits are the same on another platform, how many, and why
+    (
         re.compile(r"diagnosis\.(summary\..*limits?\b.*|summary\..*limit_over_friction|figures\..*\.(limit|rise))"),
         1e-2,
         "detection limits come from matrices that are nearly singular; two digits of them are used",
     ),
-    Approximate(
+    (
         re.compile(r"(.*\.)?(sigma|std)(_\w+)?"),
         1e-5,
         "a standard deviation is the root of a difference of nearly equal numbers; two digits are used (GUM 7.2.6)",
     ),
-    Approximate(
-        re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"
-    ),
+    (re.compile(r"diagnosis\.figures\..*"), 1e-5, "curves of the misfit are differences of nearly equal numbers"),
 )  # the first whose pattern is the whole name
 CONCLUSIONS = re.compile(
     r"summary\.(model|equation|parameters|errors)\b.*|diagnosis\.summary\.(model|verdict|missing)\b.*|equation"
@@ -66,55 +243,29 @@ MAX_TEXT = 200  # characters of a text in a difference
 
 @dataclass(frozen=True)
 class Difference:
-    """A value that is not the same in both copies.
+    """A value that is not the same in both copies."""
 
-    Attributes
-    ----------
-    file, group, value
-        Where it stands; `value` is empty if the whole group is in one copy only.
-    stored, computed
-        What the crate has, and what was computed again; a number is the one that differs most.
-    relative
-        Difference over the largest magnitude of that value's array or list; None for a text.
-
-    """
-
-    file: str
+    file: str  # file, group, value: where it stands; `value` is empty if the whole group is in one copy only
     group: str
     value: str
+    # stored, computed: what the crate has, and what was computed again; a number is the one that differs most
     stored: Any
     computed: Any
+    # difference over the largest magnitude of that value's array or list; None for a text
     relative: float | None = None
 
 
 @dataclass(frozen=True)
 class GroupComparison:
-    """The comparison of one group.
+    """The comparison of one group."""
 
-    Attributes
-    ----------
-    file, group
-        Name of the file and of the group.
-    numbers
-        How many numbers were compared.
-    largest
-        Largest relative difference of a number.
-    differences
-        The values that differ, at most `MAX_DIFFERENCES`.
-    n_differences
-        How many values differ.
-    same_conclusions
-        Whether model, verdict, parameters and errors are the same.
-
-    """
-
-    file: str
+    file: str  # file, group: name of the file and of the group
     group: str
-    numbers: int
-    largest: float
-    differences: tuple[Difference, ...]
-    n_differences: int
-    same_conclusions: bool
+    numbers: int  # how many numbers were compared
+    largest: float  # largest relative difference of a number
+    differences: tuple[Difference, ...]  # the values that differ, at most `MAX_DIFFERENCES`
+    n_differences: int  # how many values differ
+    same_conclusions: bool  # whether model, verdict, parameters and errors are the same
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of the group."""
@@ -130,7 +281,7 @@ class GroupComparison:
 
 
 def compare_files(
-    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], *, exact: bool
+    stored: Mapping[str, Mapping[str, flow.Values]], computed: Mapping[str, Mapping[str, flow.Values]], *, exact: bool
 ) -> list[GroupComparison]:
     """Compare all groups of all files.
 
@@ -158,11 +309,13 @@ def tolerance_of(name: str) -> float:
     (1e-09, 1e-05)
 
     """
-    found = (one.tolerance for one in APPROXIMATE if one.pattern.fullmatch(name))
+    found = (tolerance for pattern, tolerance, _ in APPROXIMATE if pattern.fullmatch(name))
     return next(found, RELATIVE_TOLERANCE)
 
 
-def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> GroupComparison:
+def _compare_group(
+    place: tuple[str, str], old: flow.Values | None, new: flow.Values | None, *, exact: bool
+) -> GroupComparison:
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
         return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1, same_conclusions=False)
@@ -228,7 +381,7 @@ def reproduce_crate(
     path: Path,
     out: Path,
     recordings: Path | None = None,
-    progress: Progress = no_progress,
+    progress: flow.Progress = flow.no_progress,
     *,
     allow_addresses: bool = False,
 ) -> dict[str, Any]:
@@ -267,7 +420,7 @@ def reproduce_crate(
         progress(0, 0, "checking the inputs")
         known = find_inputs(crate, recordings, progress if allow_addresses else None)
         with only_listed(known):
-            study = open_study(set_up_study(crate, _made(out / AGAIN), known))
+            study = flow.open_study(set_up_study(crate, _made(out / AGAIN), known))
     except FrictrackError:
         shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
         raise
@@ -276,10 +429,11 @@ def reproduce_crate(
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     stored = _stored_files(crate)
     with only_listed(known):
-        repeat_models(Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
+        flow.repeat_models(flow.Session(study, progress, author="reproduce"), flow.recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
-    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
-    groups = compare_files({name: stored_values(file) for name, file in stored.items()}, computed, exact=not versions)
+    computed = {file.name: flow.stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
+    known_values = {name: flow.stored_values(file) for name, file in stored.items()}
+    groups = compare_files(known_values, computed, exact=not versions)
     return _summary(crate, versions, groups) | {
         "crate": str(path),
         "seconds": round(time.monotonic() - began, 1),
@@ -287,7 +441,7 @@ def reproduce_crate(
     }
 
 
-def _unpacked(path: Path, out: Path, progress: Progress) -> Crate:
+def _unpacked(path: Path, out: Path, progress: flow.Progress) -> Crate:
     folder = path
     if not path.is_dir():
         progress(0, 0, f"unpacking {path.name}")
@@ -323,9 +477,10 @@ def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupCom
         "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
-        "excluded": [{"names": list(one.names), "reason": one.reason} for one in EXCLUDED],
+        "excluded": [{"names": list(names), "reason": reason} for names, reason in flow.EXCLUDED.items()],
         "approximate": [
-            {"names": one.pattern.pattern, "tolerance": one.tolerance, "reason": one.reason} for one in APPROXIMATE
+            {"names": pattern.pattern, "tolerance": tolerance, "reason": reason}
+            for pattern, tolerance, reason in APPROXIMATE
         ],
     }
 
@@ -349,8 +504,6 @@ def _check_paths(path: Path, out: Path) -> None:
 
 
 def _made(folder: Path) -> Path:
-    try:
+    with os_errors_as(f"cannot create {folder}"):
         folder.mkdir(parents=True)
-    except OSError as e:
-        raise FrictrackError(f"cannot create {folder}: {e.strerror or e}") from e
     return folder

@@ -1,36 +1,278 @@
-"""Write a study with all its results as one research object: an RO-Crate, as a zip file or as a folder."""
+"""Write a study with all its results as one research object: an RO-Crate, as a zip file or as a folder.
+
+Its metadata are JSON-LD: RO-Crate 1.1 with the profile of a process run.
+
+References
+----------
+RO-Crate Metadata Specification 1.1, https://w3id.org/ro/crate/1.1.
+Process Run Crate 0.5, https://w3id.org/ro/wfrun/process/0.5.
+Farrell et al. (2013), Naming things with hashes, RFC 6920, for files that the crate does not contain.
+
+"""
 
 from __future__ import annotations
 
+import base64
 import json
+import mimetypes
 import os
+import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple
+from urllib.parse import quote
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
-from frictrack.flow.crate.metadata import (
-    METADATA,
-    Authorship,
-    Described,
-    describe_crate,
+from frictrack.flow.crate.payload import (
+    COPY_BYTES,
+    FRICTRACK,
+    MACHINE,
+    Part,
+    Payload,
+    list_payload,
+    parameter_rows,
     platform_versions,
-    read_authorship,
     table_files,
 )
-from frictrack.flow.crate.payload import Part, Payload, list_payload
+from frictrack.results import Results
+
+ORCID = "https://orcid.org/"
+SPDX = "https://spdx.org/licenses/"
+_AUTHOR = re.compile(r"\s*([^<>]*?)\s*(?:<\s*(?:https?://orcid\.org/)?([^<>\s]*)\s*>)?\s*")
+_ORCID = re.compile(r"(?:\d{4}-){3}\d{3}[\dX]")
+_SPDX = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{1,60}")
+_ADDRESS = re.compile(r"https?://[^\s<>\"]+")
+
+Entity = dict[str, Any]
+"""One object of the metadata, with "@id" and "@type"."""
+
+
+class Authorship(NamedTuple):
+    """Authors and licence of a crate, as entities; empty or None where none was named."""
+
+    authors: tuple[Entity, ...] = ()
+    licence: Entity | None = None
+
+
+def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> Authorship:
+    """Read authors and licence as a user writes them.
+
+    Examples
+    --------
+    >>> read_authorship(["Ada Lovelace <0000-0002-1825-0097>"]).authors[0]["@id"]
+    'https://orcid.org/0000-0002-1825-0097'
+
+    """
+    people = tuple(_person(text, number) for number, text in enumerate(authors, 1))
+    return Authorship(people, None if licence is None else _licence(licence))
+
+
+def _person(text: str, number: int) -> Entity:
+    found = _AUTHOR.fullmatch(text)
+    if found is None or not found[1] or (found[2] is not None and not is_orcid(found[2])):
+        raise FrictrackError(
+            f'expected an author as "Name" or "Name <0000-0002-1825-0097>" with a valid ORCID but got "{text}"',
+            usage=True,
+        )
+    address = f"{ORCID}{found[2]}" if found[2] else f"#author-{number}"
+    return {"@id": address, "@type": "Person", "name": found[1]}
+
+
+def is_orcid(text: str) -> bool:
+    """Return whether a text is an ORCID: 16 characters of which the last is the check digit of ISO 7064, 11-2.
+
+    Examples
+    --------
+    >>> is_orcid("0000-0002-1825-0097"), is_orcid("0000-0002-1825-0098")
+    (True, False)
+
+    """
+    if not _ORCID.fullmatch(text):
+        return False
+    digits = text.replace("-", "")
+    total = 0
+    for digit in digits[:-1]:
+        total = (total + int(digit)) * 2
+    return digits[-1] == "0123456789X"[(12 - total % 11) % 11]
+
+
+def _licence(text: str) -> Entity:
+    if _ADDRESS.fullmatch(text):
+        return {"@id": text, "@type": "CreativeWork", "name": text}
+    if not _SPDX.fullmatch(text):
+        raise FrictrackError(
+            f'expected a licence as an SPDX identifier such as CC-BY-4.0, or as an address, but got "{text}"',
+            usage=True,
+        )
+    return {"@id": f"{SPDX}{text}", "@type": "CreativeWork", "name": text}
+
+
+METADATA = "ro-crate-metadata.json"
+SPECIFICATION = "https://w3id.org/ro/crate/1.1"
+PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
+CONTEXT = (
+    f"{SPECIFICATION}/context",
+    # newer than the context of version 1.1; the second is of RO-Crate 1.2
+    {"sha256": "http://schema.org/sha256", "localPath": "https://w3id.org/ro/terms#localPath"},
+)
+MEDIA_TYPES = {
+    ".toml": "application/toml",
+    ".csv": "text/csv",
+    ".h5": "application/x-hdf5",
+    ".jsonl": "application/x-ndjson",
+    ".avi": "video/x-msvideo",
+}
+OTHER_MEDIA_TYPE = "application/octet-stream"
+UNCERTAINTIES = {  # columns of `tables`
+    "standard_uncertainty": "standard uncertainty",
+    "standard_uncertainty_misfit": "standard uncertainty that includes the effect of the missing force",
+}
+MOVED = "path in the study file"  # `propertyID` of where the crate has what the study file names otherwise
+PYPI = "https://pypi.org/project"
+ADDRESSES = {  # of software that is not on PyPI under its name; the version follows
+    "python": "https://www.python.org/#",
+    "opencv": f"{PYPI}/opencv-python-headless/",
+    "blas": "https://www.netlib.org/blas/#",
+}
+
+
+def describe_crate(session: Session, results: Results, payload: Payload, authorship: Authorship) -> dict[str, Any]:
+    """Return the content of ``ro-crate-metadata.json``."""
+    files = [_file(part) for part in payload.parts]
+    parameters = list(_parameters(results))
+    moved = [
+        {"@id": f"#path-{number}", "@type": "PropertyValue", "propertyID": MOVED, "name": text, "value": place}
+        for number, (text, place) in enumerate(payload.moved.items(), 1)
+    ]
+    software = list(_software(platform_versions()))
+    action = {
+        "@id": "#analysis",
+        "@type": "CreateAction",
+        "name": f"Analysis of {results.name} with frictrack",
+        "description": f"frictrack run {payload.parts[0].place}; the models tried are in the history of the results.",
+        "instrument": _reference(software[0]),
+        "object": _references([*(_file(part) for part in payload.parts if part.role != "result"), *moved]),
+        "result": _references([_file(part) for part in payload.parts if part.role == "result"]),
+        "startTime": next((change.time for change in session.commands.changes), None),
+        "endTime": datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
+        "agent": _references(authorship.authors),
+        "actionStatus": "http://schema.org/CompletedActionStatus",
+    }
+    law = "" if results.current is None else f" The current model is {results.current.equation}."
+    verdict = "" if results.diagnosis is None else f" The verdict of the diagnosis is {results.diagnosis['verdict']}."
+    runs = f"{len(results.runs)} run{'s' if len(results.runs) != 1 else ''}"
+    root = {
+        "@id": "./",
+        "@type": "Dataset",
+        "name": results.name,
+        "description": f"Friction law of a sliding mass, identified by frictrack from {runs}.{law}{verdict}",
+        "datePublished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "conformsTo": {"@id": PROFILE},
+        "license": _reference(authorship.licence),
+        "author": _references(authorship.authors),
+        "mainEntity": _reference(files[0]),
+        "hasPart": _references(files),
+        "mentions": _reference(action),
+        "variableMeasured": _references([one for one in parameters if "propertyID" in one]),
+    }
+    head = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": {"@id": SPECIFICATION}, "about": {"@id": "./"}}
+    profile = {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
+    people = [*authorship.authors, *([authorship.licence] if authorship.licence else [])]
+    entities: list[Entity] = [head, root, profile, *people, *files, action, *moved, *software, *parameters]
+    once = {one["@id"]: one for one in entities}  # an author who is named twice is one person
+    known = [{key: value for key, value in one.items() if value is not None} for one in once.values()]
+    return {"@context": list(CONTEXT), "@graph": known}
+
+
+def file_address(part: Part) -> str:
+    """Return the address of a file in the metadata: its path, or its hash if the crate does not contain it."""
+    if part.is_included:
+        return quote(part.place)
+    digest = base64.urlsafe_b64encode(bytes.fromhex(part.sha256)).decode().rstrip("=")
+    return f"ni:///sha-256;{digest}?name={quote(part.place, safe='')}"
+
+
+def _file(part: Part) -> Entity:
+    suffix = part.source.suffix.lower()
+    return {
+        "@id": file_address(part),
+        "@type": "File",
+        "name": part.source.name,
+        "contentSize": str(part.size),
+        "sha256": part.sha256,
+        "localPath": None if part.is_included else part.place,
+        "encodingFormat": MEDIA_TYPES.get(suffix) or mimetypes.types_map.get(suffix, OTHER_MEDIA_TYPE),
+    }
+
+
+def _software(versions: Mapping[str, str]) -> Iterator[Entity]:
+    """Yield frictrack, then what it requires."""
+    names = [name for name in versions if name not in MACHINE]
+    required = [name for name in names if name != FRICTRACK]
+    machine = dict(zip(("operatingSystem", "processorRequirements"), (versions[name] for name in MACHINE), strict=True))
+    more = {"softwareRequirements": [{"@id": _software_address(name, versions[name])} for name in required]}
+    for name in (FRICTRACK, *required):
+        yield {
+            "@id": _software_address(name, versions[name]),
+            "@type": "SoftwareApplication",
+            "name": name,
+            "softwareVersion": versions[name],
+            "url": _software_address(name, ""),
+            **(machine | more if name == FRICTRACK else {}),
+        }
+
+
+def _software_address(name: str, version: str) -> str:
+    address = ADDRESSES.get(name, f"{PYPI}/{name}/")
+    return f"{address}{quote(version, safe='')}" if version else address.rstrip("#")
+
+
+def _parameters(results: Results) -> Iterator[Entity]:
+    """Yield the parameters of all models: value, then standard uncertainty and interval where they are known."""
+    for row in parameter_rows(results):
+        address = quote(f"{row['model']}/{row['parameter']}")
+        unit = {"unitText": row["ucum"] or row["unit"], "unitCode": row["qudt"] or None}
+        number = {"@type": "PropertyValue", **unit}
+        more: list[Entity] = []
+        for key, name in UNCERTAINTIES.items():
+            if row[key] is not None:
+                more.append({"@id": f"#{key}/{address}", **number, "name": name, "value": row[key]})
+        if row["interval_low"] is not None or row["interval_high"] is not None:
+            limits = {"minValue": row["interval_low"], "maxValue": row["interval_high"]}
+            more.append({"@id": f"#interval/{address}", **number, "name": "95 % interval", **limits})
+        current = ", the current one" if row["current"] else ""
+        reason = f"; {row['reason']}" if row["reason"] else ""
+        yield {
+            "@id": f"#parameter/{address}",
+            **number,
+            "name": row["parameter"],
+            "propertyID": f"{row['model']}/{row['parameter']}",
+            "description": f"parameter of the model {row['model']}{current}{reason}",
+            "value": row["value"],
+            "valueReference": _references(more),
+        }
+        yield from more
+
+
+def _reference(entity: Entity | None) -> Entity | None:
+    return None if entity is None else {"@id": entity["@id"]}
+
+
+def _references(entities: Iterable[Entity]) -> Any:
+    """Return a list of references; of one entity its own, and None of none, as the specification recommends."""
+    values = [{"@id": one["@id"]} for one in entities]
+    return values if len(values) > 1 else next(iter(values), None)
+
 
 SUFFIX = ".crate.zip"
 TABLES = "tables"  # folder among the results
-COPY_BYTES = 1 << 20  # that are copied at once
 
 
 @dataclass(frozen=True)
@@ -85,28 +327,26 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
     results = session.results()
     payload = list_payload(session, include_recordings=options.include_recordings)
     with tempfile.TemporaryDirectory() as scratch:
-        payload = _with_tables(payload, table_files(results), Path(scratch))
-        metadata = describe_crate(
-            Described(results, payload, authorship, platform_versions(), _started(session), _ended(session))
-        )
+        made = Path(scratch)
+        for name, content in table_files(results).items():
+            (made / name).write_bytes(content)
+            table = Part.read(made / name, f"{payload.results}/{TABLES}/{name}", "result")
+            payload = replace(payload, parts=(*payload.parts, table))
+        metadata = describe_crate(session, results, payload, authorship)
+        text = json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False)
+        (made / METADATA).write_text(text, encoding="utf-8")
+        included = [part for part in payload.parts if part.is_included]
         session.progress(0, 0, f"writing {target.name}")
-        with _opened(target) as crate:
-            for part in payload.parts:
-                if part.is_included:
-                    crate.add(part)
-            crate.add_text(METADATA, json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False))
-    return _summary(target, payload, authorship)
-
-
-def _summary(target: Path, payload: Payload, authorship: Authorship) -> dict[str, Any]:
-    included = [part for part in payload.parts if part.is_included]
+        _write(target, [*included, Part.read(made / METADATA, METADATA, "metadata")])
     return {
         "crate": str(target),
         "files": len(included) + 1,
         "bytes": target.stat().st_size if target.is_file() else sum(part.size for part in included),
         "included": [part.place for part in included],
-        "by_hash": [{"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.by_hash],
-        "not_given": list(authorship.not_given),
+        "by_hash": [
+            {"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.parts if not one.is_included
+        ],
+        "not_given": ["license"] * (authorship.licence is None) + ["author"] * (not authorship.authors),
         "output": str(target.parent),
     }
 
@@ -125,75 +365,22 @@ def _check_target(target: Path) -> None:
         )
 
 
-def _with_tables(payload: Payload, tables: dict[str, bytes], scratch: Path) -> Payload:
-    """Add tables that are made for the crate; they are written into a temporary folder."""
-    parts = []
-    for name, content in tables.items():
-        (scratch / name).write_bytes(content)
-        parts.append(Part.read(scratch / name, f"{payload.results}/{TABLES}/{name}", "result"))
-    return replace(payload, parts=(*payload.parts, *parts))
-
-
-def _started(session: Session) -> str | None:
-    """Return when the study was changed first."""
-    return next((change.time for change in session.commands.changes), None)
-
-
-def _ended(session: Session) -> str:
-    """Return when the models were written last."""
-    return datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds")
-
-
-class _Target(Protocol):
-    """Where the files of a crate are written."""
-
-    def add(self, part: Part) -> None:
-        """Copy a file to its place."""
-
-    def add_text(self, place: str, text: str) -> None:
-        """Write a text."""
-
-
-class _Zip:
-    def __init__(self, file: zipfile.ZipFile) -> None:
-        self._file = file
-
-    def add(self, part: Part) -> None:
-        info = zipfile.ZipInfo.from_file(part.source, part.place, strict_timestamps=False)
-        info.compress_type = zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED
-        with part.source.open("rb") as source, self._file.open(info, "w", force_zip64=True) as copy:
-            shutil.copyfileobj(source, copy, COPY_BYTES)
-
-    def add_text(self, place: str, text: str) -> None:
-        self._file.writestr(place, text, zipfile.ZIP_DEFLATED)
-
-
-class _Folder:
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def add(self, part: Part) -> None:
-        path = self._folder / part.place
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(part.source, path)
-
-    def add_text(self, place: str, text: str) -> None:
-        (self._folder / place).write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def _opened(target: Path) -> Iterator[_Target]:
-    """Open a crate for writing; it gets its name when it is complete."""
+def _write(target: Path, parts: Sequence[Part]) -> None:
+    """Write the files of a crate, which gets its name when it is complete."""
     if target.suffix == ".zip":
-        with atomic_write(target) as part, zipfile.ZipFile(part, "w") as file:
-            yield _Zip(file)
+        with atomic_write(target) as unfinished, zipfile.ZipFile(unfinished, "w") as file:
+            for part in parts:
+                info = zipfile.ZipInfo.from_file(part.source, part.place, strict_timestamps=False)
+                info.compress_type = zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED
+                with part.source.open("rb") as source, file.open(info, "w", force_zip64=True) as copy:
+                    shutil.copyfileobj(source, copy, COPY_BYTES)
         return
-    try:
+    with os_errors_as(f"cannot write {target}"):
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{target.name}_", dir=target.parent) as scratch:
             folder = Path(scratch) / target.name
-            folder.mkdir()
-            yield _Folder(folder)
+            for part in parts:
+                path = folder / part.place
+                path.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(part.source, path)
             os.replace(folder, target)
-    except OSError as e:
-        raise FrictrackError(f"cannot write {target}: {e.strerror or e}") from e

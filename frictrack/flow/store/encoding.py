@@ -2,15 +2,27 @@
 
 A record becomes a group. Its columns are datasets with the attributes `unit` and, for viewers, `units`; its numbers and
 strings are attributes; its tuples and lists are attributes in JSON; None is an empty attribute; a dictionary is a
-subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers; see `nexus`.
+subgroup. Every group that a stage wrote has the attributes of its `Provenance`, and marks for viewers.
+
+The marks follow the NeXus standard, so that a viewer (silx, h5web, NeXpy) draws the right curve at a double click: a
+group with one row per frame is an NXdata whose `signal` names the column that is drawn and `axes` that of the time, and
+`default` leads from the root to the curve that tells most. Nothing of them is read back.
+
+Files of earlier schemas are migrated in memory, step by step; on disk they change only when something is written.
+
+References
+----------
+NeXus manual, classes NXdata and NXroot, https://manual.nexusformat.org.
+
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
+from itertools import count
 from types import MappingProxyType
 from typing import Any
 
@@ -18,16 +30,91 @@ import h5py
 import numpy as np
 
 from frictrack.base.version import __version__
-from frictrack.flow.store.checksums import (
-    CHECKSUM,
-    add_group_checksum,
-    array_checksum,
-    check_visited_once,
-    members,
-    read_array,
-)
-from frictrack.flow.store.nexus import UNITS, mark_data, without_marks
+from frictrack.flow.store import checksums
+from frictrack.flow.store.file_header import HEADER_BYTES, SCHEMA
 from frictrack.results import to_builtins
+
+NX_CLASS = "NX_class"
+ATTRIBUTES = frozenset({NX_CLASS, "default", "signal", "axes", "auxiliary_signals"})  # of a group that is marked
+UNITS = "units"  # of a dataset
+AXIS = "t"
+# Of a run, the first one that is there is drawn. Not the friction force: outside of the free section, as during a push,
+# it is no friction, and so large that nothing else is seen.
+STAGES = ("displacement", "track")
+
+
+def mark_data(group: h5py.Group, kind: Any) -> None:
+    """Mark a group that holds a record with one row per frame as NXdata."""
+    signals = [name for name in getattr(kind, "signals", ()) if isinstance(group.get(name), h5py.Dataset)]
+    if AXIS not in group or not signals:
+        return
+    group.attrs.update({NX_CLASS: "NXdata", "signal": signals[0], "axes": _names(AXIS)})
+    others = [name for name in signals[1:] if group[name].attrs[UNITS] == group[signals[0]].attrs[UNITS]]
+    if others:  # they are drawn in one plot
+        group.attrs["auxiliary_signals"] = _names(*others)
+
+
+def mark_default(file: h5py.File) -> None:
+    """Let `default` lead from the root of a file to a curve: the displacement of a run, or that of the current model.
+
+    Checksums of the groups that change are removed. No link is followed: it might lead into another file.
+    """
+    file.attrs[NX_CLASS] = "NXroot"
+    file.attrs.pop("default", None)
+    inside: h5py.Group = file
+    for name, kind in _path_to_curve(file):
+        _set(file, inside, "default", name)
+        inside = inside[name]
+        _set(file, inside, NX_CLASS, kind)
+
+
+def _set(file: h5py.File, group: h5py.Group, name: str, value: str) -> None:
+    """Set an attribute of a group, and remove its checksum and those of its parents if it changes."""
+    if str(group.attrs.get(name)) != value:
+        checksums.drop_checksums(file, group.name)
+        group.attrs[name] = value
+
+
+def without_marks(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of a group without those of NeXus."""
+    is_marked = NX_CLASS in attributes
+    return {name: value for name, value in attributes.items() if not (is_marked and name in ATTRIBUTES)}
+
+
+def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
+    """Return the names of the groups that lead to the curve, each with its class; empty if there is no curve."""
+    own = _subgroups(file)
+    stage = next((name for name in STAGES if name in own and _is_data(own[name])), None)
+    if stage is not None:
+        return [(stage, "NXdata")]
+    models = _subgroups(own.get("models"))
+    model = next((name for name in reversed(models) if _is_current(models[name])), "")
+    curves = _subgroups(_subgroups(models.get(model)).get("curves"))
+    curve = next((name for name, group in curves.items() if _is_data(group)), "")
+    kinds = ("NXentry", "NXsubentry", "NXcollection", "NXdata")
+    return list(zip(("models", model, "curves", curve), kinds, strict=True)) if curve else []
+
+
+def _subgroups(group: h5py.Group | None) -> dict[str, h5py.Group]:
+    """Return the groups inside a group by name, without links."""
+    return (
+        {} if group is None else {name: item for name, item in checksums.members(group) if isinstance(item, h5py.Group)}
+    )
+
+
+def _is_current(model: h5py.Group) -> bool:
+    current = model.attrs.get("current")
+    return isinstance(current, np.bool_) and bool(current)
+
+
+def _is_data(group: h5py.Group) -> bool:
+    return str(group.attrs.get(NX_CLASS)) == "NXdata"
+
+
+def _names(*names: str) -> Any:
+    """Return names as NeXus lists them: an array of texts; their length is fixed, so that they lie in the attribute."""
+    return np.array([name.encode() for name in names], dtype=h5py.string_dtype("utf-8", max(map(len, names))))
+
 
 _MAX_ATTRIBUTE_CHARACTERS = 16_000  # characters; HDF5 keeps an attribute below 64 kB
 _MAX_COMPACT_ATTRIBUTES = 64  # attributes of a group that stay in its header, which is smaller and read in one piece
@@ -79,7 +166,7 @@ def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] =
         if checksum is not None:
             inside[name] = checksum
     mark_data(group, type(content))
-    return add_group_checksum(group, inside)
+    return checksums.add_group_checksum(group, inside)
 
 
 def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> str | None:
@@ -110,30 +197,30 @@ def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **att
     compressed = {} if is_plain else {"compression": "gzip", "shuffle": True, "fletcher32": True}
     dataset = group.create_dataset(name, data=value, **compressed)
     dataset.attrs.update(attributes)
-    checksum = dataset.attrs[CHECKSUM] = array_checksum(value, attributes)
+    checksum = dataset.attrs[checksums.CHECKSUM] = checksums.array_checksum(value, attributes)
     return checksum
 
 
 def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
     """Read everything in a group as a dictionary, without the provenance."""
     met = set() if met is None else met
-    check_visited_once(group, met)
-    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != CHECKSUM}
+    checksums.check_visited_once(group, met)
+    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != checksums.CHECKSUM}
     content = {k: _listed(to_python(v)) for k, v in without_marks(own).items()}
-    for name, item in members(group):
+    for name, item in checksums.members(group):
         if name not in without:
-            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else read_array(item)
+            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else checksums.read_array(item)
     return content
 
 
 def read_record(group: h5py.Group, kind: Any) -> Any:
     """Read a group as the record type `kind`."""
     values = {}
-    inside = dict(members(group))
+    inside = dict(checksums.members(group))
     for f in fields(kind):
         if f.name in inside:
             item = inside[f.name]
-            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
+            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else checksums.read_array(item)
         elif f.name in group.attrs:
             raw = to_python(group.attrs[f.name])
             is_tuple = raw is not None and str(f.type).startswith("tuple")
@@ -158,3 +245,41 @@ def _listed(value: Any) -> Any:
 
 def _tuple(value: Any) -> Any:
     return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
+
+
+# HDF5 1.8: MATLAB and HDFView of the last ten years read it
+FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": HEADER_BYTES}
+_NUMBER = count()
+
+
+def empty_file_in_memory() -> h5py.File:
+    """Create an empty file that never reaches the disk."""
+    name = f"in memory {next(_NUMBER)}"  # HDF5 knows open files by name
+    return h5py.File(name, "w", driver="core", backing_store=False, **FORMAT)
+
+
+def migrate(file: h5py.File) -> h5py.File:
+    """Return the same content in today's schema: the file itself, or a copy in memory."""
+    for schema in range(int(file.attrs["schema"]), SCHEMA):
+        newer = empty_file_in_memory()
+        MIGRATIONS[schema](file, newer)
+        newer.attrs["schema"] = schema + 1
+        checksums.add_checksums(newer)
+        file = newer
+    return file
+
+
+def _add_checksums(old: h5py.Group, new: h5py.Group) -> None:
+    """Migrate schema 1, which had no checksums, strings of any length, and no list of inputs."""
+    new.attrs.update(old.attrs)
+    for name in old:
+        link = old.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink):
+            new[name] = link
+        elif isinstance(old[name], h5py.Group):
+            _add_checksums(old[name], new_group(new, name))
+        else:
+            write_array(new, name, np.asarray(checksums.read_array(old[name])), **old[name].attrs)
+
+
+MIGRATIONS: dict[int, Callable[[h5py.Group, h5py.Group], None]] = {1: _add_checksums}

@@ -22,27 +22,14 @@ import h5py
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
 from frictrack.base.version import __version__
-from frictrack.flow.store import encoding
+from frictrack.flow.store import encoding, file_header
 from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
-from frictrack.flow.store.encoding import GroupContent, Provenance
-from frictrack.flow.store.file_header import (
-    SCHEMA,
-    file_state,
-    header_of,
-    is_intact,
-    is_signed_by_user,
-    lacks_header,
-    read_header,
-    sign,
-)
-from frictrack.flow.store.migrations import FORMAT, migrate
-from frictrack.flow.store.nexus import mark_default, without_marks
-from frictrack.flow.store.sandbox import opens_in_sandbox
+from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, migrate, without_marks
 
 NOTHING: Mapping[Any, Any] = {}
 REMEDY = "delete it and run again, the recordings are untouched"
-MAX_FILES_KNOWN = 256  # whose attributes are kept
-_ATTRIBUTES: dict[Path, tuple[Any, dict[str, dict[str, Any]]]] = {}  # version of a file, attributes by group
+MAX_GROUPS_KNOWN = 10_000  # whose attributes are kept
+_ATTRIBUTES: dict[tuple[Path, Any, str], dict[str, Any]] = {}  # by file, its version and the group
 _HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
 
 
@@ -54,27 +41,7 @@ def write(
     links: Mapping[str, str] = NOTHING,
     attribute_updates: Mapping[str, Mapping[str, Any]] = NOTHING,
 ) -> None:
-    """Write groups into a file, keep all others, and replace the file in one step.
-
-    Parameters
-    ----------
-    path
-        The file; it is created if it does not exist.
-    groups
-        Content by name of the group (``"track"``, ``"models/1_tustin"``). A group that exists is replaced.
-    remove
-        Names of groups to delete.
-    links
-        Target by name of a group: another file of the same folder, or with a leading slash another group.
-    attribute_updates
-        Attributes to set on existing groups, by name of the group.
-
-    Raises
-    ------
-    FrictrackError
-        If the existing file is not a frictrack file, or the folder cannot be written.
-
-    """
+    """Write groups into a file, keep all others, and replace the file in one step."""
     with _replacing(path) as file:
         for name in (*remove, *groups, *links, *(f"{name}/" for name in attribute_updates)):
             _guard(file, path, name)
@@ -129,19 +96,7 @@ def provenance(path: Path, group: str) -> Provenance | None:
 
 
 def provenances(path: Path) -> dict[str, Provenance]:
-    """Return the provenance of every group of a file, without the files that it links to.
-
-    Returns
-    -------
-    dict of str to Provenance
-        By name of the group, subgroups included (``"models/1_tustin"``).
-
-    Raises
-    ------
-    FrictrackError
-        If the file cannot be read.
-
-    """
+    """Return the provenance of every group of a file, without the files that it links to."""
     with _reading(path) as file:
         return dict(_provenances_in(file, ""))
 
@@ -155,23 +110,17 @@ def attributes(path: Path, group: str) -> dict[str, Any]:
 
 
 def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
-    """Return the attributes of a group; those of the last versions of many files are kept, a page asks again and again.
-
-    The version is that of the opened file, which may have been replaced since.
-    """
+    """Return the attributes of a group; those of many groups are kept, since a page asks again and again."""
     version = _opened_version(file)
-    known = _ATTRIBUTES.get(path) if version else None
-    if known is None or known[0] != version:
-        known = (version, {})
-        if version:
-            _ATTRIBUTES.pop(path, None)
-            _ATTRIBUTES[path] = known
-        if len(_ATTRIBUTES) > MAX_FILES_KNOWN:
-            _ATTRIBUTES.pop(next(iter(_ATTRIBUTES)), None)
-    if group not in known[1]:
+    known = _ATTRIBUTES.get((path, version, group)) if version else None
+    if known is None:
         found = _found(file, path, group)
-        known[1][group] = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
-    return known[1][group]
+        known = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+        if version:
+            if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
+                _ATTRIBUTES.clear()
+            _ATTRIBUTES[path, version, group] = known
+    return known
 
 
 def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
@@ -200,14 +149,7 @@ def names(path: Path, group: str = "/") -> list[str]:
 
 @contextmanager
 def snapshot(*paths: Path) -> Iterator[None]:
-    """Read several files at one version: reads inside the block see the same content, even if the files are replaced.
-
-    Parameters
-    ----------
-    *paths
-        The files; those that do not exist are ignored.
-
-    """
+    """Read several files at one version: reads in the block see the same content, even if the files are replaced."""
     if not paths:
         yield
     elif not paths[0].exists() or paths[0] in _HELD.get():
@@ -243,14 +185,14 @@ def _reading(path: Path) -> Iterator[h5py.File]:
             yield _HELD.get()[path]
             return
         check_header(path)
-        if not (is_signed_by_user(path) or opens_in_sandbox(path)):
+        if not (file_header.is_signed_by_user(path) or file_header.opens_in_sandbox(path)):
             raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 raise FrictrackError(
                     f"expected {path} to be a frictrack result but another program wrote it; move it away"
                 )
-            yield file if file.attrs["schema"] == SCHEMA else _migrated(path, *file_state(path))
+            yield file if file.attrs["schema"] == file_header.SCHEMA else _migrated(path, *file_header.file_state(path))
 
 
 @lru_cache(maxsize=16)  # a page reads an old file a hundred times
@@ -262,16 +204,16 @@ def _migrated(path: Path, *_: int) -> h5py.File:
 
 def check_header(path: Path, *, reread: bool = False) -> None:
     """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema."""
-    header = read_header(path)
-    if header is None and lacks_header(path):
+    header = file_header.read_header(path)
+    if header is None and file_header.lacks_header(path):
         return  # of schema 1, or another program's
-    if header is None or not is_intact(path, reread=reread):
+    if header is None or not file_header.is_intact(path, reread=reread):
         raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
     schema, version = header
-    if schema > SCHEMA:
+    if schema > file_header.SCHEMA:
         raise FrictrackError(
-            f"expected {path} of schema {SCHEMA} at most but it has {schema} and was written by frictrack {version}, "
-            f"this is {__version__}; update it"
+            f"expected {path} of schema {file_header.SCHEMA} at most but it has {schema} and was written by frictrack "
+            f"{version}, this is {__version__}; update it"
         )
 
 
@@ -302,14 +244,14 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             if path.exists():
                 with _reading(path) as old:
                     copy_groups(old, file)
-            file.attrs.update(schema=SCHEMA, version=__version__)
+            file.attrs.update(schema=file_header.SCHEMA, version=__version__)
             file.attrs.pop(CHECKSUM, None)
             yield file
             mark_default(file)
             add_checksums(file)
             begin = file.userblock_size
         content = whole.getbuffer()
-        content[:begin] = header_of(content[begin:], __version__, sign)
+        content[:begin] = file_header.header_of(content[begin:], __version__, file_header.sign)
         part.write_bytes(content)
 
 

@@ -11,10 +11,9 @@ import h5py
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow.store.checksums import check_visited_once, wrong_checksums
-from frictrack.flow.store.file_header import is_signed_by_user, read_header
+from frictrack.flow.store.encoding import empty_file_in_memory, migrate
+from frictrack.flow.store.file_header import check_in_sandbox, is_signed_by_user, read_header, run_sandbox_process
 from frictrack.flow.store.hdf5_io import REMEDY, check_header, copy_groups
-from frictrack.flow.store.migrations import empty_file_in_memory, migrate
-from frictrack.flow.store.sandbox import check_in_sandbox, run_sandbox_process
 
 
 @dataclass(frozen=True)
@@ -34,14 +33,7 @@ class Fault:
 
 
 def check(path: Path) -> list[Fault]:
-    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds.
-
-    Returns
-    -------
-    list of Fault
-        Empty if the file is sound.
-
-    """
+    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds."""
     try:
         check_header(path, reread=True)
     except (FrictrackError, OSError) as e:
@@ -104,7 +96,7 @@ def _inside_in_sandbox(path: Path) -> list[Fault] | None:
 
 
 def run_check_process() -> None:
-    """Run the process that checks files for others; see `frictrack.flow.store.sandbox`."""
+    """Run the process that checks files for others; see `frictrack.flow.store.file_header`."""
     run_sandbox_process(_faults_as_dicts)
 
 

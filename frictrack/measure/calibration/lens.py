@@ -24,8 +24,14 @@ import yaml
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration.board import Board, BoardView
-from frictrack.measure.calibration.homography import MAX_RADIAL_COEFFICIENT, Homography, Normalisation, fit_view
-from frictrack.measure.calibration.scale import PlaneMap, project
+from frictrack.measure.calibration.scale import (
+    MAX_RADIAL_COEFFICIENT,
+    Homography,
+    Normalisation,
+    PlaneMap,
+    fit_view,
+    project,
+)
 from frictrack.records import Array
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "camera_Matrix", "intrinsic_matrix", "mtx", "K", "M1")
@@ -256,15 +262,6 @@ TOO_FEW_VIEWS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """Camera fitted to views: lens, poses (v, 6), and reprojection error."""
-
-    lens: Lens
-    poses: Array
-    rms: float  # px, of the distance
-
-
 def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = None) -> PlaneMap:
     """Compute the map to the plane of the first view.
 
@@ -297,10 +294,7 @@ def plane_from_views(views: list[BoardView], board: Board, lens: Lens | None = N
     if plane is None:
         plane = _from_one_view(views[0], board)
         plane = replace(plane, notes=(*plane.notes, TOO_FEW_VIEWS)) if len(views) > 1 else plane
-    points = views[0].points
-    middle, reach = points.mean(axis=0), float(np.hypot(*np.ptp(points, axis=0)))
-    plane = replace(plane, centre=(float(middle[0]), float(middle[1])), zero=(0.0, 0.0), reach=reach)
-    return plane.scaled(1.0, board.relative)
+    return plane.read_at(views[0].points, zero=(0.0, 0.0)).with_relative_error(board.relative)
 
 
 def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
@@ -310,10 +304,8 @@ def _from_one_view(first: BoardView, board: Board) -> PlaneMap:
     frame = Normalisation(np.array([(width - 1) / 2, (height - 1) / 2]), float(np.hypot(width, height) / 2))
     without_radial = fit_view(first.points, first.places, unit_sigma)
     with_radial = fit_view(first.points, first.places, unit_sigma, lens=frame)
-    k, std = (
-        float(with_radial.map.values[-1]),
-        float(np.sqrt(with_radial.map.covariance[-1, -1] * _variance(with_radial))),
-    )
+    k = float(with_radial.map.values[-1])
+    std = float(np.sqrt(with_radial.map.covariance[-1, -1] * _variance(with_radial)))
     determined = std < MAX_DISTORTION_SIGMA and abs(k) < MAX_RADIAL_COEFFICIENT
     chosen = with_radial if determined else without_radial
     distortion = (
@@ -339,88 +331,68 @@ def _variance(fitted: Homography) -> float:
 def _from_all_views(views: list[BoardView], board: Board) -> PlaneMap | None:
     """Fit camera, lens and pose to several views; None where these do not determine the camera."""
     best = _calibrated(views) if len(views) >= MIN_VIEWS else None
-    if best is None:
+    covariance = None if best is None else _covariance(views, *best[:2])
+    if best is None or covariance is None:
         return None
-    covariance = _covariance(views, best)
-    values = np.concatenate([_intrinsics(best.lens), best.poses[0]])
-    if covariance is None or np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
+    lens, poses, rms = best
+    m = lens.matrix
+    values = np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion, *poses[0]])
+    if np.sqrt(covariance[0, 0]) > MAX_FOCAL_ERROR * values[0]:
         return None
-    depth = float(best.poses[0, 5])
+
+    depth = float(poses[0, 5])
     used = (
         f"scale by a {board.kind} in {len(views)} pictures, {sum(len(v.points) for v in views)} corners, reprojected "
-        f"to {best.rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
+        f"to {rms:.2g} px; camera, lens (k1, k2, p1, p2, k3) and plane ({views[0].name}) fitted together; it is "
         f"about {1e3 * depth:.0f} mm away: 1 mm between it and the target changes lengths by {0.1 / depth:.2g} %"
     )
-    return PlaneMap(values, covariance, _points_on_plane, used=used, notes=_reprojection_note(best.rms))
+    return PlaneMap(values, covariance, _by_camera, used=used, notes=_reprojection_note(rms))
 
 
-def _calibrated(views: list[BoardView]) -> _Camera | None:
-    """Fit camera, lens and poses with OpenCV; None where no solution has all boards before the camera."""
-    solid = [np.column_stack([v.places, np.zeros(len(v.places))]).astype(np.float32) for v in views]
-    without_radial = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in views]
-    start = cv2.initCameraMatrix2D(solid, without_radial, views[0].size)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+def _calibrated(views: list[BoardView]) -> tuple[Lens, Array, float] | None:
+    """Fit lens, poses (v, 6) and rms distance (px) with OpenCV; None where no solution has all boards in front."""
+    solid = [_solid(v).astype(np.float32) for v in views]
+    seen = [v.points.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    start = cv2.initCameraMatrix2D(solid, seen, views[0].size)
     try:
         rms, matrix, distortion, rotations, translations = cv2.calibrateCamera(
-            solid, without_radial, views[0].size, start, np.zeros(5), criteria=criteria
+            solid, seen, views[0].size, start, np.zeros(5), criteria=STOP_CRITERIA
         )
     except cv2.error:
         return None
     poses = np.array([[*np.ravel(r), *np.ravel(t)] for r, t in zip(rotations, translations, strict=True)])
     if not (np.isfinite(rms) and np.all(np.isfinite(matrix)) and np.all(poses[:, 5] > 0)):
         return None
-    return _Camera(Lens(_floats(matrix), _floats(distortion).ravel()[:5]), poses, float(rms))
+    return Lens(np.asarray(matrix, np.float64), np.ravel(distortion).astype(np.float64)[:5]), poses, float(rms)
 
 
-def _intrinsics(lens: Lens) -> Array:
-    m = lens.matrix
-    return np.array([m[0, 0], m[1, 1], m[0, 2], m[1, 2], *lens.distortion])
-
-
-def _covariance(views: list[BoardView], camera: _Camera) -> Array | None:
-    """Covariance (15, 15) of camera, lens and first pose; all other poses are eliminated (Schur complement)."""
-    normal = np.zeros((N_INTRINSICS, N_INTRINSICS))
-    square, count = 0.0, -N_INTRINSICS
-    own = cross = None
-    for k, v in enumerate(views):
-        pose, lens, misfit = _corner_jacobians(v, camera, k)
-        square, count = square + float(misfit @ misfit), count + len(misfit) - 6
-        normal += lens.T @ lens
-        if k == 0:
-            own, cross = pose.T @ pose, lens.T @ pose
-        else:
-            normal -= lens.T @ pose @ np.linalg.pinv(pose.T @ pose, hermitian=True) @ pose.T @ lens
-    assert own is not None
-    assert cross is not None
-    whole = np.block([[normal, cross], [cross.T, own]])
-    size = np.sqrt(np.diag(whole))
+def _covariance(views: list[BoardView], lens: Lens, poses: Array) -> Array | None:
+    """Covariance (15, 15) of camera, lens and first pose, which were fitted together with all other poses."""
+    rows, misfits = [], []
+    for k, view in enumerate(views):
+        slopes, misfit = _corner_slopes(view, lens, poses[k])
+        of_poses = np.zeros((len(misfit), 6 * len(views)))
+        of_poses[:, 6 * k : 6 * k + 6] = slopes[:, :6]
+        rows.append(np.hstack([slopes[:, 6 : 6 + N_INTRINSICS], of_poses]))
+        misfits.append(misfit)
+    every, misfit = np.vstack(rows), np.concatenate(misfits)
+    size, count = np.linalg.norm(every, axis=0), len(misfit) - every.shape[1]
     if count < 1 or not np.all(size > 0):
         return None
-    inverse = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    return np.asarray(inverse * max(square / count, MIN_CORNER_SIGMA_PX**2))
+    inverse = np.linalg.pinv((every / size).T @ (every / size), rcond=1e-14, hermitian=True) / np.outer(size, size)
+    kept = N_INTRINSICS + 6
+    return np.asarray(inverse[:kept, :kept] * max(float(misfit @ misfit) / count, MIN_CORNER_SIGMA_PX**2))
 
 
-def _corner_jacobians(v: BoardView, camera: _Camera, k: int) -> tuple[Array, Array, Array]:
-    """Derivatives of the corners (2 n,) by the pose (2 n, 6) and by camera and lens (2 n, 9); residuals."""
-    solid = np.column_stack([v.places, np.zeros(len(v.places))])
-    pose = camera.poses[k]
-    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], camera.lens.matrix, camera.lens.distortion)[:2]
-    slopes, at = _floats(slopes), _floats(at).reshape(-1, 2)
-    return slopes[:, :6], slopes[:, 6 : 6 + N_INTRINSICS], (at - v.points).ravel()
+def _corner_slopes(view: BoardView, lens: Lens, pose: Array) -> tuple[Array, Array]:
+    """Derivatives of the corners (2 n, ...) by the pose (6), then by camera and lens (9); and residuals (2 n,), px."""
+    at, slopes = cv2.projectPoints(_solid(view), pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
+    return np.asarray(slopes, np.float64), (np.asarray(at, np.float64).reshape(-1, 2) - view.points).ravel()
 
 
-def _floats(raw: Any) -> Array:
-    return np.asarray(raw, dtype=np.float64)
-
-
-def _points_on_plane(values: Array, points: Array) -> Array:
-    """Project picture points to the plane z = 0 of a board, m."""
-    lens = Lens(np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]]), values[4:N_INTRINSICS])
-    return _on_plane(lens.rays(points), values[N_INTRINSICS:])
-
-
-def _on_plane_through(lens: Lens, pose: Array, points: Array) -> Array:
-    return _on_plane(lens.rays(points), pose)
+def _solid(view: BoardView) -> Array:
+    """Places of the corners in space (n, 3), m."""
+    return np.column_stack([view.places, np.zeros(len(view.places))])
 
 
 def _on_plane(rays: Array, pose: Array) -> Array:
@@ -438,25 +410,34 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
             f"expected the board in pictures of {lens.size[0]}x{lens.size[1]} px, as the lens was calibrated on, but "
             f"{first.name} has {first.size[0]}x{first.size[1]} px; use the same setting of the camera"
         )
-    solid = np.column_stack([first.places, np.zeros(len(first.places))])
     rays = lens.rays(first.points)
     if not np.all(np.isfinite(rays)):
         raise FrictrackError(f"the lens file cannot undo the distortion at the board in {first.name}; check the file")
-    found, turn, shift = cv2.solvePnP(solid, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    found, turn, shift = cv2.solvePnP(_solid(first), rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not found:
         raise FrictrackError(f"the board in {first.name} does not fit the lens file; check the file")
-    turn, shift = cv2.solvePnPRefineLM(solid, first.points, lens.matrix, lens.distortion, turn, shift)
-    pose = np.concatenate([np.ravel(turn), np.ravel(shift)])
-    at, slopes = cv2.projectPoints(solid, pose[:3], pose[3:], lens.matrix, lens.distortion)[:2]
-    misfit = (at.reshape(-1, 2) - first.points).ravel()
+    turn, shift = cv2.solvePnPRefineLM(_solid(first), first.points, lens.matrix, lens.distortion, turn, shift)
+    pose = np.array([*np.ravel(turn), *np.ravel(shift)], dtype=np.float64)
+    slopes, misfit = _corner_slopes(first, lens, pose)
     normal = slopes[:, :6].T @ slopes[:, :6]
-    covariance = np.linalg.inv(normal) * max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
+    variance = max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
+    covariance = np.asarray(np.linalg.inv(normal) * variance, dtype=np.float64)
     rms = float(np.sqrt(2 * np.mean(misfit**2)))
     used = (
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"
     )
-    return PlaneMap(pose, covariance, partial(_on_plane_through, lens), used=used, notes=_reprojection_note(rms))
+    return PlaneMap(pose, covariance, partial(_by_pose, lens), used=used, notes=_reprojection_note(rms))
+
+
+def _by_pose(lens: Lens, pose: Array, points: Array) -> Array:
+    return _on_plane(lens.rays(points), pose)
+
+
+def _by_camera(values: Array, points: Array) -> Array:
+    fx, fy, cx, cy = values[:4]
+    lens = Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), values[4:N_INTRINSICS])
+    return _on_plane(lens.rays(points), values[N_INTRINSICS:])
 
 
 def _reprojection_note(rms: float) -> tuple[str, ...]:

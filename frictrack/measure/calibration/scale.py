@@ -1,9 +1,11 @@
-"""Parse a scale: a number, a ruler, known points, the target's size, or a board.
-
-The map from the picture to the plane of the course, which every calibration yields.
+"""Parse a scale, and map the picture to the plane of the course: by a number, a ruler, or points at known places.
 
 A map is a function of some values (a pitch, a homography, a camera and its pose) and of picture points. The covariance
 of the values gives the uncertainty of every length that is measured through it.
+
+A homography is fitted to points at known places. The errors are those of the picture points, and their squares are
+minimised in the picture, on normalised coordinates (Hartley & Zisserman 2004, Multiple View Geometry, 4.2 and 4.4). One
+radial coefficient k of the lens, p = c + (q - c)(1 + k |q - c|^2 / R^2), can be fitted as well.
 """
 
 from __future__ import annotations
@@ -11,13 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+import scipy
 
+from frictrack.base.distributions import chi2_sf
 from frictrack.base.errors import FrictrackError
 from frictrack.base.units import parse_quantity
 from frictrack.records import Array
@@ -129,71 +131,19 @@ class PlaneMap:
                 slope[k] = (far - near) / (2 * DIFFERENCE_STEP * std)
         return length, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0))) / length
 
-    def scaled(self, factor: float, relative: float) -> PlaneMap:
-        """Multiply the map by an uncertain factor.
-
-        Parameters
-        ----------
-        factor : float
-            Factor.
-        relative : float
-            Its relative standard deviation.
-
-        Returns
-        -------
-        PlaneMap
-            With the factor as one more value.
-
-        """
+    def with_relative_error(self, relative: float) -> PlaneMap:
+        """The map times a factor of 1 whose standard deviation is `relative`; the factor is one more value."""
         k = len(self.values)
         covariance = np.zeros((k + 1, k + 1))
-        covariance[:k, :k], covariance[k, k] = self.covariance, (relative * factor) ** 2
-        zero = None if self.zero is None else (self.zero[0] * factor, self.zero[1] * factor)
-        return replace(
-            self,
-            values=np.append(self.values, factor),
-            covariance=covariance,
-            place=partial(_times_last_value, self.place),
-            zero=zero,
-        )
+        covariance[:k, :k], covariance[k, k] = self.covariance, relative**2
+        place = partial(_times_last_value, self.place)
+        return replace(self, values=np.append(self.values, 1.0), covariance=covariance, place=place)
 
-
-def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
-    return np.asarray(values[-1] * place(values[:-1], points))
-
-
-def uniform(values: ArrayLike, covariance: ArrayLike, pitch: Callable[[Array], float], straight: Straight) -> PlaneMap:
-    """Create a map with the same pitch everywhere on the undistorted picture.
-
-    Parameters
-    ----------
-    values, covariance : array-like
-        Parameters of the pitch and their covariance.
-    pitch : callable
-        ``pitch(values)`` in m/px.
-    straight : callable
-        Removes lens distortion from points (n, 2) px.
-
-    Returns
-    -------
-    PlaneMap
-        Linear map.
-
-    Examples
-    --------
-    >>> uniform([5e-4], [[1e-12]], lambda values: float(values[0]), as_seen)(np.array([[100.0, 20.0]])).tolist()
-    [[0.05, 0.01]]
-
-    """
-    return PlaneMap(
-        np.asarray(values, dtype=np.float64),
-        np.asarray(covariance, dtype=np.float64),
-        partial(_uniform, pitch, straight),
-    )
-
-
-def _uniform(pitch: Callable[[Array], float], straight: Straight, values: Array, points: Array) -> Array:
-    return pitch(values) * straight(points)
+    def read_at(self, points: Array, zero: tuple[float, float] | None = None) -> PlaneMap:
+        """The map with the picture points (n, 2) px at which it was read, and the origin in the plane."""
+        centre = points.mean(axis=0)
+        reach = float(np.hypot(*np.ptp(points, axis=0)))
+        return replace(self, centre=(float(centre[0]), float(centre[1])), reach=reach, zero=zero)
 
 
 Straight = Callable[[Array], Array]  # picture points (n, 2) px -> where a lens without distortion shows them
@@ -350,7 +300,22 @@ def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
 
     """
     value, std = _parse_number(scale)
-    return uniform([value], [[std**2]], itemgetter(0), straight)
+    return PlaneMap(np.array([value]), np.array([[std**2]]), partial(_scaled, straight))
+
+
+# Maps are partial functions of these, not closures, so that results can be pickled.
+
+
+def _times_last_value(place: Callable[[Array, Array], Array], values: Array, points: Array) -> Array:
+    return np.asarray(values[-1] * place(values[:-1], points))
+
+
+def _scaled(straight: Straight, values: Array, points: Array) -> Array:
+    return np.asarray(values[0] * straight(points))
+
+
+def _by_length(straight: Straight, values: Array, points: Array) -> Array:
+    return np.asarray(values[0] / _distance(straight(values[1:].reshape(2, 2))) * straight(points))
 
 
 def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
@@ -376,16 +341,14 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
     if not distance > 0:
         raise FrictrackError(f"expected two different points for the scale but got {scale['points']!r}")
 
-    pitch = partial(_pitch_of_ruler, straight)
-    made = uniform([length, *points.ravel()], np.diag([std**2] + 4 * [click**2]), pitch, straight)
     used = f"scale by a ruler of {1e3 * length:g} mm over {distance:.0f} px, clicked to {click:g} px"
-    middle = points.mean(axis=0)
-    return replace(made, used=used, centre=(float(middle[0]), float(middle[1])), reach=distance)
+    return replace(map_from_length((length, std), points, click, straight), used=used).read_at(points)
 
 
-def _pitch_of_ruler(straight: Straight, values: Array) -> float:
-    ends = straight(values[1:].reshape(2, 2))
-    return float(values[0] / np.hypot(*(ends[1] - ends[0])))
+def map_from_length(length: tuple[float, float], ends: Array, click: float, straight: Straight) -> PlaneMap:
+    """Create the map of a length (m, and its deviation) between two picture points (2, 2) px known to `click` px."""
+    covariance = np.diag([length[1] ** 2] + 4 * [click**2])
+    return PlaneMap(np.array([length[0], *ends.ravel()]), covariance, partial(_by_length, straight))
 
 
 def _picture_points(raw: Any, min_count: int) -> Array:
@@ -509,3 +472,232 @@ CHECKS: Mapping[str, Callable[[Any], Any]] = {
     "target": lambda scale: parse_length(scale["target"], "the target's size along the course"),
     "board": check_board,
 }
+
+
+MIN_ASPECT = 0.02  # extent of the points across over that lengthwise; less is one line
+N_PARAMETERS = 8  # of a homography
+NEWTON_STEPS = 20
+MAX_RADIAL_COEFFICIENT = 0.3  # a larger k is no lens
+
+
+@dataclass(frozen=True, eq=False)
+class Normalisation:
+    """Normalise coordinates to order one: (points - middle) / size."""
+
+    middle: Array
+    size: float
+
+    def __call__(self, points: Array) -> Array:
+        """Normalise points (n, 2)."""
+        return np.asarray((points - self.middle) / self.size, dtype=np.float64)
+
+    def restore(self, points: Array) -> Array:
+        """Undo the normalisation of points (n, 2)."""
+        return np.asarray(points * self.size + self.middle, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Homography:
+    """Fitted view of a plane.
+
+    Attributes
+    ----------
+    map : PlaneMap
+        Map from the picture to the plane.
+    rms : float
+        Rms distance of the points, px.
+    chi2 : float
+        Sum of squares over the given variances.
+    degrees : int
+        Degrees of freedom.
+
+    """
+
+    map: PlaneMap
+    rms: float  # px, of the distance
+    chi2: float  # sum of squares over the variances that were given
+    degrees: int
+
+
+def fit_view(
+    points: Array, places: Array, sigma: Array, straight: Straight = as_seen, lens: Normalisation | None = None
+) -> Homography:
+    """Fit the view of a plane to points at known places.
+
+    Parameters
+    ----------
+    points : array (n, 2)
+        Points in the picture, px.
+    places : array (n, 2)
+        The same points on the plane, m.
+    sigma : array (n,)
+        Standard deviation of each point along x and y, px.
+    straight : callable
+        Removes the distortion of a known lens from points (n, 2) px.
+    lens : Normalisation, optional
+        Middle of the picture and distance to a corner. If it is given, one radial coefficient is fitted.
+
+    Returns
+    -------
+    Homography
+        The map and its quality.
+
+    Raises
+    ------
+    FrictrackError
+        Where the points do not determine a plane before the camera.
+
+    References
+    ----------
+    R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision (2004), ch. 4.
+
+    """
+    _check_spread(points, "points")
+    _check_spread(places, "places on the plane")
+    straightened = straight(points)
+    if not np.all(np.isfinite(straightened)):
+        raise FrictrackError("the lens file cannot undo the distortion at the points of the scale; check the file")
+    plane, picture, seen = _norm(places), _norm(straightened), straightened if lens is None else points
+    flat = plane(places)
+
+    def residual(values: Array) -> Array:
+        at = picture.restore(project(_matrix(values), flat))
+        at = at if lens is None else _distort(float(values[N_PARAMETERS]), at, lens)
+        return np.nan_to_num(((at - seen) / sigma[:, None]).T.ravel(), nan=1e6)
+
+    start = np.append(_linear(flat, picture(straightened)), [0.0] * (lens is not None))
+    found = scipy.optimize.least_squares(residual, start, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
+    place = partial(_by_homography, plane, picture, straight, lens)
+    covariance = _covariance(np.asarray(found.jac, dtype=np.float64))
+    fitted = PlaneMap(found.x, covariance, place).read_at(points, zero=(0.0, 0.0))
+    misfit = found.fun.reshape(2, -1)
+    rms = float(np.sqrt(2 * np.mean((misfit * sigma) ** 2)))
+    return Homography(fitted, rms, float(np.sum(misfit**2)), misfit.size - len(found.x))
+
+
+def _by_homography(
+    plane: Normalisation,
+    picture: Normalisation,
+    straight: Straight,
+    lens: Normalisation | None,
+    values: Array,
+    points: Array,
+) -> Array:
+    straightened = straight(points) if lens is None else _undistort(float(values[N_PARAMETERS]), points, lens)
+    return plane.restore(project(_inverse(values), picture(straightened)))
+
+
+def _covariance(slopes: Array) -> Array:
+    """Covariance of parameters by the derivatives (n, k) of the residuals."""
+    normal = slopes.T @ slopes
+    size = np.sqrt(np.diag(normal))
+    if not np.all(size > 0) or np.linalg.cond(normal / np.outer(size, size)) > 1e13:
+        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
+    return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
+
+
+def _distort(k: float, points: Array, lens: Normalisation) -> Array:
+    """Apply the radial coefficient k to straight points (n, 2) px."""
+    q = lens(points)
+    return lens.restore(q * (1 + k * np.sum(q**2, axis=1, keepdims=True)))
+
+
+def _undistort(k: float, points: Array, lens: Normalisation) -> Array:
+    """Remove the radial coefficient k from points (n, 2) px: Newton's method on r (1 + k r^2) = r_seen."""
+    straightened = lens(points)
+    radius = np.linalg.norm(straightened, axis=1)
+    r = radius.copy()
+    for _ in range(NEWTON_STEPS):
+        r -= (r * (1 + k * r**2) - radius) / np.maximum(1 + 3 * k * r**2, 0.1)
+    return lens.restore(straightened / (1 + k * r**2)[:, None])
+
+
+def _matrix(values: Array) -> Array:
+    return np.append(values[:N_PARAMETERS], 1.0).reshape(3, 3)
+
+
+def _inverse(values: Array) -> Array:
+    """Matrix from the picture to the plane, with w > 0 where the middle of the points is visible."""
+    inverse = np.linalg.inv(_matrix(values))
+    return np.asarray(inverse * np.sign(inverse[2] @ [values[2], values[5], 1.0]), dtype=np.float64)
+
+
+def _linear(places: Array, points: Array) -> Array:
+    """Parameters (8,) of the direct linear transform with h33 = 1; it maps the middle, so that h33 is not 0."""
+    one = np.ones(len(places))
+    x, y = points.T
+    at = np.column_stack([places, one])
+    zeros = np.zeros_like(at)
+    rows = np.vstack([np.hstack([at, zeros, -x[:, None] * at]), np.hstack([zeros, at, -y[:, None] * at])])
+    _, strength, right = np.linalg.svd(rows, full_matrices=True)
+    if strength[N_PARAMETERS - 1] < 1e-6 * strength[0]:
+        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
+    h = right[-1] / (right[-1, -1] or 1.0)
+    if abs(right[-1, -1]) < 1e-6 or np.any(at @ h[6:] <= 0):
+        raise FrictrackError(
+            "no camera can see the places where the points are; check that points and plane come in the same order"
+        )
+    return np.asarray(h[:N_PARAMETERS], dtype=np.float64)
+
+
+def _norm(points: Array) -> Normalisation:
+    middle = points.mean(axis=0)
+    return Normalisation(middle, float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))))
+
+
+def _check_spread(points: Array, what: str) -> None:
+    strength = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not strength[1] > MIN_ASPECT * strength[0]:
+        raise FrictrackError(f"expected {what} that span a plane but all of them lie on one line; add one beside it")
+
+
+ALPHA_MISFIT = 1e-3  # significance level at which the points fit worse than they were clicked
+
+
+def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> PlaneMap:
+    """Compute the map of ``{points = [[x, y], ...], plane = [[X, Y], ...]}``.
+
+    Parameters
+    ----------
+    scale : mapping
+        Points in the picture (px) and their places on the plane.
+    straight : callable
+        Removes the distortion of a known lens from points (n, 2) px.
+
+    Returns
+    -------
+    PlaneMap
+        With five or more points their misfit is tested; a significant one enlarges the covariance and gives a note.
+
+    Raises
+    ------
+    FrictrackError
+        For points that do not determine a plane.
+
+    """
+    points, places, std = check_points(scale)
+    click = click_std(scale)
+    sigma = np.full(len(points), click)
+    fitted = fit_view(points, places, sigma, straight)
+    if np.any(std > 0):  # uncertain places count as clicks that are as uncertain
+        pitch = np.sqrt(np.abs(np.linalg.det(fitted.map.jacobian(points))))
+        sigma = np.sqrt(click**2 + np.mean(std**2, axis=1) / pitch**2)
+        fitted = fit_view(points, places, sigma, straight)
+    return _with_misfit(fitted, click, points)
+
+
+def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
+    """Add the misfit of the points to the map: a description, or a note and a larger covariance."""
+    n, degrees = len(points), fitted.degrees
+    used = f"scale by {n} points of known place, clicked to {click:g} px"
+    if degrees == 0:
+        return replace(fitted.map, used=f"{used}; a fifth point would show whether they fit")
+    used += f"; they fit to {fitted.rms:.2g} px"
+    if chi2_sf(fitted.chi2, degrees) >= ALPHA_MISFIT:
+        return replace(fitted.map, used=used)
+    variance_ratio = fitted.chi2 / degrees
+    note = (
+        f"the points of the scale lie {np.sqrt(variance_ratio):.1f} times as far off as clicks of {click:g} px would: "
+        "check places, order and lens; the uncertainty of the scale is enlarged by that"
+    )
+    return replace(fitted.map, used=used, covariance=fitted.map.covariance * variance_ratio, notes=(note,))

@@ -7,9 +7,9 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 
 # ruff: noqa: F401 - the imports are the interface
 
+from frictrack.measure.motion.banded_equations import SmootherData
 from frictrack.measure.motion.derivative import (
     Derivatives,
-    best_smoothing,
     covariance,
     derivatives,
     differentiate,
@@ -17,15 +17,8 @@ from frictrack.measure.motion.derivative import (
 )
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
 from frictrack.measure.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
-from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, interpolate_missing, unit_responses
-from frictrack.measure.motion.grid import (
-    STENCIL_FRAMES,
-    FrameGrid,
-    frame_grid,
-    stencil_start,
-    stencil_weights,
-    stencils,
-)
+from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
+from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
 from frictrack.measure.motion.noise import (
     CORRELATION_COST,
     DIFFERENCE_ORDER,
@@ -39,5 +32,4 @@ from frictrack.measure.motion.noise import (
     slow_spectrum,
 )
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.smoother_data import SmootherData
 from frictrack.settings.filters import METHOD_NAMES

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.measure.motion.banded_equations import TREND_ORDER, NoiseColour, SmootherData, cutoff_of, weighted_cubic
 from frictrack.measure.motion.filter_methods import (
     METHODS,
     Smoother,
@@ -18,12 +19,10 @@ from frictrack.measure.motion.filter_methods import (
 from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivatives
 from frictrack.measure.motion.noise import CorrelatedNoise, suspected_noise
 from frictrack.measure.motion.place_forces import Course, PlaceForce, find_place_forces
-from frictrack.measure.motion.posterior_deviations import weighted_cubic
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, NoiseColour, SmootherData, cutoff_of
 from frictrack.measure.motion.structure_average import alternatives, mean_shift
 from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
-from frictrack.records import Array, Displacement, Filtered, Mask
+from frictrack.records import Array, Displacement, Filtered, Mask, stretches
 from frictrack.settings.filters import KALMAN, STRUCTURAL, FilterChoice
 
 
@@ -51,11 +50,6 @@ class KnownAcceleration:
 
     a: Array
     sigma: float | Array
-
-    def rows(self, part: slice) -> KnownAcceleration:
-        """The same for a part of the frames."""
-        sigma = self.sigma if np.ndim(self.sigma) == 0 else np.asarray(self.sigma)[part]
-        return KnownAcceleration(self.a[part], sigma)
 
 
 MISSING_SIGMA = float("inf")  # m, of a frame that was not measured
@@ -133,7 +127,9 @@ def low_pass(
     _check_position(displacement.x[known], len(known))
     span = displacement.span
     displacement, known = displacement.rows(span), known[span]
-    acceleration = acceleration and acceleration.rows(span)
+    if acceleration is not None:
+        sigma = np.broadcast_to(acceleration.sigma, len(acceleration.a))
+        acceleration = KnownAcceleration(acceleration.a[span], sigma[span])
     grid = frame_grid(displacement.t)
     choice = method if isinstance(method, FilterChoice) else FilterChoice(method, cutoff)
     raise_faults(list(choice.faults()), "low_pass")
@@ -143,17 +139,20 @@ def low_pass(
     coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
     coordinate.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
     x = coordinate.low_passed(choice, acceleration, find_forces=True)
-    y = _LowPassed.unmeasured(len(known))
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
         y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(choice, None)
+    else:
+        unmeasured = np.full(len(known), np.nan)
+        unmeasured.setflags(write=False)  # so that the record need not copy it
+        y = _LowPassed(unmeasured, unmeasured, float("nan"))
     return Filtered(
         t=displacement.t,
         x=x.x,
         y=y.x,
         sigma_x=x.sigma,
         sigma_y=y.sigma,
-        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration, len(known)),
+        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration),
         cutoff=x.cutoff,
         cutoff_y=y.cutoff,
         asked=not choice.is_default,
@@ -177,10 +176,7 @@ def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
     if not is_violent.any():
         return slice(0, len(v))
     reach = int(np.ceil(0.5 / cutoff)) + 1
-    edges = np.flatnonzero(scipy.ndimage.maximum_filter1d(is_violent, 2 * reach + 1, mode="constant"))
-    bounds = np.concatenate([[-1], edges, [len(v)]])
-    k = int(np.argmax(np.diff(bounds)))
-    return slice(int(bounds[k]) + 1, int(bounds[k + 1]))
+    return _longest(scipy.ndimage.maximum_filter1d(is_violent, 2 * reach + 1, mode="constant") == 0)
 
 
 def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
@@ -202,13 +198,6 @@ class _LowPassed:
     events: tuple[Event, ...] = ()
     lines: tuple[float, ...] = ()
     measured: Array | None = None
-
-    @classmethod
-    def unmeasured(cls, n: int) -> _LowPassed:
-        """Result for a coordinate that was not measured."""
-        nan = np.full(n, np.nan)
-        nan.setflags(write=False)  # so that the record need not copy it
-        return cls(nan, nan, float("nan"))
 
 
 class _Coordinate:
@@ -296,33 +285,27 @@ class _Coordinate:
         """Coloured noise that the spectrum of the longest span without a missing frame suggests."""
         if data.colour or data.second_difference_weights is not None or self.rounded:
             return None
-        span = _longest_measured_span(self.w)
+        span = _longest(self.w > 0)
         first = max(span.start, (span.start + span.stop - MAX_SPECTRUM_FRAMES) // 2)
         return _noise_colour(suspected_noise(self.y[first : min(first + MAX_SPECTRUM_FRAMES, span.stop)]))
 
     def _longest_window(self, data: SmootherData) -> SmootherData:
         """The data, or of a long record a window in the longest span without a missing frame."""
-        span = _longest_measured_span(self.w)
+        span = _longest(self.w > 0)
         first = max(min((span.start + span.stop - MAX_WHOLE_FRAMES) // 2, len(self.w) - MAX_WHOLE_FRAMES), 0)
-        return (
-            window_data(data, first, min(first + MAX_WHOLE_FRAMES, len(self.w))) or data
-            if len(self.w) > MAX_WHOLE_FRAMES
-            else data
-        )
+        is_long = len(self.w) > MAX_WHOLE_FRAMES
+        return (is_long and window_data(data, first, first + MAX_WHOLE_FRAMES)) or data
 
     def _slide_cutoff(self, signal: Array, best: float) -> float:
         """Cut-off (Hz) of a plain low-pass of the slide alone; a push would raise that of the whole record."""
-        span = _longest_quiet_span(
-            stencil_derivatives(signal + self.trend, self.grid.interval), self.w > 0, best * self.grid.interval
-        )
+        motion = stencil_derivatives(signal + self.trend, self.grid.interval)
+        span = _longest_quiet_span(motion, self.w > 0, best * self.grid.interval)
         if np.sum(self.w[span] > 0) < max(MIN_FRAMES_FOR_CUTOFF, 0.1 * len(self.w)) or span == slice(0, len(self.w)):
             return best
         w = self.w[span]
         y, _ = _without_cubic((self.y + self.trend)[span], w)
-        return cutoff_of(
-            float(np.exp(StructureSearch(SmootherData(y, w, colour=self.colour)).stiff.stiffness[0])),
-            self.grid.interval,
-        )
+        stiff = StructureSearch(SmootherData(y, w, colour=self.colour)).stiff
+        return cutoff_of(float(np.exp(stiff.stiffness[0])), self.grid.interval)
 
     def _apply_method(self, choice: FilterChoice, level: float) -> _LowPassed:
         y = interpolate_missing(self.y + self.trend, self.w > 0)
@@ -346,7 +329,7 @@ class _Coordinate:
         """Data with the sensor's acceleration as second differences, without those of the cubic."""
         square = self.grid.interval**2
         second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
-        sigma = self.grid.to_frames(_sensor_sigma(acceleration, len(self.known)), MISSING_SIGMA)[1:-1]
+        sigma = self.grid.to_frames(_sensor_sigma(acceleration), MISSING_SIGMA)[1:-1]
         return SmootherData(
             self.y, self.w, np.nan_to_num(second_differences), sensor_weights(sigma, square, level), self.colour
         )
@@ -378,18 +361,15 @@ def _smoothed(structure: Structure, data: SmootherData) -> tuple[float, Array]:
     return variance, factor.signal(unknowns)
 
 
-def _longest_measured_span(w: Array) -> slice:
-    """Longest span of measured frames."""
-    gaps = np.concatenate([[-1], np.flatnonzero(w == 0), [len(w)]])
-    k = int(np.argmax(np.diff(gaps)))
-    return slice(int(gaps[k]) + 1, int(gaps[k + 1]))
+def _longest(mask: Mask) -> slice:
+    """Longest stretch of a mask; an empty one if there is none."""
+    return max(stretches(mask), key=lambda s: s.stop - s.start, default=slice(0, 0))
 
 
 def _select_by_likelihood(data: SmootherData, method: str) -> Structure:
     """Structure of the highest likelihood; a trend of one stiffness for "kalman" and short records."""
-    return (
-        StructureSearch(data).stiff if method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF else find_structure(data)
-    )
+    is_plain = method == KALMAN or data.count < MIN_FRAMES_FOR_CUTOFF
+    return StructureSearch(data).stiff if is_plain else find_structure(data)
 
 
 def _noise_colour(noise: CorrelatedNoise | None) -> NoiseColour | None:
@@ -408,9 +388,9 @@ def sensor_weights(sigma: Array, square: float, level: float) -> Array:
     return np.asarray((level / (sigma * square)) ** 2)
 
 
-def _sensor_sigma(acceleration: KnownAcceleration, n: int) -> Array:
+def _sensor_sigma(acceleration: KnownAcceleration) -> Array:
     """Standard deviations of the sensor (n,), inf where it has no value."""
-    return np.where(np.isfinite(acceleration.a), np.broadcast_to(acceleration.sigma, n), MISSING_SIGMA)
+    return np.where(np.isfinite(acceleration.a), acceleration.sigma, MISSING_SIGMA)
 
 
 def frame_weights(sigma: Array, known: Mask) -> Array:

@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from frictrack.measure.motion.banded_equations import NoiseColour, SmootherData, penalty, response, weighted_cubic
 from frictrack.measure.motion.derivative import best_smoothing, derivatives, differentiate
 from frictrack.measure.motion.filter import MISSING_SIGMA, frame_weights, low_pass
 from frictrack.measure.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivative, stencil_derivatives, stencils
-from frictrack.measure.motion.posterior_deviations import weighted_cubic
 from frictrack.measure.motion.smoother import Structure
-from frictrack.measure.motion.smoother_data import NoiseColour, SmootherData, penalty, response
 from frictrack.measure.motion.structure_search import undetectable_amplitude
 from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 

@@ -17,10 +17,10 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion.banded_equations import TREND_ORDER, NoiseColour, cutoff_of
 from frictrack.measure.motion.grid import stencil_derivative
 from frictrack.measure.motion.place_forces import PlaceForce
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, NoiseColour, cutoff_of
 from frictrack.measure.motion.structure_average import ChangeGroup
 from frictrack.records import Array, Mask
 from frictrack.settings.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, STRUCTURAL, FilterChoice
@@ -107,16 +107,13 @@ class Butterworth:
 
 
 @dataclass(frozen=True)
-class Papers:
+class Papers(Butterworth):
     """The chain of the two papers: a low-pass of the displacement as it is, then central differences, once and twice.
 
     They name neither cut-off nor order nor direction: by default 100 Hz, a Butterworth filter of order 4, forward and
     backward. The first and the last period are distorted, because no trend is removed before.
     """
 
-    cutoff: float
-    order: int = DEFAULT_ORDER
-    causal: bool = False
     name: ClassVar[str] = PAPERS
 
     def derived(self, y: Array, order: int) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
@@ -144,16 +145,12 @@ def stencil_derivatives(y: Array, interval: float) -> Array:
 def stencil_derivative(y: Array, order: int) -> Array:
     """Derivative of one order of columns (n, ...), per frame."""
     weights, n = _table()[order], len(y)
-    out = np.empty(y.shape)
-    inner = out[STENCIL_REACH : n - STENCIL_REACH - 1]
-    np.multiply(weights[STENCIL_REACH, 0], y[: len(inner)], out=inner)
-    for k in range(1, STENCIL_FRAMES - 1):  # without a copy of the frames of every stencil
-        inner += weights[STENCIL_REACH, k] * y[k : k + len(inner)]
+    out = scipy.ndimage.correlate1d(y, weights[STENCIL_REACH, :-1], axis=0)  # five frames about each
     for place in range(STENCIL_FRAMES):
         if place != STENCIL_REACH:
             first = 0 if place < STENCIL_REACH else n - STENCIL_FRAMES
             out[first + place] = np.tensordot(weights[place], y[first : first + STENCIL_FRAMES], 1)
-    return out
+    return np.asarray(out)
 
 
 @lru_cache(maxsize=1)

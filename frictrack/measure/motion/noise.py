@@ -73,7 +73,7 @@ def slow_spectrum(n: int) -> Array:
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
 
 
-def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array | None = None) -> tuple[Array, Array]:
+def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array | None = None) -> tuple[float, float]:
     """Estimate the standard deviation of the white noise of a series.
 
     Differences over a missing frame, and outliers by an impact, are left out. From m fifth differences,
@@ -82,7 +82,7 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     Parameters
     ----------
     x
-        Values at evenly spaced frames in any unit, (n,) or (n, B).
+        Values at evenly spaced frames in any unit, (n,).
     valid
         Frames that were measured, (n,).
     relative
@@ -92,15 +92,14 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
 
     Returns
     -------
-    tuple of arrays
-        Standard deviation, and its relative standard deviation, both (B,) or scalars. NaN if fewer than four
-        neighbouring frames are valid.
+    tuple of float
+        Standard deviation, and its relative standard deviation. NaN if fewer than four neighbouring frames are valid.
 
     Examples
     --------
     >>> noise = np.random.default_rng(0).standard_normal(5000)
     >>> sigma, _ = noise_level(np.linspace(0.0, 50.0, 5000) ** 2 + noise, np.ones(5000, dtype=bool))
-    >>> 0.95 < float(sigma) < 1.05
+    >>> 0.95 < sigma < 1.05
     True
 
     """
@@ -110,18 +109,14 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
         measured = valid[rows] & np.append(True, np.diff(rows) > 0)
         if np.any(_complete_differences(measured, FALLBACK_ORDER)):
             return noise_level(x[rows], measured, None if relative is None else relative[rows])
-    order = difference_order(
-        *(int(np.sum(_complete_differences(valid, k))) for k in (DIFFERENCE_ORDER, FALLBACK_ORDER))
-    )
-    d, whole = _differences(x, valid, order)
+    complete = {order: _complete_differences(valid, order) for order in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
+    order = difference_order(*(int(np.sum(whole)) for whole in complete.values()))
+    whole = complete[order]
     if not np.any(whole):
-        return np.full(x.shape[1:], np.nan)[()], np.full(x.shape[1:], np.nan)[()]
-    d = d[whole] / _expected(relative, valid, order)[whole].reshape(-1, *[1] * (x.ndim - 1))
-    usual = robust_std(d, axis=0)
-    kept = np.abs(d) <= OUTLIER_SIGMAS * usual
-    m = np.sum(kept, axis=0)
-    sigma = np.sqrt(np.sum(np.where(kept, d, 0.0) ** 2, axis=0) / m)
-    return sigma, 0.5 * np.sqrt(2.0 * correlation_cost(order) / m)
+        return np.nan, np.nan
+    d = np.diff(np.where(valid, x, 0.0), order)[whole] / _expected(relative, valid, order)[whole]
+    kept = d[np.abs(d) <= OUTLIER_SIGMAS * robust_std(d)]
+    return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
 
 
 def difference_order(many: int, few: int) -> int:
@@ -144,12 +139,6 @@ def difference_order(many: int, few: int) -> int:
 
     """
     return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
-
-
-def _differences(x: Array, valid: Mask, order: int) -> tuple[Array, Mask]:
-    """Differences (n - order, ...), and a mask of those without a missing frame."""
-    filled = np.where(valid.reshape(-1, *[1] * (x.ndim - 1)), x, 0.0)
-    return np.diff(filled, order, axis=0), _complete_differences(valid, order)
 
 
 def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
@@ -342,16 +331,6 @@ def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
     return losses[:, :1] - losses[:, 1:]
 
 
-def _slepian_tapers(n: int) -> Array:
-    """Slepian tapers (TAPERS, n), eigenvectors of a tridiagonal matrix (Slepian 1978, Bell Syst. Tech. J. 57)."""
-    i = np.arange(n, dtype=np.float64)
-    diagonal = ((n - 1 - 2 * i) / 2) ** 2 * np.cos(2 * np.pi * BANDWIDTH / n)
-    _, tapers = scipy.linalg.eigh_tridiagonal(
-        diagonal, i[1:] * (n - i[1:]) / 2, select="i", select_range=(n - TAPERS, n - 1)
-    )
-    return np.asarray(tapers.T[::-1])
-
-
 @dataclass(frozen=True)
 class _Spectrum:
     """Spectral density (F,), m^2 per (cycle per frame), of one stretch at frequencies (F,), cycles per frame."""
@@ -366,7 +345,8 @@ class _Spectrum:
         n = len(differences)
         t = np.linspace(-1.0, 1.0, n)
         differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
-        power = np.mean(np.abs(np.fft.rfft(_slepian_tapers(n) * differences, axis=1)) ** 2, axis=0)
+        tapers = scipy.signal.windows.dpss(n, BANDWIDTH, TAPERS)  # Slepian 1978, Bell Syst. Tech. J. 57
+        power = np.mean(np.abs(np.fft.rfft(tapers * differences, axis=1)) ** 2, axis=0)
         bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
         frequency = bins / n
         return cls(frequency, power[bins] / (2 * np.sin(np.pi * frequency)) ** (2 * DIFFERENCES))

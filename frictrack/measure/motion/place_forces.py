@@ -18,9 +18,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData
 from frictrack.measure.motion.grid import stencil_derivatives
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData
 from frictrack.measure.motion.structure_search import (
     LINE_COST,
     MAX_LINES,

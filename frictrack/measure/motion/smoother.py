@@ -27,23 +27,21 @@ from itertools import groupby, islice, pairwise
 import numpy as np
 
 from frictrack.measure.motion.banded_equations import (
+    NO_LINES,
+    TREND_ORDER,
     BlockEquations,
     EquationLayout,
     EquationPart,
     FactoredPart,
     Index,
+    LineParameters,
+    SmootherData,
     add_corners,
     equation_layout,
     factor_part,
     following_corner,
-    reversed_part,
-)
-from frictrack.measure.motion.smoother_data import (
-    NO_LINES,
-    TREND_ORDER,
-    LineParameters,
-    SmootherData,
     penalty,
+    reversed_part,
     weighted_columns,
 )
 from frictrack.records import Array

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData
 from frictrack.measure.motion.grid import stencil_derivatives, stencils
 from frictrack.measure.motion.smoother import Event, FactoredSmoother, Structure, variances_of
-from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData
 from frictrack.measure.motion.structure_search import KNOT_SPREAD, window_data
 from frictrack.records import Array
 

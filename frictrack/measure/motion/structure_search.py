@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from frictrack.measure.motion.posterior_deviations import weighted_cubic
+from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData, penalty, weighted_cubic
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.smoother_data import TREND_ORDER, SmootherData, penalty
 from frictrack.records import Array
 
 MIN_PERIODS = 0.3  # of the cut-off within the record; a stiffer trend is a cubic
@@ -111,9 +110,7 @@ class StructureSearch:
                 self._with_more_knots,
                 self._with_line,
                 self._with_event,
-                self._with_line_and_event,
                 self._with_narrower_event,
-                self._with_fewer_events,
             )
             trials = [self._best(kind(state.structure)) for kind in kinds]
             for trial in sorted(trials, key=self._penalised):
@@ -180,13 +177,6 @@ class StructureSearch:
             if most - least > START_BOOSTS[-1]:  # a soft end may be an event there
                 yield from self._events(replace(s, stiffness=(most,) * len(s.stiffness)), most - least)
 
-    def _with_line_and_event(self, s: Structure) -> Iterator[Structure]:
-        """Trials with a line and an event at once, because each can hide the other."""
-        if not s.lines and not s.events:
-            for trial in list(self._with_line(s))[len(START_LINE_STIFFNESSES) + 2 :: len(START_LINE_STIFFNESSES)]:
-                stiffer = trial.stiffness[0] - s.stiffness[0]
-                yield from self._events(trial, stiffer)
-
     def _with_narrower_event(self, s: Structure) -> Iterator[Structure]:
         """Trials with a narrower last event."""
         if not s.events:
@@ -196,17 +186,6 @@ class StructureSearch:
             step = max(1, width // 2, (e.last - e.first) // 16)
             for first in range(e.first, e.last - width + 2, step):
                 yield replace(s, events=(*others, Event(first, first + width - 1, e.boost + 3.0)))
-
-    def _with_fewer_events(self, s: Structure) -> Iterator[Structure]:
-        """Trials with one event less, replaced by a softer trend or by nothing."""
-        for e in s.events:
-            without = replace(s, events=tuple(o for o in s.events if o is not e))
-            yield without
-            centre = 0.5 * (e.first + e.last) / (self.n - TREND_ORDER)
-            nearest = round(centre * (len(s.stiffness) - 1))
-            knots = np.array(s.stiffness)
-            knots[nearest] = max(knots[nearest] - e.boost, self.lowest)
-            yield replace(without, stiffness=tuple(knots.tolist()))
 
     def stiffer(self, s: Structure, by: float) -> Structure:
         """The same structure with a stiffer trend, within limits."""

@@ -19,6 +19,12 @@ from frictrack.measure.plausibility.comparison import (
     shifted_swings,
     time_unit,
 )
-from frictrack.measure.plausibility.findings import ERROR, EnteredValues, Finding, implausible_entries
 from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
-from frictrack.measure.plausibility.slide import estimate_slide, implausible_slide
+from frictrack.measure.plausibility.slide import (
+    ERROR,
+    EnteredValues,
+    Finding,
+    estimate_slide,
+    implausible_entries,
+    implausible_slide,
+)

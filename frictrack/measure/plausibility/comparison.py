@@ -1,31 +1,26 @@
 """Compare the runs of a study with each other: frame rates, masses, places of swings, accelerometers.
 
 A mass (or load, scale, frame rate) may be wrong by a power of ten. Friction proportional to the weight decelerates
-all masses alike, a = -mu g, so it hides a wrong mass. Three things show it:
-
-- a stated normal load: friction over load is the same for all runs, F = m a, so it is wrong by the factor of the mass;
-- friction that depends on the speed and not on the load: its part of the deceleration goes with 1/m, so its coefficient
-  is wrong by the factor of the mass;
-- a measured drive: D = m a + F.
-
-Without these, a mass that differs from all others by an exact power of ten only gives a warning.
+all masses alike, a = -mu g, so it hides a wrong mass. A stated normal load shows it, because friction over load,
+F = m a, is the same for all runs; and a measured drive, D = m a + F. Without these, a mass that differs from the others
+by an exact power of ten only gives a warning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from frictrack.measure.friction import is_moving
-from frictrack.measure.plausibility.findings import ERROR, WARNING, Finding
 from frictrack.measure.plausibility.slide import (
     CORRELATION_FACTOR,
-    MIN_SIGMAS,
-    SlideEstimate,
+    ERROR,
+    WARNING,
+    Finding,
     estimate_slide,
     fit_columns,
 )
@@ -44,8 +39,6 @@ MIN_SHIFT_SIGMAS, MIN_SHIFT_SHARE = 5.0, 0.01  # standard deviations, and share 
 MAX_GAIN_DIFFERENCE = 0.1  # relative, between runs of one sensor: the scale of each film is in it
 MAX_DELAY_DIFFERENCE = 2e-4  # s, in addition to the deviations: jitter of a trigger
 MAX_SIGMAS = 5.0
-MIN_PROBABILITY = 1e-3  # of what an alignment excludes; `sensors.alignment` states rivals from here
-MIN_ODDS = 100.0  # by which one delay and gain must lead to be called common
 
 
 # --- frame rates
@@ -171,7 +164,6 @@ class _Mode(NamedTuple):
 
     offset: float
     gain: float
-    probability: float
     sigma_offset: float = 0.0
     sigma_gain: float = 0.0
 
@@ -186,16 +178,8 @@ class _Mode(NamedTuple):
 def implausible_sensors(clocks: Mapping[str, Mapping[str, Any]]) -> tuple[Finding, ...]:
     """Find runs in which an accelerometer has another sign, gain or delay than in the others, or an ambiguous one.
 
-    The delay counts where the runs have one in common; otherwise each recording was started on its own.
-
-    `clocks`: alignment of the accelerometer in every run, as `Sensors.clocks` has it under "a". Returns at most one per
-    run, or one for all where no gain leads.
-
-    Examples
-    --------
-    >>> implausible_sensors({})
-    ()
-
+    `clocks`: alignment of the accelerometer of each run. Where all runs together show one delay, every run must have
+    it. Where they do not, because the sensor was started by hand, sign and gain must be the same.
     """
     modes = {run: _modes(clock) for run, clock in clocks.items() if clock.get("gain") is not None}
     clear = {run: those for run, those in modes.items() if len(those) == 1}
@@ -213,26 +197,20 @@ def implausible_sensors(clocks: Mapping[str, Mapping[str, Any]]) -> tuple[Findin
 
 def _modes(clock: Mapping[str, Any]) -> list[_Mode]:
     """The stated delay and gain of a run first, then its rivals."""
-    rivals = [_Mode(*rival) for rival in clock.get("rivals", ())]
+    rivals = [_Mode(offset, gain) for offset, gain, _ in clock.get("rivals", ())]
     sigmas = () if rivals else (clock["sigma_offset_s"] or 0.0, clock["sigma_gain"] or 0.0)
-    return [_Mode(clock["offset_s"], clock["gain"], 1.0 - sum(r.probability for r in rivals), *sigmas), *rivals]
+    return [_Mode(clock["offset_s"], clock["gain"], *sigmas), *rivals]
 
 
 def _common(modes: Mapping[str, Sequence[_Mode]], *, with_delay: bool) -> _Mode | None:
-    """The delay and gain that all runs together make by far the most probable; None if none is."""
-
-    def log_probability(mode: _Mode) -> float:
-        agreeing = [sum(m.probability for m in those if m.agrees(mode, with_delay)) for those in modes.values()]
-        return float(np.sum(np.log(np.maximum(agreeing, MIN_PROBABILITY))))
-
-    if len(modes) < 2:
-        return None
+    """The delay and gain that more runs allow than any other; None if there is none, or one run alone allows it."""
     every = list(chain.from_iterable(modes.values()))
-    best = max(every, key=log_probability)
-    others = [log_probability(mode) for mode in every if not mode.agrees(best, with_delay)]
-    if log_probability(best) - max(others, default=-np.inf) < np.log(MIN_ODDS):
+    allowed = [sum(any(m.agrees(mode, with_delay) for m in those) for those in modes.values()) for mode in every]
+    most = max(allowed, default=0)
+    best = [mode for mode, count in zip(every, allowed, strict=True) if count == most]
+    if most < 2 or not all(mode.agrees(best[0], with_delay) for mode in best):
         return None
-    return min((m for m in every if m.agrees(best, with_delay)), key=lambda m: m.sigma_offset or np.inf)
+    return min(best, key=lambda m: m.sigma_offset or np.inf)
 
 
 def _sensor_finding(run: str, modes: Sequence[_Mode], common: _Mode, *, with_delay: bool) -> Finding | None:
@@ -251,6 +229,9 @@ def _sensor_finding(run: str, modes: Sequence[_Mode], common: _Mode, *, with_del
     return Finding("sensor", f"{words}, but is ambiguous; {others}, {possible}: set {line}", line, run)
 
 
+# --- masses
+
+
 MAX_SPREAD_DECADES = 0.2  # within which runs agree, or two numbers differ by a power of ten
 EXACT_DECADES = 0.02  # within which two masses differ by exactly a power of ten
 MIN_FRAMES = 20
@@ -260,21 +241,6 @@ MIN_RUNS = 3  # two that agree and a third
 UNIT_POWERS = (3, 6)  # of ten: a unit and its thousandth, and the square
 
 
-@dataclass(frozen=True)
-class _MassEvidence:
-    """What one run shows of its mass: its slide, and how its deceleration rises with the speed."""
-
-    run: Run
-    mass: float  # as entered, kg
-    slide: SlideEstimate
-    rate: float | None  # viscous friction over mass, 1/s; None if not significant
-
-    @property
-    def viscous_coefficients(self) -> tuple[float, float] | None:
-        """Coefficients of friction proportional to v (N s/m) and to v^2 (N s^2/m^2); None if not significant."""
-        return None if self.rate is None else (self.rate * self.mass, self.rate * self.mass / self.slide.speed)
-
-
 def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     """Find runs that disagree with all others by a power of ten.
 
@@ -282,87 +248,52 @@ def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     run, with the value that would agree; an error if the motion shows the power of ten.
     """
     found = [_check_against_drive(run, run.mass) for run in runs if run.drive is not None and run.mass is not None]
-    slides = [evidence for run in runs if (evidence := _mass_evidence(run)) is not None]
-    for i, one in enumerate(slides if len(slides) >= MIN_RUNS else []):
+    bare = [run for run in runs if run.drive is None and run.friction_N is None and run.mass is not None]
+    slides = [(run, slide.friction) for run in bare if (slide := estimate_slide(run)) and slide.friction is not None]
+    for i, (run, friction) in enumerate(slides if len(slides) >= MIN_RUNS else []):
         others = [*slides[:i], *slides[i + 1 :]]
-        found.append(_check_against_load(one, others) or _check_against_masses(one, others))
+        found.append(
+            _check_against_load(run, friction, [other for _, other in others])
+            or _check_against_masses(run, [other.mass or 0.0 for other, _ in others])
+        )
     return tuple(finding for finding in found if finding is not None)
 
 
-def _mass_evidence(run: Run) -> _MassEvidence | None:
-    if run.drive is not None or run.friction_N is not None or run.mass is None:
-        return None
-    slide = estimate_slide(run)
-    return None if slide is None or slide.friction is None else _MassEvidence(run, run.mass, slide, _viscous_rate(run))
-
-
-def _check_against_load(one: _MassEvidence, others: Sequence[_MassEvidence]) -> Finding | None:
+def _check_against_load(run: Run, friction: float, others: Sequence[float]) -> Finding | None:
     """Find a friction coefficient that differs by a power of ten from that of the others, which agree."""
-    own, common = one.slide.friction, _agreed_median([w.slide.friction for w in others])
-    power = _power_of_ten(own, common)
+    if np.ptp(np.log10(others)) > MAX_SPREAD_DECADES:
+        return None
+    common = float(np.median(others))
+    power = _power_of_ten(friction / common)
     if not power:
         return None
-    why = f"the friction coefficient comes out {own:.2g} where the other runs have {common:.2g}"
+    why = f"the friction coefficient comes out {friction:.2g} where the other runs have {common:.2g}"
     grade = ERROR if abs(power) in UNIT_POWERS else WARNING
-    if one.run.normal_load is not None:
-        line = _correction_line(one.mass, power)
-        words = f"{why}; the mass of {one.mass:g} kg, or its normal load, is {_times_text(power)}: probably {line}"
-        return Finding("mass", words, line, one.run.name, grade, contradicts=True)
-    filmed = one.run.pixel_pitch is not None
+    if run.normal_load is not None and run.mass:
+        line = _correction_line(run.mass, power)
+        words = f"{why}; the mass of {run.mass:g} kg, or its normal load, is {_times_text(power)}: probably {line}"
+        return Finding("mass", words, line, run.name, grade, contradicts=True)
+    filmed = run.pixel_pitch is not None
     unit = "its scale" if filmed else "its unit of length"
     clock = f", or its {'fps' if filmed else 'unit of time'} {_times_text(power // 2)}" if power % 2 == 0 else ""
     words = f"{why}; probably {unit} is {_times_text(power)}{clock}"
-    return Finding("scale", words, "", one.run.name, grade, contradicts=True)
+    return Finding("scale", words, "", run.name, grade, contradicts=True)
 
 
-def _check_against_masses(one: _MassEvidence, others: Sequence[_MassEvidence]) -> Finding | None:
-    """Find a mass that is wrong by a power of ten, from viscous friction or from the masses of the others."""
-    shared = _shared_mass([w.mass for w in others])
-    power = _exact_power(one.mass, shared)
-    decades = _decades_off_by_speed(one, others)
-    if decades is not None:
-        return _check_against_viscous(
-            one, others, power if power and abs(decades - power) < abs(decades) else _whole_decades(decades)
-        )
-    if not power:
+def _check_against_masses(run: Run, others: Sequence[float]) -> Finding | None:
+    """Find a mass that is that of most other runs but for the decimal point."""
+    sharing = [[m for m in others if abs(np.log10(m / one)) < EXACT_DECADES] for one in others]
+    shared = max(sharing, key=len)
+    power = _power_of_ten((run.mass or 0.0) / float(np.median(shared)), EXACT_DECADES)
+    if not power or len(shared) < max(MIN_RUNS - 1, len(others) / 2):
         return None
-    line = _correction_line(one.mass, power)
+    line = _correction_line(run.mass or 0.0, power)
     words = (
-        f"a mass of {one.mass:g} kg is that of the other runs ({shared:g} kg) with the decimal point elsewhere, and "
-        f"friction that goes with the weight cannot show which is right; was {line} meant? If not, "
-        'set plausible = "checked"'
+        f"a mass of {run.mass:g} kg is that of the other runs ({np.median(shared):g} kg) with the decimal point "
+        "elsewhere, and friction that goes with the weight cannot show which is right; "
+        f'was {line} meant? If not, set plausible = "checked"'
     )
-    return Finding("mass", words, line, one.run.name)
-
-
-def _decades_off_by_speed(one: _MassEvidence, others: Sequence[_MassEvidence]) -> float | None:
-    """Decades by which the viscous friction of one run differs from that of the others; None if unknown.
-
-    It may go with the speed or with its square: the one on which the others agree better is used.
-    """
-    known = [w.viscous_coefficients for w in others if w.viscous_coefficients is not None]
-    laws = zip(one.viscous_coefficients, *known, strict=True) if known and one.viscous_coefficients else ()
-    agreeing = [(np.ptp(np.log10(each)), own / median) for own, *each in laws if (median := _agreed_median(each))]
-    return float(np.log10(min(agreeing)[1])) if agreeing else None
-
-
-def _check_against_viscous(one: _MassEvidence, others: Sequence[_MassEvidence], power: int) -> Finding | None:
-    """Find a mass with which viscous friction differs by a power of ten from that of the others.
-
-    It is an error if that is a step of units, or if the mass differs from one of the others by the same power of ten.
-    A mass that other runs share is not mistyped in one of them; there the friction differs.
-    """
-    is_unit = abs(power) in UNIT_POWERS
-    is_shared = any(abs(np.log10(one.mass / w.mass)) < EXACT_DECADES for w in others)
-    if not power or (is_shared and not is_unit):
-        return None
-    line = _correction_line(one.mass, power)
-    words = (
-        f"mass = {one.mass:g} kg is {_times_text(power)}: friction that depends on the speed slows it as it would slow "
-        f"{one.mass / 10.0**power:.4g} kg in the other runs; give {line}"
-    )
-    is_significant = is_unit or any(_exact_power(one.mass, w.mass) == power for w in others)
-    return Finding("mass", words, line, one.run.name, ERROR if is_significant else WARNING, contradicts=True)
+    return Finding("mass", words, line, run.name)
 
 
 def _correction_line(mass: float, power: int) -> str:
@@ -370,75 +301,15 @@ def _correction_line(mass: float, power: int) -> str:
     return f'mass = "{mass / 10.0**power:g} kg"'
 
 
-def _shared_mass(masses: Sequence[float]) -> float | None:
-    """The mass of most runs; None if less than half of them, or fewer than two, share one."""
-    shared = [[m for m in masses if abs(np.log10(m / one)) < EXACT_DECADES] for one in masses]
-    largest = max(shared, key=len, default=[])
-    return float(np.median(largest)) if len(largest) >= max(MIN_RUNS - 1, len(masses) / 2) else None
-
-
-def _exact_power(own: float, other: float | None) -> int:
-    """Power of ten by which two masses differ; 0 if they do not differ by one exactly."""
-    power = _power_of_ten(own, other)
-    return power if power and other and abs(np.log10(own / other) - power) < EXACT_DECADES else 0
-
-
 def _times_text(power: int) -> str:
     return f"{10**power:g} times too large" if power > 0 else f"{10**-power:g} times too small"
 
 
-def _agreed_median(values: Sequence[float | None]) -> float | None:
-    """Median of values that are all known and agree; None if they do not, or are fewer than two."""
-    known = np.array([v for v in values if v is not None and v > 0])
-    if len(known) < max(len(values), MIN_RUNS - 1) or np.ptp(np.log10(known)) > MAX_SPREAD_DECADES:
-        return None
-    return float(np.median(known))
-
-
-def _power_of_ten(own: float | None, common: float | None) -> int:
-    """Power of ten by which two numbers differ; 0 if they do not differ by one."""
-    if own is None or common is None or own <= 0:
-        return 0
-    return _whole_decades(float(np.log10(own / common)))
-
-
-def _whole_decades(decades: float) -> int:
-    """Nearest whole number of decades; 0 if none is near."""
-    power = round(decades)
-    return power if abs(decades - power) < MAX_SPREAD_DECADES else 0
-
-
-def _viscous_rate(run: Run) -> float | None:
-    """Rise of the deceleration with the speed, 1/s, while the mass decelerates; None if not significant.
-
-    It is fitted as x = x0 + v0 t - f int int s - c int int v. The double integral of the smoothed velocity is far less
-    noisy than its derivative.
-    """
-    rows = _decelerating_frames(run)
-    if len(rows) < MIN_FRAMES:
-        return None
-    t, v = run.motion.t[rows], run.motion.v[rows]
-    u, moved = t - t[0], _integrated(t, _integrated(t, v))
-    design = np.stack([np.ones_like(u), u, -np.sign(v[0]) * u**2 / 2, -moved], axis=1)
-    found, std, _ = fit_columns(design, run.displacement.x[rows])
-    return float(found[3]) if found[3] > MIN_SIGMAS * CORRELATION_FACTOR * std[3] else None
-
-
-def _decelerating_frames(run: Run) -> Array:
-    """Frames of the longest stretch after the highest speed."""
-    moving = run.displacement.valid & is_moving(run)
-    speed = np.where(moving, np.abs(run.motion.v), 0.0)
-    first = int(np.argmax(speed))
-    ends = [e[0] for e in run.motion.events if e[0] > first]
-    stops = np.flatnonzero(~moving[first:]) + first
-    last = min([*ends, *stops[:1].tolist(), len(speed)])
-    begin = next((e[1] + 1 for e in run.motion.events if e[0] <= first <= e[1]), first)
-    return np.arange(begin, last)
-
-
-def _integrated(t: Array, values: Array) -> Array:
-    """Integral of values (n,) from the first time (trapezoidal rule)."""
-    return np.append(0.0, np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2))
+def _power_of_ten(ratio: float, tolerance: float = MAX_SPREAD_DECADES) -> int:
+    """Power of ten that a ratio is within a tolerance in decades; 0 if it is none."""
+    decades = float(np.log10(ratio)) if ratio > 0 else np.inf
+    power = round(decades) if np.isfinite(decades) else 0
+    return power if abs(decades - power) < tolerance else 0
 
 
 def _check_against_drive(run: Run, mass: float) -> Finding | None:
@@ -450,7 +321,7 @@ def _check_against_drive(run: Run, mass: float) -> Finding | None:
     x, v, drive = run.motion.x[moving], run.motion.v[moving], np.asarray(run.drive, dtype=float)[moving]
     found, std, _ = fit_columns(np.stack([a, np.sign(v), v, x, np.ones_like(v)], axis=1), drive)
     fitted, is_known = float(found[0]), CORRELATION_FACTOR * std[0] < MAX_RELATIVE_STD * found[0]
-    power = _power_of_ten(mass, fitted) if is_known else 0
+    power = _power_of_ten(mass / fitted) if is_known else 0
     if not power:
         return None
     line = _correction_line(mass, power)
@@ -459,5 +330,5 @@ def _check_against_drive(run: Run, mass: float) -> Finding | None:
         f"the drive accelerates it like {fitted:.3g} kg, but mass = {mass:g} kg; probably {line}, or the drive is "
         f"{_times_text(-power)}{unit}"
     )
-    grade = ERROR if _exact_power(mass, fitted) else WARNING
+    grade = ERROR if _power_of_ten(mass / fitted, EXACT_DECADES) else WARNING
     return Finding("mass", words, line, run.name, grade, contradicts=True)

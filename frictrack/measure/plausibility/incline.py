@@ -13,10 +13,12 @@ from math import asin, degrees
 
 import numpy as np
 
-from frictrack.measure.plausibility.findings import ERROR, WARNING, Finding
 from frictrack.measure.plausibility.slide import (
+    ERROR,
     MIN_SHARE_EACH_WAY,
     MIN_SIGMAS,
+    WARNING,
+    Finding,
     Stroke,
     find_strokes,
     fit_columns,

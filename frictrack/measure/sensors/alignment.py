@@ -233,23 +233,24 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     """The most probable of many offsets, with the sensor's noise weighted for this gain."""
     frames, offsets = problem.frames, _candidate_offsets(problem)
     initial = replace(_unaligned(frames), gain=gain)
-    level = _unmodelled_variance(problem, initial, sensor_included=False)
-    misfit, none, gains = _scan(problem, offsets, initial, level)
+    initial = replace(initial, level=_unmodelled_variance(problem, initial, sensor_included=False))
+    misfit, none, gains = _scan(problem, offsets, initial)
     lowest = int(np.argmin(misfit))
     if problem.sigma is None:  # now that the drive may explain some of it, the rest is smaller
         level = _unmodelled_variance(problem, replace(initial, offset=float(offsets[lowest])))
-        misfit, none, _ = _scan(problem, offsets, initial, level)
+        initial = replace(initial, level=level)
+        misfit, none, _ = _scan(problem, offsets, initial)
     elif none - misfit[lowest] > MIN_EXPLAINED_CHI2:  # with the sensor's noise at its likeliest gain
         lowest = int(np.argmin(misfit - 2.0 * np.log(_gain_prior(gains))))
         initial = replace(initial, gain=abs(float(gains[lowest])))
-        misfit, none, _ = _scan(problem, offsets, initial, level)
+        misfit, none, _ = _scan(problem, offsets, initial)
     explained = none - float(np.min(misfit))
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if explained < MIN_EXPLAINED_CHI2:
         return _unaligned(frames, reason=f"at no offset from {span} does it agree with the camera; 0 is kept")
-    own_noise = 8.0 * _noise_products(problem, initial, level)
+    own_noise = 8.0 * _noise_products(problem, initial)
     within = MAX_RIVAL_CHI2 + 4.0 * np.sqrt(own_noise) + COARSE_SCAN_ERROR * explained
-    at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial, level)
+    at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial)
     fall = (misfit - np.min(misfit)) / max(1.0, float(np.min(misfit)) / len(frames.z))
     log_posterior = -2.0 * fall**2 / np.maximum(4.0 * fall + own_noise, 1e-300)
     if problem.sigma is not None:  # the gain of a drive is a mass
@@ -260,21 +261,21 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     chosen = likely[np.argmin(np.abs(at[likely]))]
     others = [k for k in np.argsort(-probability) if k != chosen and probability[k] > MAX_RIVAL_PROBABILITY]
     rivals = tuple((float(at[k]), float(gains[k]), float(probability[k])) for k in others)
-    best = replace(initial, offset=float(at[chosen]), gain=float(gains[chosen]), level=level)
+    best = replace(initial, offset=float(at[chosen]), gain=float(gains[chosen]))
     return replace(best, rivals=rivals, reason=f"best of {span}")
 
 
 def _refined_minima(
-    problem: AlignmentProblem, offsets: Array, misfit: Array, within: float, initial: Alignment, level: float
+    problem: AlignmentProblem, offsets: Array, misfit: Array, within: float, initial: Alignment
 ) -> tuple[Array, Array, Array]:
     """Offsets, chi2 and gains (k,) at the minima of a scan; a parabola on a finer grid gives each vertex."""
     step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
     k = _minima(misfit, within)
     at = offsets[k] + step * _vertex(misfit[k - 1], misfit[k], misfit[k + 1])
     at, step = (at if len(k) else offsets[[np.argmin(misfit)]]), step / 4.0
-    around, _, _ = _scan(problem, (at[:, None] + step * np.arange(-1.0, 2.0)).ravel(), initial, level)
+    around, _, _ = _scan(problem, (at[:, None] + step * np.arange(-1.0, 2.0)).ravel(), initial)
     at = at + step * _vertex(*around.reshape(-1, 3).T)
-    misfit, _, gains = _scan(problem, at, initial, level)
+    misfit, _, gains = _scan(problem, at, initial)
     return at, misfit, gains
 
 
@@ -290,10 +291,10 @@ def _gain_prior(gain: Array) -> Array:
     return np.where(gain < 0.0, NEGATIVE_GAIN_PRIOR, 1.0) / (1.0 + size**2)
 
 
-def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: float) -> tuple[Array, float, Array]:
+def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment) -> tuple[Array, float, Array]:
     """chi2 (k,) and gain (k,) at every offset, and chi2 without the sensor."""
     frames = problem.frames
-    white = Whitener(_covariance(problem, float(np.median(offsets)), initial.gain or 1.0, level))
+    white = Whitener(_covariance(problem, replace(initial, offset=float(np.median(offsets)))))
     basis = np.linalg.qr(white(_with_drift(problem)))[0]
     residual = white(frames.z)
     residual = residual - basis @ (basis.T @ residual)
@@ -311,7 +312,7 @@ def _scan(problem: AlignmentProblem, offsets: Array, initial: Alignment, level: 
         ends, clock = frames.t[[0, -1]], problem.series.t[[0, -1]]
         shared = np.minimum(ends[1], clock[1] + offsets) - np.maximum(ends[0], clock[0] + offsets)
         covered = np.clip(shared / (ends[1] - ends[0]), 0.0, 1.0)
-        own_noise = len(frames.z) * float(np.mean(_sensor_share(problem, initial, level)))
+        own_noise = len(frames.z) * float(np.mean(_sensor_share(problem, initial)))
         ratio = np.minimum(np.abs(gains) / (initial.gain or 1.0), MAX_GAIN_CHANGE)  # no noise times a huge gain
         misfit -= own_noise * covered * ratio**2
     return misfit, none, gains
@@ -333,19 +334,19 @@ def _with_drift(problem: AlignmentProblem) -> Array:
     return np.concatenate([(t - np.mean(t))[:, None] / np.std(t), problem.other_regressors], axis=1)
 
 
-def _sensor_share(problem: AlignmentProblem, initial: Alignment, level: float) -> Array:
+def _sensor_share(problem: AlignmentProblem, initial: Alignment) -> Array:
     """Share of the sensor's noise in that of the differences, at `FREQUENCIES`."""
-    covariance = _covariance(problem, 0.0, initial.gain or 1.0, level)
+    covariance = _covariance(problem, initial)
     return np.clip(1.0 - _spectrum(problem.frames.camera) / _spectrum(covariance), 0.0, 1.0)
 
 
-def _noise_products(problem: AlignmentProblem, initial: Alignment, level: float) -> float:
+def _noise_products(problem: AlignmentProblem, initial: Alignment) -> float:
     """Sum of share (1 - share) over all differences.
 
     Camera times sensor noise is in chi2 of every offset; as each offset has other products, chi2 of two differs by
     chance with 8 times this variance.
     """
-    share = _sensor_share(problem, initial, level)
+    share = _sensor_share(problem, initial)
     return len(problem.frames.z) * float(np.mean(share * (1.0 - share)))
 
 
@@ -358,10 +359,10 @@ def _minima(values: Array, within: float) -> NDArray[np.int64]:
     return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
 
 
-def _covariance(problem: AlignmentProblem, offset: float, gain: float, level: float) -> scipy.sparse.csr_array:
-    """Covariance of the differences: camera plus sensor at this gain."""
-    sigma = 1.0 if problem.sigma is None else gain * problem.sigma
-    return problem.frames.camera + level * sigma**2 * problem.frames.noise(problem.series, offset)
+def _covariance(problem: AlignmentProblem, at: Alignment) -> scipy.sparse.csr_array:
+    """Covariance of the differences: camera plus sensor, or what nobody knows."""
+    sigma = 1.0 if problem.sigma is None else (at.gain or 1.0) * problem.sigma
+    return problem.frames.camera + at.level * sigma**2 * problem.frames.noise(problem.series, at.offset)
 
 
 def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sensor_included: bool = True) -> float:

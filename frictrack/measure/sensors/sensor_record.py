@@ -293,7 +293,7 @@ def _frame_noise(displacement: Displacement, known: Mask) -> Array:
     """White noise of every frame (n,), m."""
     stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
     typical = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
-    level = float(noise_level(np.where(known, displacement.x, 0.0), known)[0])
+    level = noise_level(np.where(known, displacement.x, 0.0), known)[0]
     relative = np.where(stated, displacement.sigma_x, typical) / typical
     return np.asarray(relative * (level if level > 0 and np.isfinite(level) else typical))
 

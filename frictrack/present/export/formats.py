@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write, make_subfolder
 from frictrack.base.lazy import imported
 
 if TYPE_CHECKING:
     from frictrack.results import Results
+
 
 _DIAGNOSIS = "diagnosis and comparison of the models, which are in the report and in study.h5"
 _PICTURES = "first frame of the film and picture of the target"
@@ -88,13 +91,13 @@ FORMATS = {
     "netcdf": ExportFormat(
         "one netCDF file: a group per run, track and model, with units and settings as attributes",
         'xarray.open_datatree("study.nc")',
-        "frictrack.present.export.netcdf_file:write_netcdf",
+        "frictrack.present.export.array_files:write_netcdf",
         (_PICTURES, _SMOOTHER),
     ),
     "mat": ExportFormat(
         "one MATLAB file (version 5): a struct with arrays of runs and models, and their units",
         "load('study.mat')",
-        "frictrack.present.export.matlab_file:write_mat",
+        "frictrack.present.export.array_files:write_mat",
         (_PICTURES, _SMOOTHER),
     ),
     "parquet": ExportFormat(
@@ -123,13 +126,13 @@ FORMATS = {
     "svg": ExportFormat(
         "every figure as SVG, and the plotted data as CSV",
         "Inkscape, or a browser",
-        "frictrack.present.export.figure_files:write_svg",
+        "frictrack.present.export.formats:write_svg",
         _NOT_IN_FIGURES,
     ),
     "pdf": ExportFormat(
         "every figure as PDF, and the plotted data as CSV",
         "LaTeX: \\includegraphics{figures/history.pdf}",
-        "frictrack.present.export.figure_files:write_pdf",
+        "frictrack.present.export.formats:write_pdf",
         _NOT_IN_FIGURES,
     ),
 }
@@ -202,3 +205,35 @@ def write(results: Results, to: str) -> list[Path]:
 
     """
     return list(export_results(results, to).files)
+
+
+NOT_IN_FILE_NAMES = re.compile(r'[<>:"/\\|?*]')  # of Windows; names of effects may have them
+
+
+def write_svg(results: Results) -> ExportedFiles:
+    """Write the figures as SVG, whose texts stay texts; the same results give the same bytes."""
+    return _write(results, "svg")
+
+
+def write_pdf(results: Results) -> ExportedFiles:
+    """Write the figures as PDF; the same results give the same bytes."""
+    return _write(results, "pdf")
+
+
+def _write(results: Results, form: str) -> ExportedFiles:
+    """Write every figure and its data into the folder `figures`."""
+    from frictrack.present import plots  # noqa: PLC0415 - loads Matplotlib
+
+    folder = make_subfolder(results.output, "figures")
+    paths, has_pictures = [], False
+    for title, draw in plots.study_figures(results):
+        name, figure = NOT_IN_FILE_NAMES.sub("_", title), draw()
+        data = plots.plotted_data(figure)
+        has_pictures = has_pictures or any(ax.images for ax in figure.axes)
+        content = plots.svg_file(figure).encode() if form == "svg" else plots.pdf(figure)
+        for path, written in ((f"{name}.{form}", content), (f"{name}.csv", data.to_csv(index=False).encode())):
+            with atomic_write(folder / path) as part:
+                part.write_bytes(written)
+            paths.append(folder / path)
+    lost = ("grey values of pictures, which a figure shows and its CSV file leaves out",) if has_pictures else ()
+    return ExportedFiles(tuple(paths), lost)

@@ -7,7 +7,7 @@ of its Arrow field (`unit`, `description`); pandas finds the units in ``attrs["u
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from frictrack.base.errors import FrictrackError
@@ -15,13 +15,9 @@ from frictrack.base.files import atomic_write, make_subfolder
 from frictrack.present.export.formats import ExportedFiles
 from frictrack.present.export.tables import (
     Column,
-    all_columns,
-    motion_columns,
-    own_motion,
+    column_groups,
     plain_tables,
     summary_tables,
-    track_columns,
-    tracks_of,
 )
 from frictrack.results import Results
 
@@ -97,7 +93,10 @@ def write_parquet(results: Results) -> ExportedFiles:
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError as e:
         raise FrictrackError("writing Parquet needs pyarrow; pip install frictrack[parquet]") from e
-    made = {name: _joined(list(parts)) for name, parts in _parts(results).items()}
+    parts: dict[str, list[Rows]] = {"curves": [], "tracks": [], "motion": []}
+    for kind, names, columns in column_groups(results):
+        parts[{"runs": "curves", "models": "motion"}.get(kind, kind)].append((names, columns))
+    made = {name: _joined(rows) for name, rows in parts.items()}
     made |= {name: pa.Table.from_pandas(t, preserve_index=False) for name, t in summary_tables(results).items()}
     folder = make_subfolder(results.output, "parquet")
     about = {"frictrack_version": results.version, "study": results.name}
@@ -108,22 +107,6 @@ def write_parquet(results: Results) -> ExportedFiles:
             with atomic_write(paths[-1]) as part:
                 pq.write_table(table.replace_schema_metadata({**(table.schema.metadata or {}), **about}), part)
     return ExportedFiles(tuple(paths))
-
-
-def _parts(results: Results) -> dict[str, Iterator[Rows]]:
-    """Return the parts of the long tables: one per run, per run and target, and per model and run."""
-    own = own_motion(results)
-    tracks = (
-        ({"run": run.name, "target": name}, track_columns(track))
-        for run in results.runs
-        for name, track in tracks_of(run).items()
-    )
-    motion = (({"model": m.name, "run": one.run}, motion_columns(one)) for m in results.models for one in m.motion)
-    return {
-        "curves": (({"run": run.name}, all_columns(run, own.get(run.name))) for run in results.runs),
-        "tracks": tracks,
-        "motion": motion,
-    }
 
 
 def _joined(parts: list[Rows]) -> pa.Table:

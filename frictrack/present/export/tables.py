@@ -138,6 +138,18 @@ def own_motion(results: Results) -> dict[str, ModelledMotion]:
     return {motion.run: motion for motion in results.current.motion} if results.current else {}
 
 
+def column_groups(results: Results) -> Iterator[tuple[str, dict[str, str], list[Column]]]:
+    """Yield all columns of a study: their kind ("runs", "tracks" or "models"), what they belong to, and the columns."""
+    own = own_motion(results)
+    for run in results.runs:
+        yield "runs", {"run": run.name}, all_columns(run, own.get(run.name))
+        for name, track in tracks_of(run).items():
+            yield "tracks", {"run": run.name, "target": name}, track_columns(track)
+    for model in results.models:
+        for one in model.motion:
+            yield "models", {"model": model.name, "run": one.run}, motion_columns(one)
+
+
 def run_attributes(run: RunResults) -> dict[str, Any]:
     """Return numbers and texts that describe a run; lists and dictionaries as JSON."""
     d = run.displacement

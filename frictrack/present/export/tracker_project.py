@@ -10,13 +10,12 @@ OSP reads its XML line by line: every tag stands in a line of its own, and entit
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree as ET
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import make_subfolder, replace_text
@@ -114,19 +113,13 @@ def _is_measured(displacement: Displacement, name: str) -> bool:
     return bool(np.all(np.isfinite(getattr(displacement, name)[displacement.known])))
 
 
-HEADER = '<?xml version="1.0" encoding="UTF-8"?>'
-VERSION = "5.0.0"  # of Tracker: every later one opens it without a warning
-MEDIA, TRACKER = "org.opensourcephysics.media", "org.opensourcephysics.cabrillo.tracker"
 MOVIES = (".mp4", ".mov", ".avi", ".m4v", ".mpg", ".wmv", ".flv", ".mkv", ".webm")
 PICTURES = (".jpg", ".jpeg", ".png")
-MOVIE_CLASS, PICTURE_CLASS = f"{MEDIA}.xuggle.XuggleVideo", f"{MEDIA}.core.ImageVideo"
 COLOURS = ((255, 0, 0), (0, 0, 255), (0, 160, 0), (200, 0, 200))  # red, green, blue of one target after the other
 DEFAULT_MASS = 1.0  # kg, Tracker's own
 MAX_UNEVENNESS_FRAMES = 1e-3  # of the times of frames
 MAX_DIFFERENCE_PX = 1e-3  # between positions of frictrack and of Tracker
 MS = 1000.0  # in a second; Tracker's times are in ms
-
-Property = tuple[str, Any]  # name and value; a value may be an XML element
 
 
 def write_trk(results: Results) -> ExportedFiles:
@@ -139,48 +132,55 @@ def write_trk(results: Results) -> ExportedFiles:
             usage=True,
         )
     folder = make_subfolder(results.output, FOLDER)
-    paths, lost = (
-        [],
-        [f"{run.name}, which has no film (--to txt writes it)" for run in results.runs if run not in films],
-    )
+    paths, lost = [], [f"{r.name}, which has no film (--to txt writes it)" for r in results.runs if r not in films]
     for run in films:
         project, missing = _project(run, results.path.parent, folder)
-        paths.append(folder / f"{run.name}.trk")
+        paths.append(replace_text(folder / f"{run.name}.trk", project))
         lost += missing
-        replace_text(paths[-1], "\n".join([HEADER, *_lines(project), ""]))
     return ExportedFiles(tuple(paths), tuple(lost))
 
 
-def _project(run: RunResults, study: Path, folder: Path) -> tuple[ET.Element, list[str]]:
+def _project(run: RunResults, study: Path, folder: Path) -> tuple[str, list[str]]:
     """Return the project of one run, and what was lost."""
     film, track = run.film, run.track
     assert film is not None
     assert track is not None
-    axes = tracker_axes(track, run.displacement)
-    video = _video(study / run.source, folder, film.fps)
+    axes, video = tracker_axes(track, run.displacement), _video(study / run.source, folder)
+    pitch = run.displacement.pixel_pitch
     targets = {name: one for name, one in tracks_of(run).items() if name != BACKWARD}
-    masses = [_point_mass(one, run.mass if one is track else None, k) for k, one in enumerate(targets.values())]
     height, width = film.picture.shape
-    about = f"{run.source}, tracked by frictrack"
-    properties = [
-        ("semantic_version", VERSION),
-        ("width", float(width)),
-        ("height", float(height)),
-        ("magnification", -1.0),  # as large as fits
-        ("hide_description", True),
-        ("description", about),
-        ("videoclip", _clip(video, film)),
-        ("clipcontrol", _object(f"{MEDIA}.core.StepperClipControl", _control(film))),
-        ("coords", _coords(axes, run.displacement.pixel_pitch)),
-        ("length_unit", "m"),
-        ("mass_unit", "kg"),
-        ("units_visible", True),
-        (
-            "tracks",
-            [_object(f"{TRACKER}.CoordAxes", _look("axes", (200, 0, 200), "Footprint.BoldSimpleAxes")), *masses],
-        ),
-    ]
-    return _object(f"{TRACKER}.TrackerPanel", properties), _lost(run, film, axes, video is None, targets)
+    # Tracker reads its files line by line: a text with characters of XML is marked as such
+    pages = Environment(
+        loader=PackageLoader("frictrack", "present/export"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    pages.filters["text"] = lambda text: f"<![CDATA[{text}]]>" if set(text) & set("<>&") else text
+    project = pages.get_template("tracker.trk.j2").render(
+        width=width,
+        height=height,
+        about=f"{run.source}, tracked by frictrack",
+        video=video,
+        is_movie=video is not None and Path(video).suffix.lower() in MOVIES,
+        n_frames=film.n_frames,
+        start=MS * film.t[0],
+        delta_t=MS / film.fps,
+        # without a direction, the axes lie in the corner of the picture
+        axes=axes or TrackerAxes(1 / pitch if pitch else 1.0, 0.0, (PIXEL_CENTRE, PIXEL_CENTRE), False, 0.0),
+        targets=[
+            {
+                "name": one.name,
+                "colour": COLOURS[k % len(COLOURS)],
+                "mass": DEFAULT_MASS if run.mass is None or one is not track else run.mass,
+                "places": [
+                    (i, one.x_px[i] + PIXEL_CENTRE, one.y_px[i] + PIXEL_CENTRE) for i in np.flatnonzero(one.found)
+                ],
+            }
+            for k, one in enumerate(targets.values())
+        ],
+    )
+    return project, _lost(run, film, axes, video is None, targets)
 
 
 def _lost(
@@ -209,105 +209,14 @@ def _lost(
     return [what for what, is_lost in facts.items() if is_lost]
 
 
-def _video(film: Path, folder: Path, fps: float) -> ET.Element | None:
-    """Return the video of a clip with its path from the project; None for a film that Tracker cannot open."""
+def _video(film: Path, folder: Path) -> str | None:
+    """Return the path of a video from its project; None for a film that Tracker cannot open."""
     pictures = sorted(p for p in film.iterdir() if p.suffix.lower() in PICTURES) if film.is_dir() else []
     first = pictures[0] if pictures else film
-    suffix = first.suffix.lower()
-    if not film.exists() or suffix not in (*MOVIES, *PICTURES):
+    if not film.exists() or first.suffix.lower() not in (*MOVIES, *PICTURES):
         return None
     try:
         path = os.path.relpath(first, folder)
     except ValueError:  # on another drive
         path = str(first)
-    properties: list[Property] = [("path", path.replace(os.sep, "/"))]
-    if suffix in MOVIES:
-        return _object(MOVIE_CLASS, properties)
-    return _object(PICTURE_CLASS, [*properties, ("delta_t", MS / fps)])
-
-
-def _clip(video: ET.Element | None, film: RecordingInfo) -> ET.Element:
-    properties: list[Property] = [] if video is None else [("video", video), ("video_framecount", film.n_frames)]
-    properties += [("startframe", 0), ("stepsize", 1), ("stepcount", film.n_frames), ("starttime", MS * film.t[0])]
-    return _object(f"{MEDIA}.core.VideoClip", [*properties, ("readout", "frame"), ("playallsteps", True)])
-
-
-def _control(film: RecordingInfo) -> list[Property]:
-    return [("rate", 1.0), ("delta_t", MS / film.fps), ("frame", 0)]
-
-
-def _coords(axes: TrackerAxes | None, pitch: float | None) -> ET.Element:
-    """Return the axes; without a direction, they lie in the corner of the picture."""
-    if axes is None:
-        axes = TrackerAxes(1 / pitch if pitch else 1.0, 0.0, (PIXEL_CENTRE, PIXEL_CENTRE), False, 0.0)
-    (x, y), kind = axes.origin, f"{MEDIA}.core.ImageCoordSystem"
-    scale: list[Property] = [("xscale", axes.scale), ("yscale", axes.scale)]
-    data = _object(f"{kind}$FrameData", [("xorigin", x), ("yorigin", y), ("angle", axes.angle), *scale])
-    fixed: list[Property] = [("fixedorigin", True), ("fixedangle", True), ("fixedscale", True), ("locked", False)]
-    return _object(kind, [*fixed, ("framedata", _array(f"{kind}$FrameData", {0: data}))])
-
-
-def _point_mass(track: Track, mass: float | None, number: int) -> ET.Element:
-    """Return a target as a point mass with its measured positions, by frame."""
-    kind = f"{TRACKER}.PointMass"
-    places = {
-        int(i): _object(f"{kind}$FrameData", [("x", track.x_px[i] + PIXEL_CENTRE), ("y", track.y_px[i] + PIXEL_CENTRE)])
-        for i in np.flatnonzero(track.found)
-    }
-    look = _look(track.name, COLOURS[number % len(COLOURS)], "Footprint.Diamond")
-    data = _array(f"{kind}$FrameData", places)
-    return _object(kind, [("mass", DEFAULT_MASS if mass is None else mass), *look, ("framedata", data)])
-
-
-def _look(name: str, colour: Sequence[int], footprint: str) -> list[Property]:
-    """Return name, colour and mark of a track."""
-    parts = dict(zip(("red", "green", "blue"), colour, strict=True))
-    rgb = _object("java.awt.Color", [*parts.items(), ("alpha", 255)])
-    return [("name", name), ("color", rgb), ("footprint", footprint), ("visible", True), ("trail", True)]
-
-
-def _object(kind: str, properties: Sequence[Property]) -> ET.Element:
-    """Return a Java object as OSP writes it."""
-    found = ET.Element("object", {"class": kind})
-    found.extend([_property(name, value) for name, value in properties])
-    return found
-
-
-def _property(name: str, value: Any) -> ET.Element:
-    """Return a property of an object: a number, a text, an object, an array of objects, or a list of them."""
-    if isinstance(value, ET.Element) and value.tag == "property":
-        value.set("name", name)
-        return value
-    if isinstance(value, list):
-        found = ET.Element("property", {"name": name, "type": "collection", "class": "java.util.ArrayList"})
-        found.extend([_property("item", item) for item in value])
-        return found
-    kinds = {bool: "boolean", int: "int", str: "string", ET.Element: "object"}
-    found = ET.Element("property", {"name": name, "type": kinds.get(type(value), "double")})
-    if isinstance(value, ET.Element):
-        found.append(value)
-    else:
-        found.text = str(value).lower() if isinstance(value, bool) else str(value)
-    return found
-
-
-def _array(kind: str, objects: Mapping[int, ET.Element]) -> ET.Element:
-    """Return an array of Java objects by index, in rising order; its last index gives its length."""
-    found = ET.Element("property", {"name": "", "type": "array", "class": f"[L{kind};"})
-    found.extend([_property(f"[{index}]", one) for index, one in objects.items()])
-    return found
-
-
-def _lines(element: ET.Element, indent: str = "") -> Iterator[str]:
-    """Yield the lines of an element as OSP writes them; a text with characters of XML is marked as such."""
-    tag = " ".join([element.tag, *(f'{name}="{value}"' for name, value in element.items())])
-    text = element.text or ""
-    if len(element):
-        yield f"{indent}<{tag}>"
-        for child in element:
-            yield from _lines(child, f"{indent}    ")
-        yield f"{indent}</{element.tag}>"
-    elif element.text is None:
-        yield f"{indent}<{tag}/>"
-    else:
-        yield f"{indent}<{tag}>{f'<![CDATA[{text}]]>' if set(text) & set('<>&') else text}</{element.tag}>"
+    return path.replace(os.sep, "/")

@@ -7,26 +7,34 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from frictrack.present.plots.budget import budgets
-from frictrack.present.plots.candidates import candidates, has_limits, has_scan, limits, scan
-from frictrack.present.plots.convergence import convergence
-from frictrack.present.plots.cutoff import cutoff, filters
-from frictrack.present.plots.held_out import history
+from frictrack.present.plots.evidence import (
+    candidates,
+    correlated_signal,
+    has_limits,
+    has_scan,
+    limits,
+    missing_force,
+    scan,
+    unexplained,
+)
 from frictrack.present.plots.law import has_law, law, loops
 from frictrack.present.plots.measured import film, friction, motion, motions
-from frictrack.present.plots.missing_force import has_missing_force, missing_force, unexplained
-from frictrack.present.plots.model import failing, fit, routes
+from frictrack.present.plots.measurement_errors import budgets, cutoff, cutoffs, filters
+from frictrack.present.plots.model import failing, fit, history, routes
 from frictrack.present.plots.modelled import modelled
-from frictrack.present.plots.profiles import profiles
+from frictrack.present.plots.parameters import convergence, profiles
+from frictrack.present.plots.plan import next_experiments
 from frictrack.present.plots.style import run_styles
 from frictrack.present.plots.verdict import verdict
 from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results.candidates import candidate_rows
+from frictrack.results.verdicts import force_without_effect
 
-NamedFigure = tuple[str, Callable[[], Figure]]
+NamedFigure = tuple[str, Callable[..., Figure]]
 
 
 def study_figures(results: Results) -> Iterator[NamedFigure]:
-    """List every figure of a study; each is drawn when its function is called.
+    """List every figure of a study; each is drawn when its function is called, with options of that figure.
 
     Yields
     ------
@@ -34,24 +42,32 @@ def study_figures(results: Results) -> Iterator[NamedFigure]:
         File name without suffix, and the function that draws the figure.
 
     """
-    for run in results.runs:
+    of_points = any(run.is_of_points for run in results.runs)
+    for run in results.runs if not of_points else ():
         yield from _of_run(run)
     for model in results.models:
         yield from _of_model(model, results)
-    yield from _of_measurement(results)
+    smoothed = {run.name: (run.cutoff, run.mass) for run in results.runs if run.cutoff is not None}
+    budget = {run.name: run.budget for run in results.runs if run.budget}
+    if results.runs and not of_points:
+        yield "motions", partial(motions, results.runs)
+    if any(run.friction is not None for run in results.runs):
+        yield "friction", partial(friction, results.runs)
+    if smoothed:
+        yield "cutoffs", partial(cutoffs, smoothed)
+    if budget:
+        yield "budgets", partial(budgets, budget)
     if results.current is not None:
-        yield from _of_current_model(results.current, results)
+        yield from _of_current_model(results.current, results, of_points=of_points)
 
 
 def _of_run(run: RunResults) -> Iterator[NamedFigure]:
-    if run.is_of_points:
-        return
     yield f"motion {run.name}", partial(motion, run)
     if run.film is not None:
         yield f"film {run.name}", partial(film, run)
     if run.cutoff is not None:
         yield f"cutoff {run.name}", partial(cutoff, run.name, run.cutoff, run.mass)
-        yield f"filters {run.name}", partial(filters, run)
+    yield f"filters {run.name}", partial(filters, run)
 
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
@@ -60,49 +76,48 @@ def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
         yield f"law {model.name}", partial(law, model, results.runs)
     if model.convergence:
         yield f"convergence {model.name}", partial(convergence, model)
-    found = model.diagnosis
+    found, curves = model.diagnosis, model.figures
     if not found:
         return
-    fails = found["fails_at"]
-    yield f"fails {model.name}", partial(failing, model, results.runs, fails)
+    better = None if model is results.current else results.current
+    yield f"fails {model.name}", partial(failing, model, results.runs, found["fails_at"], better)
     yield f"candidates {model.name}", partial(candidates, found)
-    if has_missing_force(model.figures):
+    if "residual_force" in curves:
         fitted = {row["run"] for row in model.summary["per_run"] if row["role"] == "fit"}
-        styles = {name: style for name, style in run_styles(results.runs).items() if name in fitted}
-        draw = partial(missing_force, model.figures, fails, styles, found.get("repeats", []))
-        yield f"missing force {model.name}", draw
-    best = found["candidates"][0]["effect"] if found["candidates"] else ""
-    if has_scan(model.figures.get(best, {})):
-        yield f"scan {model.name}", partial(scan, best, model.figures[best])
-    if found.get("unexplained"):
-        yield f"unexplained {model.name}", partial(unexplained, found["unexplained"])
+        styles = {name: look for name, look in run_styles(results.runs).items() if name in fitted}
+        yield (
+            f"missing force {model.name}",
+            partial(missing_force, curves, found["fails_at"], styles, found.get("repeats", [])),
+        )
+    best = next((row.effect for row in candidate_rows(found)), "")
+    if has_scan(curves.get(best, {})):
+        yield f"scan {model.name}", partial(scan, best, curves[best])
+    if left := force_without_effect(found):
+        yield f"unexplained {model.name}", partial(unexplained, left)
+    for k, signal in enumerate(found.get("evidence") or []):
+        if f"evidence_{k}" in curves:
+            yield f"signal {k} {model.name}", partial(correlated_signal, signal, curves[f"evidence_{k}"])
 
 
-def _of_measurement(results: Results) -> Iterator[NamedFigure]:
-    budget = {run.name: run.budget for run in results.runs if run.budget}
-    if results.runs:
-        yield "motions", partial(motions, results.runs)
-    if any(run.friction is not None for run in results.runs):
-        yield "friction", partial(friction, results.runs)
-    if budget:
-        yield "budgets", partial(budgets, budget)
-
-
-def _of_current_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
+def _of_current_model(model: ModelResults, results: Results, *, of_points: bool) -> Iterator[NamedFigure]:
     yield "verdict", partial(verdict, results)
     yield "history", partial(history, results.models)
     if model.motion:
         yield "modelled", partial(modelled, model, results.runs)
-    if model.summary["errors"].get("rms_N") is not None:
+    if model.summary["errors"].get("rms_N") is not None and not of_points:
         yield "loops", partial(loops, model, results.runs)
     if model.summary.get("profiles"):
         yield "profiles", partial(profiles, model.summary)
-    if results.diagnosis and has_limits(results.diagnosis, results.figures):
-        yield "limits", partial(limits, results.diagnosis, results.figures)
-    if results.papers is not None:
-        both = {c.run for c in results.papers.curves} & {c.run for c in model.curves}
+    if diagnosis := results.diagnosis:
+        steps = [step for step in diagnosis.get("next_experiment") or [] if step.get("expected_if_true")]
+        if has_limits(diagnosis, results.figures):
+            yield "limits", partial(limits, diagnosis, results.figures)
+        if steps:
+            yield "next experiments", partial(next_experiments, steps)
+    if papers := results.papers:
+        both = {c.run for c in papers.curves} & {c.run for c in model.curves}
         run = next((one for one in results.runs if one.name in both and one.friction is not None), None)
-        if results.papers.convergence:
-            yield "convergence papers", partial(convergence, results.papers)
+        if papers.convergence:
+            yield "convergence papers", partial(convergence, papers)
         if run is not None:
-            yield "routes", partial(routes, model, results.papers, run)
+            yield "routes", partial(routes, model, papers, run)

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.friction import find_events, friction
-from frictrack.records import Filtered, Friction, Run
+from frictrack.records import Array, Filtered, Friction, Run
 from frictrack.results import ModelResults, RunResults
 
 
@@ -23,7 +23,9 @@ class FitLike(Protocol):
 
 
 class Summarised(Protocol):
-    """What has a JSON summary: a diagnosis."""
+    """What has a JSON summary and curves: a diagnosis."""
+
+    figures: dict[str, dict[str, Array]]
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON."""

@@ -57,7 +57,8 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     picture, track = run.film.picture, run.track
     rows, columns = picture.shape
     found, frames = int(np.sum(track.found)), len(track)
-    precision = f", ± {format_number(_median(track.sigma_px), 2)} px" if wide else ""
+    known = track.sigma_px[np.isfinite(track.sigma_px)]
+    precision = f", ± {format_number(float(np.median(known)), 2)} px" if wide and len(known) else ""
     title = f"{run.name}: target found in {found} of {frames} frames{precision}"
     width = style.PAGE_WIDTH_IN if wide else style.PAGE_WIDTH_IN / 2
     figure = new_figure(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
@@ -81,10 +82,6 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside lower right", ncols=2)
     return figure
-
-
-def _median(values: Array) -> float:
-    return float(np.nanmedian(values)) if np.any(np.isfinite(values)) else float("nan")
 
 
 @styled
@@ -179,16 +176,12 @@ def _motion_title(run: RunResults) -> str:
     if np.any(np.diff(np.sign(v)) != 0):
         return f"{run.name} moves to and fro at up to {format_number(float(np.max(np.abs(v))), 2)} m/s"
     start, end = abs(float(v[0])), abs(float(v[-1]))
-    change = "slows" if end < start else "speeds up"
-    if min(start, end) < REST_SPEED_SHARE * max(start, end):
-        return (
-            f"{run.name} {'slows from' if end < start else 'starts from rest and reaches'} {_extreme_speed(start, end)}"
-        )
-    return f"{run.name} {change} from {format_number(start)} to {format_number(end)} m/s"
-
-
-def _extreme_speed(start: float, end: float) -> str:
-    return f"{format_number(start)} m/s to a stop" if end < start else f"{format_number(end)} m/s"
+    first, last = format_number(start), format_number(end)
+    if min(start, end) >= REST_SPEED_SHARE * max(start, end):
+        return f"{run.name} {'slows' if end < start else 'speeds up'} from {first} to {last} m/s"
+    if end < start:
+        return f"{run.name} slows from {first} m/s to a stop"
+    return f"{run.name} starts from rest and reaches {last} m/s"
 
 
 def _zoom_to_free_section(ax: Axes, run: RunResults) -> None:
@@ -267,12 +260,9 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
 
 def friction_title(runs: Sequence[RunResults]) -> str:
     """Title of `friction`: the range of force and speed on the free sections."""
-    rows = [style.unsmeared_frames(run.friction, run.motion.guard) for run in runs if run.friction is not None]
-    size = np.concatenate(
-        [np.abs(r.friction.F[at]) for r, at in zip(runs, rows, strict=True) if r.friction is not None]
-    )
-    speed = np.concatenate([np.abs(run.motion.v[at]) for run, at in zip(runs, rows, strict=True)])
-    low, high = np.percentile(size, [5, 95])
+    shown = [(run, f, style.unsmeared_frames(f, run.motion.guard)) for run in runs if (f := run.friction) is not None]
+    low, high = np.percentile(np.concatenate([np.abs(f.F[at]) for _, f, at in shown]), [5, 95])
+    speed = np.concatenate([np.abs(run.motion.v[at]) for run, _, at in shown])
     return (
         f"Friction between {format_number(low, 2)} and {format_number(high, 2)} N "
         f"at speeds from {format_number(float(speed.min()), 2)} to {format_number(float(speed.max()), 2)} m/s"

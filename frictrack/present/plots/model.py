@@ -1,4 +1,4 @@
-"""Draw the model against the measurement: both forces, and the residual.
+"""Draw the model against the measurement: both forces, the residual, and the held-out error of each model tried.
 
 Modelled and measured displacement look the same: an error of 30 um over a slide of half a metre cannot be seen. So
 these figures show the force, and of the displacement only the residual. Where a load cell measured friction, the
@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from frictrack.base.number_format import format_number, format_share
+from frictrack.base.number_format import describe_change, format_number, format_share
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
@@ -161,17 +161,20 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
 
 
 def fit_title(model: ModelResults) -> str:
-    """Title of `fit`: the verdict, and the residual against the noise."""
-    errors, noise = model.summary["errors"], noise_um(model)
-    name, rms = plain_name(model.name), errors["rms_displacement_um"]
-    figures = f"force error {format_number(100 * (errors['relative_force_error'] or 0.0), 2)} %"
-    if rms is not None and noise is not None:
-        figures = f"residual {format_number(rms)} µm, noise {format_number(noise)} µm"
+    """Title of `fit`: the verdict, and the errors."""
     verdict = (model.diagnosis or {}).get("verdict")
-    if verdict is None:
-        return f"{name}: {figures}"
-    word = {"complete": "is complete", "undetermined": "is undetermined"}.get(verdict, "fails")
-    return f"{name} {word}: {figures}"
+    words = {None: "", "complete": " is complete", "undetermined": " is undetermined"}.get(verdict, " fails")
+    return f"{plain_name(model.name)}{words}: {error_words(model)}"
+
+
+def error_words(model: ModelResults) -> str:
+    """Residual, noise and force error of a model, as far as they are known."""
+    errors, noise = model.summary["errors"], noise_um(model)
+    rms, force = errors.get("rms_displacement_um"), errors.get("relative_force_error")
+    parts = [] if rms is None else [f"residual {format_number(rms)} µm"]
+    parts += [] if rms is None or noise is None else [f"noise {format_number(noise)} µm"]
+    parts += [] if force is None else [f"force error {format_number(100 * force, 2)} %"]
+    return ", ".join(parts)
 
 
 def _how_many(model: ModelResults, shown: Sequence[str]) -> str:
@@ -384,3 +387,98 @@ def _share_y(panels: Sequence[Axes]) -> None:
     reach = [ax.get_ylim() for ax in panels]
     for ax in panels:
         ax.set_ylim(min(low for low, _ in reach), max(high for _, high in reach))
+
+
+ERROR_LOG_AXIS_RATIO = 8.0  # largest over smallest error, from which the axis is logarithmic
+MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
+MAX_CHARACTERS = 8.0  # of the names of models side by side, per inch of the panel; more models are numbered
+MAX_STEPS_NAMED = 2  # effects that one model adds to the one before; of more, the whole model is named
+
+
+@dataclass(frozen=True)
+class HeldOutError:
+    """Held-out error of one model, um or N; `tried` for an effect that the diagnosis tried but nobody added."""
+
+    label: str
+    value: float
+    tried: bool = False
+
+
+def errors_of_models(models: Sequence[ModelResults], unit: str) -> list[HeldOutError]:
+    """Held-out errors of the models that have one, each named by what it adds to the model before."""
+    key = "heldout_rms_um" if unit == "µm" else "heldout_rms_N"
+    known = [m for m in models if m.summary["errors"].get(key) is not None]
+    steps = zip([None, *models], models, strict=False)
+    names = {model.name: _step(before, model) for before, model in steps}
+    return [HeldOutError(names[m.name], float(m.summary["errors"][key])) for m in known]
+
+
+def _step(previous: ModelResults | None, model: ModelResults) -> str:
+    """The model, or what was added to or removed from the one before."""
+    if previous is None:
+        return plain_name(model.name)
+    new, old = model.summary["model"], previous.summary["model"]
+    gained, lost = [e for e in new if e not in old], [e for e in old if e not in new]
+    steps = [*(f"+ {e}" for e in gained), *(f"without {e}" for e in lost)]
+    return "\n".join(steps) if 0 < len(steps) <= MAX_STEPS_NAMED else plain_name(model.name)
+
+
+@styled
+def history(models: Sequence[AnyModel]) -> Figure:
+    """Draw the held-out error of every model in the order in which they were fitted, and the noise.
+
+    Parameters
+    ----------
+    models : sequence of ModelResults or Fit
+        All models of the study.
+
+    """
+    tried = [as_model(model) for model in models]
+    in_um = any(m.summary["errors"].get("heldout_rms_um") is not None for m in tried)
+    unit = "µm" if in_um else "N"
+    noise = noise_um(tried[-1]) if in_um else (tried[-1].diagnosis or {}).get("noise_N")
+    errors = errors_of_models(tried, unit)
+    figure = new_figure(3.3, _history_title(errors, noise, unit))
+    draw_held_out(figure.subplots(), errors, noise, unit, style.PAGE_WIDTH_IN)
+    return figure
+
+
+def _history_title(errors: Sequence[HeldOutError], noise: float | None, unit: str) -> str:
+    against = "" if noise is None else f", noise {format_number(noise)} {unit}"
+    if not errors:
+        return "No held-out error was computed"
+    before, after = errors[0].value, errors[-1].value
+    if len(errors) == 1:
+        return f"Held-out error of {errors[0].label}: {format_number(before)} {unit}{against}"
+    return f"Held-out error {describe_change(before, after, unit)}{against}"
+
+
+def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None, unit: str, width: float) -> None:
+    """Draw the errors and the noise into a panel of a width in inches; models whose names have no room are numbered."""
+    values = np.array([one.value for one in errors])
+    longest = [max(map(len, one.label.replace(" + ", "\n+ ").split("\n"))) for one in errors]
+    is_named = sum(longest) <= MAX_CHARACTERS * width
+    ax.plot(range(len(values)), values, color="#777777", lw=1.4, zorder=1)
+    for k, one in enumerate(errors):
+        colour = style.VERMILION if k == 0 and len(errors) > 1 else style.BLUE
+        ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
+        if is_named or k in (0, len(errors) - 1):
+            ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
+                        fontweight="bold", bbox={"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85})  # fmt: skip
+    known = values
+    if noise is not None and noise > MIN_NOISE_SHOWN * values.min(initial=np.inf):
+        known = np.append(values, noise)
+        ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2, zorder=0.5)
+        ax.annotate("noise", (0, noise), (4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
+                    fontsize=9)  # fmt: skip
+    low, top = known.min(initial=np.inf), known.max(initial=0.0)
+    if top > ERROR_LOG_AXIS_RATIO * low > 0:
+        style.log_axis(ax, "y")
+        ax.set_ylim(0.6 * low, 2.2 * top)
+    else:
+        ax.set_ylim(0, 1.25 * top or 1.0)
+    names = [one.label.replace(" + ", "\n+ ") + ("\n(tried)" if one.tried else "") for one in errors]
+    ax.set_xticks(range(len(errors)), names if is_named else [str(k) for k in range(1, len(errors) + 1)])
+    ax.set_xlabel("" if is_named else "models in the order tried")
+    ax.set_xlim(-0.5, len(errors) - 0.5)
+    ax.set_ylabel(axis_label("held-out error, rms", unit))

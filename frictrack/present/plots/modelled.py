@@ -16,7 +16,7 @@ from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.present.plots.model import worst_runs
 from frictrack.present.plots.style import axis_label, draw_band, panel_grid, plain_name, styled
-from frictrack.records import Array, Mask, ModelledMotion, stretches
+from frictrack.records import Array, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 
 MAX_PANELS = 6  # runs drawn; of more runs, those that fit worst
@@ -27,6 +27,7 @@ MODEL_BAND_STYLE: dict[str, Any] = {
     "alpha": 0.4,
     "hatch": "////",
 }
+BLOW_STYLE: dict[str, Any] = {"fill": False, "hatch": "xx", "lw": 0, "ec": "#999999", "zorder": 0.5}
 MODEL_STYLE: dict[str, Any] = {"color": style.MODEL_COLOUR, "lw": 1.6, "ls": (0, (4, 1.2))}
 
 
@@ -96,9 +97,12 @@ def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, imp
         draw_band(ax, at, shown, sigma, **SMOOTHED_STYLE)
         ax.plot(at, shown, color=style.MEASURED_COLOUR, lw=1.0)
         _draw_model(ax, motion, own, own_sigma)
-        _set_limits(ax, smooth[clean & seen], (own[seen], own_sigma[seen]))
+        # most of the smoothed line: a smeared blow must not set the scale
+        reach = np.quantile(smooth[clean & seen], [0.02, 0.98])
+        style.set_y_limits(ax, (reach, own[seen] - 2 * own_sigma[seen], own[seen] + 2 * own_sigma[seen]))
     for ax in cell:
-        _hatch_blows(ax, t, motion.blow)
+        for s in stretches(motion.blow):
+            ax.axvspan(t[s.start], t[s.stop - 1], **BLOW_STYLE)
         ax.set_xlim(t[0], t[-1])
     cell[0].set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
     if impulses and np.any(motion.blow):
@@ -108,13 +112,6 @@ def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, imp
         )
 
 
-def _set_limits(ax: Axes, smooth: Array, own: tuple[Array, Array]) -> None:
-    """Limit the axis to the model's band and most of the smoothed line; a smeared blow must not set the scale."""
-    middle, sigma = own
-    reach = np.quantile(smooth, [0.02, 0.98]), middle - 2 * sigma, middle + 2 * sigma
-    style.set_y_limits(ax, reach)
-
-
 def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
     """Draw the model's line with its band, segment by segment, with a gap at an unresolved blow."""
     for k in np.unique(motion.segment):
@@ -122,11 +119,6 @@ def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -
         shown = style.masked(values, ~motion.blow)[at]
         draw_band(ax, 1e3 * motion.t[at], shown, sigma[at], **MODEL_BAND_STYLE, zorder=2.5)
         ax.plot(1e3 * motion.t[at], shown, zorder=3, **MODEL_STYLE)
-
-
-def _hatch_blows(ax: Axes, t: Array, blow: Mask) -> None:
-    for s in stretches(blow):
-        ax.axvspan(t[s.start], t[s.stop - 1], fill=False, hatch="xx", lw=0, ec="#999999", zorder=0.5)
 
 
 def _impulses(model: ModelResults, run: str) -> str:
@@ -145,5 +137,5 @@ def _handles(blow: bool) -> list[Any]:
         Patch(label=f"model, ± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
     ]
     if blow:
-        handles.append(Patch(fill=False, hatch="xx", lw=0, ec="#999999", label="blow too short to resolve"))
+        handles.append(Patch(label="blow too short to resolve", **BLOW_STYLE))
     return handles

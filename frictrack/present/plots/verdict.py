@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,9 +15,7 @@ from matplotlib.patches import Patch
 
 from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
-from frictrack.present.plots.held_out import MAX_STEPS_NAMED, HeldOutError, draw_held_out, errors_of_models
-from frictrack.present.plots.inputs import AnyModel, as_model
-from frictrack.present.plots.missing_force import (
+from frictrack.present.plots.evidence import (
     at_reference_load,
     draw_common,
     draw_runs,
@@ -24,9 +23,18 @@ from frictrack.present.plots.missing_force import (
     force_limits,
     mean_per_run,
 )
-from frictrack.present.plots.model import noise_um, residual_unit, residuals
+from frictrack.present.plots.inputs import AnyModel, Summarised, as_model
+from frictrack.present.plots.model import (
+    MAX_STEPS_NAMED,
+    HeldOutError,
+    draw_held_out,
+    errors_of_models,
+    noise_um,
+    residual_unit,
+    residuals,
+)
 from frictrack.present.plots.style import axis_label, joined_name, new_figure, plain_name, styled
-from frictrack.records import Array, Mask
+from frictrack.records import Array
 from frictrack.results import ModelResults, Results
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import VERDICTS, certain_effects, indistinguishable_effects
@@ -34,16 +42,6 @@ from frictrack.results.verdicts import VERDICTS, certain_effects, indistinguisha
 DRAWN_AXES = ("x", "v", "t")
 REJECTED = ("missing", "ambiguous", "unexplained")
 Figures = Mapping[str, Mapping[str, Array]]
-
-
-class DiagnosisLike(Protocol):
-    """A diagnosis: its JSON, and its curves."""
-
-    figures: dict[str, dict[str, Array]]
-
-    def summary(self) -> dict[str, Any]:
-        """Return the JSON."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -54,34 +52,17 @@ class Residuals:
     ----------
     name : str
         The model, or what was added to it.
-    along : dict of Array
-        Run (index), time since release s, position m and speed m/s, all (n,), by "run", "t", "x" and "v".
-    values, sigma : Array
-        (n,) residual and its noise, um or N.
-    force : Array or None
-        (n,) force that the added effects exert against the motion, N.
-    quoted : float or None
-        Root mean square of the fit, um or N; the drawn values are thinned out.
+    rows : dict of Array
+        Columns (n,): run (index), t (time since release, s), x (m), v (speed, m/s), values and sigma (residual and its
+        noise, um or N) and force (that added effects exert against the motion, N), if there is any.
+    rms : float
+        Root mean square of the fit, um or N; the drawn rows may be thinned out.
 
     """
 
     name: str
-    along: Mapping[str, Array]
-    values: Array
-    sigma: Array
-    force: Array | None = None
-    quoted: float | None = None
-
-    @property
-    def rms(self) -> float:
-        """Root mean square, um or N."""
-        return float(np.sqrt(np.mean(self.values**2))) if self.quoted is None else self.quoted
-
-    def of_runs(self, runs: Array) -> Residuals:
-        """Return the rows of some runs."""
-        rows = np.isin(self.along["run"], runs)
-        along = {name: self.along[name][rows] for name in ("run", *DRAWN_AXES)}
-        return replace(self, along=along, values=self.values[rows], sigma=self.sigma[rows], force=None)
+    rows: dict[str, Array]
+    rms: float
 
 
 @dataclass(frozen=True)
@@ -127,7 +108,7 @@ class VerdictData:
     @property
     def fails(self) -> bool:
         """Whether the diagnosis rejects the model."""
-        return self.diagnosis.get("verdict") in REJECTED
+        return is_rejected(self.diagnosis)
 
 
 def failed_model(results: Results) -> ModelResults | None:
@@ -174,61 +155,53 @@ def data_of_study(results: Results) -> VerdictData:
     if current is None:
         raise ValueError("expected a study with a fitted model but got none")
     shown = failed_model(results) or current
-    diagnosis, unit = shown.diagnosis or {}, residual_unit(current)
-    figures = shown.figures if diagnosis else {}
-    before = _stored(figures, plain_name(shown.name), unit)
-    before = _of_model(shown, results, figures) if before is None else replace(before, quoted=_rms(shown, unit))
-    after = None if shown is current else _of_model(current, results, figures, shown)
+    diagnosis, unit, name = shown.diagnosis or {}, residual_unit(current), plain_name(shown.name)
+    figures, runs = shown.figures if diagnosis else {}, {run.name: run for run in results.runs}
+    before = _stored(figures, "before", name, unit, shown) or _of_model(shown, runs, figures)
+    after = None if shown is current else _of_model(current, runs, figures, shown.summary["model"])
     errors = errors_of_models(results.models, unit)
     tried = _errors_tried(diagnosis, unit) if shown is current else []
     if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
         errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
-    return VerdictData(
-        plain_name(shown.name), diagnosis, figures, before, after or _tried(figures, diagnosis, unit), errors,
-        noise_um(current) if unit == "µm" else diagnosis.get("noise_N"), unit,
-    )  # fmt: skip
+    after = after or _stored(figures, "after", f"with {_named(diagnosis.get('missing') or [])}, as tried", unit)
+    noise = noise_um(current) if unit == "µm" else diagnosis.get("noise_N")
+    return VerdictData(name, diagnosis, figures, before, after, errors, noise, unit)
 
 
-def _rms(model: ModelResults, unit: str) -> float | None:
-    found: float | None = model.summary["errors"].get("rms_displacement_um" if unit == "µm" else "rms_N")
-    return found
-
-
-def data_of_diagnosis(found: DiagnosisLike, better: AnyModel | None = None) -> VerdictData:
+def data_of_diagnosis(found: Summarised, better: AnyModel | None = None) -> VerdictData:
     """Select the data of a diagnosis, and of a later fit if there is one."""
     diagnosis, figures = found.summary(), found.figures
     unit = "N" if diagnosis.get("noise_N") is not None else "µm"
-    name = joined_name(diagnosis["model"])
-    errors = _errors_tried(diagnosis, unit)
-    after = _tried(figures, diagnosis, unit)
-    if better is not None:
+    name, errors = joined_name(diagnosis["model"]), _errors_tried(diagnosis, unit)
+    before = _stored(figures, "before", name, unit)
+    if better is None:
+        after = _stored(figures, "after", f"with {_named(diagnosis.get('missing') or [])}, as tried", unit)
+    else:
         later = as_model(better)
         errors = [*errors[:1], *errors_of_models([later], unit)]
-        after = _residuals_of(later, {}, figures, _added(diagnosis["model"], later))
-    noise = diagnosis["noise_um"] if unit == "µm" else diagnosis["noise_N"]
-    return VerdictData(name, diagnosis, figures, _stored(figures, name, unit), after, errors, noise, unit)
+        after = _of_model(later, {}, figures, diagnosis["model"])
+    noise = diagnosis["noise_um" if unit == "µm" else "noise_N"]
+    return VerdictData(name, diagnosis, figures, before, after, errors, noise, unit)
 
 
-def _factor(unit: str) -> float:
-    return 1e6 if unit == "µm" else 1.0
+def _rms(model: ModelResults | None, unit: str, values: Array) -> float:
+    """Root mean square of the residual: of the fit, if it is known, else of some values."""
+    key = "rms_displacement_um" if unit == "µm" else "rms_N"
+    found = None if model is None else model.summary["errors"].get(key)
+    return float(np.sqrt(np.mean(values**2))) if found is None else float(found)
 
 
-def _stored(figures: Figures, name: str, unit: str) -> Residuals | None:
-    """Residual of the diagnosed model, as the diagnosis stores it."""
-    kept = figures.get("residual")
-    if kept is None:
-        return None
-    return Residuals(name, kept, _factor(unit) * kept["before"], _factor(unit) * kept["sigma"])
-
-
-def _tried(figures: Figures, diagnosis: Mapping[str, Any], unit: str) -> Residuals | None:
-    """Residual with the effects found, as the diagnosis tried them."""
+def _stored(figures: Figures, which: str, name: str, unit: str, model: ModelResults | None = None) -> Residuals | None:
+    """Residual as the diagnosis stores it: "before" of its model, "after" with the effects that it found."""
     kept = figures.get("residual", {})
-    if "after" not in kept:
+    if which not in kept:
         return None
-    force = kept["F"] if np.any(kept["F"]) else None  # an effect on the measurement adds none
-    name = f"with {_named(diagnosis.get('missing') or [])}, as tried"
-    return Residuals(name, kept, _factor(unit) * kept["after"], _factor(unit) * kept["sigma"], force)
+    factor = 1e6 if unit == "µm" else 1.0
+    rows = {key: kept[key] for key in ("run", *DRAWN_AXES)}
+    rows |= {"values": factor * kept[which], "sigma": factor * kept["sigma"]}
+    if which == "after" and np.any(kept["F"]):  # an effect on the measurement adds none
+        rows["force"] = kept["F"]
+    return Residuals(name, rows, _rms(model, unit, rows["values"]))
 
 
 def _named(effects: Sequence[str]) -> str:
@@ -237,48 +210,35 @@ def _named(effects: Sequence[str]) -> str:
 
 
 def _of_model(
-    model: ModelResults, results: Results, figures: Figures, base: ModelResults | None = None
+    model: ModelResults, runs: Mapping[str, Any], figures: Figures, before: Sequence[str] | None = None
 ) -> Residuals | None:
-    by_name = {run.name: run for run in results.runs}
-    return _residuals_of(model, by_name, figures, [] if base is None else _added(base.summary["model"], model))
+    """Residual of a stored model, which may add effects to those `before`.
 
-
-def _added(effects: Sequence[str], model: ModelResults) -> list[str]:
-    return [name for name in model.summary["model"] if name not in effects]
-
-
-def _residuals_of(
-    model: ModelResults, runs: Mapping[str, Any], figures: Figures, added: Sequence[str]
-) -> Residuals | None:
-    """Residual of a stored model. Its clock is shifted so that runs begin where they begin in the diagnosis."""
+    Its clock is shifted so that runs begin where they begin in the diagnosis.
+    """
     fitted = [row["run"] for row in model.summary["per_run"] if row["role"] == "fit"]
+    added = [] if before is None else [name for name in model.summary["model"] if name not in before]
     kept = figures.get("residual", figures.get("residual_force", {}))
-    rows = []
+    parts = []
     for k, name in enumerate(fitted):
         curves = [c for c in model.curves if c.run == name]
-        parts = residuals(model, runs.get(name, _Named(name)))
+        # of a run that is not known only the name matters, for a residual of displacement
+        found = residuals(model, runs.get(name, SimpleNamespace(name=name, friction=None)))
         begins = float(np.min(kept["t"][kept["run"] == k], initial=np.inf)) if "t" in kept else 0.0
         shift = (begins if np.isfinite(begins) else 0.0) - min((float(c.t[0]) for c in curves), default=0.0)
-        for curve, part in zip(curves, parts, strict=len(parts) == len(curves)):
+        for curve, part in zip(curves, found, strict=len(found) == len(curves)):
             against = np.where(curve.v_model < 0, -1.0, 1.0)
             force = against * sum((curve.parts[e] for e in added if e in curve.parts), np.zeros(len(curve.t)))
-            rows.append((np.full(len(curve.t), float(k)), curve.t + shift, curve.x, np.abs(curve.v_model),
-                         part.values, part.sigma, force))  # fmt: skip
-    if not rows:
+            parts.append((np.full(len(curve.t), float(k)), curve.t + shift, curve.x, np.abs(curve.v_model),
+                          part.values, part.sigma, force))  # fmt: skip
+    if not parts:
         return None
-    run, t, x, v, values, sigma, force = (np.concatenate(column) for column in zip(*rows, strict=True))
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    rows = dict(zip(("run", "t", "x", "v", "values", "sigma", "force"), columns, strict=True))
+    if not np.any(rows["force"]):
+        rows.pop("force")
     name = f"with {_named(added)}" if added else plain_name(model.name)
-    along = {"run": run, "t": t, "x": x, "v": v}
-    quoted = _rms(model, residual_unit(model))
-    return Residuals(name, along, values, sigma, force if np.any(force) else None, quoted)
-
-
-@dataclass(frozen=True)
-class _Named:
-    """A run of which only the name matters, for a residual of displacement."""
-
-    name: str
-    friction: None = None
+    return Residuals(name, rows, _rms(model, residual_unit(model), rows["values"]))
 
 
 def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]:
@@ -289,9 +249,9 @@ def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]
     if bare is None:
         return []
     found = [row for row in diagnosis.get("importance") or [] if row.get(f"heldout_rms_after_{key}") is not None]
+    if not found and best.get(f"heldout_rms_after_{key}") is not None:
+        found = [best]
     after = [HeldOutError(f"+ {row['effect']}", row[f"heldout_rms_after_{key}"], tried=True) for row in found]
-    if not after and best.get(f"heldout_rms_after_{key}") is not None:
-        after = [HeldOutError(f"+ {best['effect']}", best[f"heldout_rms_after_{key}"], tried=True)]
     return [HeldOutError(joined_name(diagnosis["model"]), bare), *after]
 
 
@@ -305,7 +265,7 @@ FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
 
 
 @styled
-def verdict(found: Results | DiagnosisLike, better: AnyModel | None = None, *, title: bool = True) -> Figure:
+def verdict(found: Results | Summarised, better: AnyModel | None = None, *, title: bool = True) -> Figure:
     """Draw where a model fails, the force that it lacks, and the held-out error of each model tried.
 
     The residual is drawn over the axis over which the misfit repeats: position, speed or time. Failing spans are
@@ -365,14 +325,10 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
     shown = _worst_runs(data.before)
     for whole, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
         if whole is not None:
-            one = whole.of_runs(shown)
-            _draw_lines(ax, one.along["run"], one.along[data.axis], one.values, color=colour, lw=0.9, alpha=0.85)
-            handles.append(
-                Line2D(
-                    [], [], color=colour, lw=1.8, label=one.name + (_how_many(whole) if whole is data.before else "")
-                )
-            )
-    band = style.BAND_SIGMAS * float(np.median(data.before.sigma))
+            _draw_lines(ax, whole.rows, data.axis, "values", shown, color=colour, lw=0.9, alpha=0.85)
+            label = whole.name + (_how_many(whole) if whole is data.before else "")
+            handles.append(Line2D([], [], color=colour, lw=1.8, label=label))
+    band = style.BAND_SIGMAS * float(np.median(data.before.rows["sigma"]))
     ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
     handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
@@ -386,7 +342,8 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
 
 def _worst_runs(residuals: Residuals) -> Array:
     """The runs to draw: of many, those with the largest residual over its noise."""
-    names, mean = mean_per_run(residuals.along["run"], (residuals.values / residuals.sigma) ** 2)
+    rows = residuals.rows
+    names, mean = mean_per_run(rows["run"], (rows["values"] / rows["sigma"]) ** 2)
     return names[np.argsort(-mean, kind="stable")[:MAX_RUNS_DRAWN]]
 
 
@@ -403,7 +360,7 @@ def _residual_title(data: VerdictData) -> str:
 
 def _how_many(residuals: Residuals) -> str:
     """How many runs are drawn, if not all."""
-    n = len(np.unique(residuals.along["run"]))
+    n = len(np.unique(residuals.rows["run"]))
     return f", {MAX_RUNS_DRAWN} worst of {n} runs" if n > MAX_RUNS_DRAWN else ""
 
 
@@ -411,14 +368,19 @@ def _x_label(axis: str) -> str:
     return axis_label(AXES[axis].label, AXES[axis].unit)
 
 
-def _draw_lines(ax: Axes, run: Array, x: Array, y: Array, **look: Any) -> None:
-    """Draw one line per run, with gaps where the axis jumps."""
-    gap = MAX_GAP_SHARE * max(float(np.ptp(x)), 1e-12)
-    many = len(x) > 4 * style.MAX_POINTS
-    for k in np.unique(run):
-        at, values = x[run == k], y[run == k]
+def _draw_lines(
+    ax: Axes, rows: Mapping[str, Array], axis: str, column: str, shown: Array, factor: Any = 1.0, **look: Any
+) -> None:
+    """Draw a column over an axis, one line for each of some runs, with gaps where the axis jumps."""
+    kept = np.isin(rows["run"], shown)
+    gap = MAX_GAP_SHARE * max(float(np.ptp(rows[axis][kept])), 1e-12)
+    many = np.count_nonzero(kept) > 4 * style.MAX_POINTS
+    values = factor * rows[column]
+    for k in np.unique(rows["run"][kept]):
+        mine = rows["run"] == k
+        at = rows[axis][mine]
         broken = np.abs(np.diff(at, prepend=at[0])) > gap
-        ax.plot(at, np.where(broken, np.nan, values), rasterized=many, **look)
+        ax.plot(at, np.where(broken, np.nan, values[mine]), rasterized=many, **look)
 
 
 def _shade_spans(ax: Axes, data: VerdictData) -> list[Any]:
@@ -434,7 +396,7 @@ def _spans(data: VerdictData) -> list[tuple[float, float]]:
     found = data.diagnosis.get("fails_at") or []
     if data.axis == "t":
         return []  # spans have the clock of each recording
-    ends = sorted(_reach(s[data.axis], data.axis) for s in found)
+    ends = sorted(sorted(map(abs, s["v"]) if data.axis == "v" else s["x"]) for s in found)
     out: list[tuple[float, float]] = []
     for low, high in ends:
         if out and low <= out[-1][1]:
@@ -442,11 +404,6 @@ def _spans(data: VerdictData) -> list[tuple[float, float]]:
         else:
             out.append((low, high))
     return out
-
-
-def _reach(ends: Sequence[float], axis: str) -> tuple[float, float]:
-    low, high = sorted(map(abs, ends)) if axis == "v" else sorted(ends)
-    return low, high
 
 
 # ---- the missing force
@@ -473,12 +430,15 @@ def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
         draw_common(ax, data.figures.get(f"common_{axis}"), factor)
         handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label=f"all runs, ± {style.BAND_SIGMAS:g} std"))
     after = data.after
-    if after is not None and after.force is not None:
-        rows = _some_runs(after.along["run"])
-        force = after.force[rows] / _load_of(whole, after.along["run"][rows])
-        _draw_lines(ax, after.along["run"][rows], after.along[axis][rows], factor * force, color=AFTER,
-                    lw=1.5, ls=(0, (4, 1.2)), zorder=5)  # fmt: skip
-        handles.append(Line2D([], [], color=AFTER, lw=1.5, ls=(0, (4, 1.2)), label=_force_name(data)))
+    if after is not None and "force" in after.rows:
+        names = np.unique(after.rows["run"])
+        look: dict[str, Any] = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2))}
+        shown = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]  # spread over all
+        per_load = factor / _load_of(whole, after.rows["run"])
+        _draw_lines(ax, after.rows, axis, "force", shown, per_load, **look, zorder=5)
+        effects = after.name.removeprefix("with ").removesuffix(", as tried")
+        label = f"force of {effects}{', each run' if len(names) > 1 else ''}"
+        handles.append(Line2D([], [], label=label, **look))
     _shade_spans(ax, data)
     low, high = force_limits(whole)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
@@ -495,19 +455,6 @@ def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
         return np.ones(len(run))
     by_run = {k: whole["load"][whole["run"] == k][0] for k in np.unique(whole["run"])}
     return np.array([by_run.get(k, 1.0) for k in run])
-
-
-def _some_runs(run: Array) -> Mask:
-    """Rows of some runs, spread over all."""
-    names = np.unique(run)
-    kept = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]
-    return np.asarray(np.isin(run, kept))
-
-
-def _force_name(data: VerdictData) -> str:
-    assert data.after is not None
-    several = ", each run" if len(np.unique(data.after.along["run"])) > 1 else ""
-    return f"force of {data.after.name.removeprefix('with ').removesuffix(', as tried')}{several}"
 
 
 def _force_title(data: VerdictData) -> str:

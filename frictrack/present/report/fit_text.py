@@ -1,16 +1,15 @@
-"""Describe a fit: the error of the scale, the model's own motion, bootstrap and correlations."""
+"""Describe a fit: the error of the scale, the model's own motion and bootstrap."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import MINUS, format_number, format_quantity, format_range, join_words, lower_first
-from frictrack.fit.parameters import SCATTER_BOUNDS
-from frictrack.present.report.markup import mark_code
+from frictrack.base.number_format import format_number, format_quantity, join_words
+from frictrack.fit.penalties import SCATTER_BOUNDS
+from frictrack.present.report.markup import mark_code, sentences
 from frictrack.results import ModelResults, Results
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.verdicts import VERDICT_ONLY, certain_effects, indistinguishable_effects
@@ -82,37 +81,12 @@ def model_motion_sentences(model: ModelResults) -> list[Markup]:
     rows = [row for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
     if not rows:
         return []
-    notes = [
-        Markup("<b>{}</b>: {}.").format(row["run"], mark_code(note)) for row in rows for note in row["motion"]["notes"]
-    ]
-    precision = _motion_precision([row["motion"] for row in rows], is_adequate=not notes)
-    return [precision, *notes, *_collision_sentences(model)]
-
-
-def _motion_precision(bands: Sequence[Mapping[str, Any]], *, is_adequate: bool) -> Markup:
-    own, smooth = ([band[key] for band in bands if band[key] is not None] for key in ("sigma_a", "sigma_a_smoothed"))
-    if not (own and smooth):
-        return Markup("The model fits too badly to give an error band for its motion.")
-    force = [band["sigma_F_N"] for band in bands if band["sigma_F_N"] is not None]
-    why = "The model is more precise because it has few parameters." if is_adequate else "The model misses something."
-    return Markup(
-        "Standard deviations, rms over a run: acceleration of the model {} m/s², its friction force {} N; acceleration "
-        "by smoothing {} m/s². {}"
-    ).format(format_range(own), format_range(force), format_range(smooth), why)
-
-
-def _collision_sentences(model: ModelResults) -> Iterator[Markup]:
-    """Describe collisions by their impulse; the peak force is not known."""
-    for c in model.summary.get("collisions", []):
-        if c["impulse_N_s"] is not None and c["relative_std"] is not None:
-            yield Markup("<b>{}</b>, {} at {} ms after release: impulse {}, relative error {} %; {}.").format(
-                c["run"],
-                c["effect"],
-                format_number(1e3 * c["time_s"]) if c["time_s"] is not None else "an unknown time",
-                format_quantity(c["impulse_N_s"], c["std"], "N s"),
-                format_number(100 * c["relative_std"], 2),
-                c["words"],
-            )
+    own, smoothed, force = (
+        [row["motion"][key] for row in rows if row["motion"][key] is not None]
+        for key in ("sigma_a", "sigma_a_smoothed", "sigma_F_N")
+    )
+    notes = [(row["run"], note) for row in rows for note in row["motion"]["notes"]]
+    return sentences("motion", own, smoothed, force, notes, model.summary.get("collisions", []))
 
 
 def mark_addresses(line: str) -> Markup:
@@ -124,11 +98,7 @@ def mark_addresses(line: str) -> Markup:
     '<code>stribeck.v_s</code> is free'
 
     """
-    out, at = Markup(""), 0
-    for found in ADDRESS.finditer(line):
-        out += escape(line[at : found.start()]) + Markup("<code>{}</code>").format(found[0])
-        at = found.end()
-    return out + escape(line[at:])
+    return Markup(ADDRESS.sub(r"<code>\g<0></code>", str(escape(line))))
 
 
 def bootstrap_sentence(model: ModelResults) -> str:
@@ -143,16 +113,9 @@ def bootstrap_sentence(model: ModelResults) -> str:
     return f"Bootstrap of {bootstrap['draws']} draws from the fitted model, with {noise}{failed}."
 
 
-def correlation_sentence(first: str, second: str, r: float) -> Markup:
-    """Describe the correlation `r` of two parameters."""
-    way = "decreases" if r < 0 else "increases too"
-    return Markup(
-        "<code>{}</code> and <code>{}</code> are strongly correlated ({}): if one increases and the other {}, the "
-        "prediction hardly changes. These runs determine a combination of them better than either."
-    ).format(first, second, f"{r:+.3f}".replace("-", MINUS), way)
-
-
-MAX_GAPS = 2  # open questions whose answer is proposed
+def remarks(model: ModelResults) -> list[Markup]:
+    """Remarks on the parameters; none of a model that was stored without."""
+    return [mark_addresses(line) for line in model.summary.get("remarks", [])]
 
 
 def next_steps(results: Results) -> list[Markup]:
@@ -171,97 +134,16 @@ def next_steps(results: Results) -> list[Markup]:
     """
     study, diagnosis = results.path.name, results.diagnosis
     if results.current is None:
-        return [Markup("Fit a model: {}.").format(_command("fit", study))]
+        return [Markup("Fit a model: <code>frictrack fit {}</code>.").format(study)]
     if diagnosis is None:
-        return [Markup("Find what the model lacks: {}.").format(_command("diagnose", study))]
-    steps = list(_STEPS[diagnosis["verdict"]](diagnosis, study))
+        return [Markup("Find what the model lacks: <code>frictrack diagnose {}</code>.").format(study)]
+    certain, rivals = [], []
+    if diagnosis["verdict"] == "ambiguous":
+        certain, rivals = certain_effects(diagnosis), indistinguishable_effects(diagnosis)
+    confirm = {row.effect: row.source["words"].get("confirm") for row in candidate_rows(diagnosis)}
+    steps = sentences("next_steps", study, diagnosis, certain, rivals, confirm)
     if not diagnosis.get("complete", True):
         steps.append(mark_code(VERDICT_ONLY))
-    return [*steps, *_scale_step(results)]
-
-
-def _command(name: str, study: str, *more: str) -> Markup:
-    return Markup("<code>{}</code>").format(" ".join(("frictrack", name, study, *more)))
-
-
-def _complete(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
-    yield Markup(
-        'Use the parameters. To detect effects below the <a href="#limits">detection limits</a>, film more runs: '
-        "{} lists those that help most."
-    ).format(_command("plan", study))
-
-
-def _undetermined(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
-    for gap in (diagnosis.get("undetermined") or [])[:MAX_GAPS]:
-        if gap["settled_by"]:
-            yield Markup("To determine {}: {}.").format(
-                mark_code(gap["what"]), mark_code(lower_first(gap["settled_by"]))
-            )
-    yield Markup("{} lists the runs that would decide it.").format(_command("plan", study))
-
-
-def _missing(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
-    best = diagnosis["missing"][0]
-    yield Markup("Add it: {} fits the model again with <b>{}</b> and prints the error before and after.").format(
-        _command("add", study, best), best
-    )
-    yield from _experiment(diagnosis) or _confirm(diagnosis, [best])
-
-
-def _ambiguous(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
-    rivals = indistinguishable_effects(diagnosis)
-    first = [*certain_effects(diagnosis), *diagnosis["missing"], *rivals][0]
-    yield from _experiment(diagnosis) or _confirm(diagnosis, rivals)
-    yield Markup("To see how much <b>{}</b> explains: {}.").format(first, _command("add", study, first))
-    if formula := (diagnosis.get("unexplained") or {}).get("rival"):
-        yield Markup("To see how much {} explains: {}.").format(formula, _command("add", study, "formula:1"))
-
-
-def _unexplained(diagnosis: Mapping[str, Any], study: str) -> Iterator[Markup]:
-    left = diagnosis.get("unexplained") or {}
-    if left.get("formulas"):
-        yield Markup(
-            'To try the first formula under <a href="#missing">What is missing</a>, type {}: it is written into the '
-            "study file and fitted."
-        ).format(_command("add", study, "formula:1"))
-    elif leads := diagnosis.get("leads"):
-        yield Markup("To see how much of it <b>{}</b> explains: {}.").format(leads[0], _command("add", study, leads[0]))
-    yield from _experiment(diagnosis)
-    if not left.get("formulas"):
-        yield Markup(
-            "Film the same run twice and at another speed; {} lists runs. You can also write a cause of your own as a "
-            "formula in an <code>[[effect]]</code> table of the study file."
-        ).format(_command("plan", study))
-
-
-def _experiment(diagnosis: Mapping[str, Any]) -> list[Markup]:
-    """The best proposed experiment, if there is one."""
-    return [
-        Markup('To settle it: {}. See <a href="#settle">next experiments</a>.').format(
-            mark_code(lower_first(step["what"]))
-        )
-        for step in (diagnosis.get("next_experiment") or [])[:1]
-    ]
-
-
-def _confirm(diagnosis: Mapping[str, Any], names: list[str]) -> list[Markup]:
-    """How to confirm effects by another run."""
-    words = {row.effect: row.source["words"] for row in candidate_rows(diagnosis)}
-    found = [(name, words.get(name, {}).get("confirm")) for name in names]
-    return [Markup("To confirm <b>{}</b>: {}.").format(name, mark_code(lower_first(how))) for name, how in found if how]
-
-
-def _scale_step(results: Results) -> list[Markup]:
-    """What to write into the study file so that the error of the scale is known."""
     filmed = any(run.film is not None for run in results.runs)
     unknown = filmed and not has_measured_friction(results) and not scale_error(results)
-    return [Markup(NO_SCALE_ERROR)] if unknown else []
-
-
-_STEPS: dict[str, Callable[[Mapping[str, Any], str], Iterator[Markup]]] = {
-    "complete": _complete,
-    "undetermined": _undetermined,
-    "missing": _missing,
-    "ambiguous": _ambiguous,
-    "unexplained": _unexplained,
-}
+    return [*steps, *([Markup(NO_SCALE_ERROR)] if unknown else [])]

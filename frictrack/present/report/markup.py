@@ -5,15 +5,28 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from datetime import datetime
+from functools import cache
 from itertools import count
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from frictrack.base.glossary import hover_pattern, meaning_of
-from frictrack.base.number_format import MINUS
+from frictrack.base.number_format import (
+    MINUS,
+    describe_change,
+    format_number,
+    format_quantity,
+    format_range,
+    format_share,
+    join_words,
+    lower_first,
+    upper_first,
+)
 from frictrack.present import plots
+from frictrack.results.candidates import CandidateRow
 
 GREEK = (("delta", "δ"), ("pi", "π"), ("omega", "ω"), ("tau", "τ"))
 TICKS = re.compile(r"`([^`]+)`")
@@ -58,8 +71,8 @@ def mark_code(text: str) -> Markup:
     return Markup(TICKS.sub(r"<code>\1</code>", str(escape(text))))
 
 
-UNEXPLAINED = re.compile(  # parts of a page in which no word is explained: figures, scripts, heads, links and tags
-    r"(<(head|svg|script|h1|nav|a|code|button)\b.*?</\2>|<[^>]*>)", re.DOTALL
+UNEXPLAINED = (  # parts of a page in which no word is explained: figures, scripts, heads, links and tags
+    r"(?P<unexplained><(?P<tag>head|svg|script|h1|nav|a|code|button)\b.*?</(?P=tag)>|<[^>]*>)"
 )
 
 
@@ -75,39 +88,52 @@ def explain_words(html: str) -> str:
     seen: set[str] = set()
 
     def mark(found: re.Match[str]) -> str:
+        if found["unexplained"]:
+            if found[0].startswith(("<details", "<section")):
+                seen.clear()
+            return found[0]
         meaning = meaning_of(found[0])
         if meaning in seen:
             return found[0]
         seen.add(meaning)
         return f'<abbr tabindex="0" title="{escape(meaning)}">{found[0]}</abbr>'
 
-    parts: list[str] = []
-    at = 0
-    for skipped in UNEXPLAINED.finditer(html):
-        parts += (hover_pattern().sub(mark, html[at : skipped.start()]), skipped[0])
-        at = skipped.end()
-        if skipped[0].startswith(("<details", "<section")):
-            seen.clear()
-    return "".join((*parts, hover_pattern().sub(mark, html[at:])))
+    return re.sub(f"{UNEXPLAINED}|{hover_pattern().pattern}", mark, html, flags=re.DOTALL | re.IGNORECASE)
 
 
 ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 
 
-def page_template(name: str, *packages: str) -> Template:
-    """Load a template. Text that is written into it is escaped, and a name that it does not get is an error.
-
-    Parameters
-    ----------
-    name : str
-        File name of the template.
-    *packages : str
-        Folders in that of frictrack that are searched before `present/report`.
-
-    """
+@cache
+def _templates(*packages: str) -> Environment:
     loader = ChoiceLoader([PackageLoader("frictrack", package) for package in (*packages, "present/report")])
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return pages.get_template(name)
+    pages.filters |= {"number": format_number, "quantity": format_quantity, "range": format_range}
+    pages.filters |= {"join_words": join_words, "upper_first": upper_first, "lower_first": lower_first}
+    pages.filters |= {
+        "change_to": describe_change,
+        "code": mark_code,
+        "share": format_share,
+        "evidence": describe_evidence,
+    }
+    return pages
+
+
+def page_template(name: str, *packages: str) -> Template:
+    """Load a template. Text that is written into it is escaped, and a name that it does not get is an error."""
+    return _templates(*packages).get_template(name)
+
+
+def sentences(macro: str, *arguments: Any) -> list[Markup]:
+    """Fill in a macro of `sentences.html.j2`; every line that it gives is a sentence."""
+    module: Any = page_template("sentences.html.j2").module
+    lines = str(getattr(module, macro)(*arguments)).splitlines()
+    return [Markup(line) for line in lines if line.strip()]
+
+
+def describe_evidence(row: CandidateRow) -> str:
+    """What a candidate effect is, and the evidence for it."""
+    return f"{lower_first(row.source['words'].get('what', ''))}; {row.evidence}"
 
 
 def now() -> str:

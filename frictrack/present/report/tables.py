@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from frictrack.base.number_format import (
     DASH,
+    format_change,
     format_interval,
     format_number,
     format_quantity,
@@ -19,10 +20,12 @@ from frictrack.base.number_format import (
     format_unit,
 )
 from frictrack.present.plots import plain_name
+from frictrack.present.plots.style import axis_label
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
 from frictrack.results.error_rows import error_rows
+from frictrack.results.motion_axes import AXES
 
 Cell = str | Markup
 
@@ -128,12 +131,17 @@ def short_parameter_table(model: ModelResults) -> TextTable:
     rows = [
         (
             code_cell(name),
-            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]) + (" †" if "std_misfit" in p else ""),
+            _quantity(p) + (" †" if "std_misfit" in p else ""),
             _short_remark(p),
         )
         for name, p in shared_parameters(model).items()
     ][:MAX_FIRST_PARAMETERS]
     return make_table(("parameter", "value ± std", ""), rows, (1,))
+
+
+def _quantity(p: Mapping[str, Any] | None) -> str:
+    """A parameter with one ±, which includes the misfit of a model that fails."""
+    return DASH if p is None else format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
 
 
 def shared_parameters(model: ModelResults) -> dict[str, Mapping[str, Any]]:
@@ -167,24 +175,15 @@ def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
 
 
 def interval_table(model: ModelResults) -> TextTable:
-    """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter.
-
-    Parameters
-    ----------
-    model : ModelResults
-        The fitted model, with profiles or a bootstrap; parameters with neither are left out.
-
-    """
+    """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter."""
     summary = model.summary
     profiles, bootstrap = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
     rows = [
         (
             code_cell(name),
             format_quantity(p["value"], p["std"], p["unit"]),
-            _interval(profiles[name]["low"], profiles[name]["high"], p["unit"]) if name in profiles else "",
-            _interval(bootstrap[name]["interval"][0], bootstrap[name]["interval"][1], p["unit"])
-            if name in bootstrap
-            else "",
+            _interval([profiles[name][end] for end in ("low", "high")], p["unit"]) if name in profiles else "",
+            _interval(bootstrap[name]["interval"], p["unit"]) if name in bootstrap else "",
             format_size(bootstrap[name]["std"], p["unit"]) if name in bootstrap else "",
             "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
         )
@@ -195,66 +194,38 @@ def interval_table(model: ModelResults) -> TextTable:
     return make_table(heads, rows, (1, 2, 3, 4))
 
 
-def _interval(low: float | None, high: float | None, unit: str) -> str:
-    """Format an interval whose ends may be open."""
-    if low is None and high is None:
-        return "any"
-    if low is None or high is None:
-        return f"below {format_size(high, unit)}" if high is not None else f"above {format_size(low or 0.0, unit)}"
-    return f"{format_number(low, 4)} to {format_number(high, 4)} {format_unit(unit)}".strip()
+def _interval(ends: Sequence[float | None], unit: str) -> str:
+    known = any(end is not None for end in ends)
+    return f"{format_interval(ends, digits=4)} {format_unit(unit) if known else ''}".strip()
 
 
 def run_table(model: ModelResults) -> TextTable:
-    """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs.
-
-    Parameters
-    ----------
-    model : ModelResults
-        The fitted model.
-
-    """
+    """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs."""
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
         m = PER_RUN_NAME.match(name)
         if m:
             per_run.setdefault(m["name"], {})[m["run"]] = format_quantity(p["value"], p["std"], p["unit"])
-    rows = [
-        (
-            row["run"],
-            "" if row["role"] == "fit" else "predicted, not fitted",
-            format_number(row["level"]),
-            format_number(row.get("noise_um")),
-            format_number(row["errors"].get("rms_displacement_um")),
-            format_number(row["errors"].get("free_run_rms_um")),
-            format_number(_percent(row["errors"].get("relative_force_error"))),
-            str(row["segments"]),
-            *(values.get(row["run"], DASH) for values in per_run.values()),
-        )
-        for row in model.summary["per_run"]
-    ]
+    rows = []
+    for row in model.summary["per_run"]:
+        share = row["errors"].get("relative_force_error")
+        numbers = (row["level"], row.get("noise_um"), row["errors"].get("rms_displacement_um"),
+                   row["errors"].get("free_run_rms_um"), None if share is None else 100 * share)  # fmt: skip
+        own = (values.get(row["run"], DASH) for values in per_run.values())
+        role = "" if row["role"] == "fit" else "predicted, not fitted"
+        rows.append((row["run"], role, *map(format_number, numbers), str(row["segments"]), *own))
     errors = ("residual / µm", "free run / µm", "force error / %")
     heads = ("run", "", "friction level", "noise / µm", *errors, "segments", *per_run)
     return make_table(heads, rows, range(2, len(heads)))
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
 
 
 MIN_P_SHOWN = 1e-6  # smaller p-values get no digits: the distribution of the noise is not known that far out
 
 
 def history_table(models: Sequence[ModelResults]) -> TextTable:
-    """Table of the models in the order in which they were fitted, with their errors and verdicts.
-
-    Parameters
-    ----------
-    models : sequence of ModelResults
-        All models of the study. Errors that no model has get no column.
-
-    """
+    """Table of the models in the order in which they were fitted, with their errors and verdicts."""
     errors = error_rows(m.summary["errors"] for m in models)
-    heads = ("model", *(f"{e.name} / {_unit_in_brackets(e.unit)}" if e.unit else e.name for e in errors), "verdict")
+    heads = ("model", *(axis_label(e.name, e.unit) for e in errors), "verdict")
     rows = []
     for k, m in enumerate(models):
         name = Markup("{}. {}{}").format(k + 1, plain_name(m.name), " (current)" if m.current else "")
@@ -262,27 +233,11 @@ def history_table(models: Sequence[ModelResults]) -> TextTable:
     return make_table(heads, rows, range(1, len(errors) + 1))
 
 
-def _unit_in_brackets(unit: str) -> str:
-    return f"({unit})" if "/" in unit else unit
-
-
 def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
-    """Table of the parameters and errors of the default fit and of the papers' route.
-
-    Parameters
-    ----------
-    default, papers : ModelResults
-        The same model, fitted in both ways.
-
-    """
-    theirs = papers.summary["parameters"]
+    """Table of the parameters and errors of the default fit and of the papers' route."""
     rows: list[Sequence[Cell]] = [
-        (
-            code_cell(name),
-            format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"]),
-            _quantity_or_dash(theirs.get(name)),
-        )
-        for name, p in default.summary["parameters"].items()
+        (code_cell(name), *(_quantity(one.summary["parameters"].get(name)) for one in (default, papers)))
+        for name in default.summary["parameters"]
         if not PER_RUN_NAME.match(name)
     ]
     for e in error_rows(m.summary["errors"] for m in (default, papers)):
@@ -291,19 +246,8 @@ def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
     return make_table(heads, rows, (1, 2))
 
 
-def _quantity_or_dash(p: Mapping[str, Any] | None) -> str:
-    return DASH if p is None else format_quantity(p["value"], p["std"], p["unit"])
-
-
 def failing_span_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the spans in which a model fails.
-
-    Parameters
-    ----------
-    spans : sequence of mappings
-        The `fails_at` of a diagnosis: `run`, the ends of `t` in s, `x` in m and `v` in m/s, `share_of_error`, `p`.
-
-    """
+    """Table of the spans in which a model fails."""
     rows = [
         (
             s["run"],
@@ -322,15 +266,24 @@ def _p_value(p: float | None) -> str:
     return "" if p is None else "< 10⁻⁶" if p < MIN_P_SHOWN else format_number(p, 1)
 
 
+def repeatability_table(found: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of how far the other runs predict the misfit of each run, by axis."""
+    rows = [
+        (
+            AXES[r["axis"]].name + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
+            f"{100 * r['share']:.0f} %",
+            f"{r['runs']} of {r['of']}",
+            format_change(r["evidence"]),
+            "yes" if r["holds"] else "no",
+        )
+        for r in found
+    ]
+    headings = ("over", "misfit that the other runs predict", "runs", "evidence", "repeats")
+    return make_table(headings, rows, (1, 2, 3))
+
+
 def track_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of the films: frame rate, frames with the target, pixel pitch and its error.
-
-    Parameters
-    ----------
-    runs : sequence of RunResults
-        All runs of the study; runs without a film are left out.
-
-    """
+    """Table of the films: frame rate, frames with the target, pixel pitch and its error."""
     rows = []
     for run in runs:
         if run.film is None or run.track is None:
@@ -347,14 +300,7 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 
 
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of the measurement self-checks of each film: noise, peak locking, shake, blur.
-
-    Parameters
-    ----------
-    runs : sequence of RunResults
-        All runs of the study; runs without a film are left out.
-
-    """
+    """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
     rows = []
     for run in runs:
         if not run.quality:
@@ -393,32 +339,13 @@ def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[
     return [DEFAULTS | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
 
 
-def with_expected_evidence(steps: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Select the experiments whose expected evidence is known, so that it can be drawn."""
-    return [step for step in steps if step["expected_if_true"]]
-
-
 def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
-    """Describe the effects that no run can distinguish, and what else can.
-
-    Parameters
-    ----------
-    diagnosis : mapping or None
-        A diagnosis; None before one was made.
-
-    """
+    """Describe the effects that no run can distinguish, and what else can."""
     return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
 
 
 def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the proposed experiments, best first.
-
-    Parameters
-    ----------
-    steps : sequence of mappings
-        Experiments from `separating_experiments`.
-
-    """
+    """Table of the proposed experiments, best first."""
     rows = [
         (f"{k}.", mark_code(step["what"]), step["tells"], format_number(step["expected_delta_bic"], 2))
         for k, step in enumerate(steps, 1)
@@ -458,14 +385,7 @@ class CandidateCard:
 
 
 def candidate_cards(rows: Sequence[CandidateRow]) -> list[CandidateCard]:
-    """Describe candidates, one card each.
-
-    Parameters
-    ----------
-    rows : sequence of CandidateRow
-        From `frictrack.results.candidates.candidate_rows`.
-
-    """
+    """Describe candidates, one card each."""
     return [
         CandidateCard(
             row=row,
@@ -484,14 +404,7 @@ def _held_out_words(row: CandidateRow) -> list[str]:
 
 
 def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]:
-    """Tables of the candidates that were found or cannot be told from those, and of the others.
-
-    Parameters
-    ----------
-    rows : sequence of CandidateRow
-        From `frictrack.results.candidates.candidate_rows`.
-
-    """
+    """Tables of the candidates that were found or cannot be told from those, and of the others."""
     heads = ("effect", "", "held-out error", "explains alone", "p", "delta BIC")
     shown = [row for row in rows if row.kind in MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
 
@@ -513,14 +426,7 @@ def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]
 
 
 def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the misfit that each effect explains alone and after the effects above it.
-
-    Parameters
-    ----------
-    diagnosis : mapping
-        The JSON of a diagnosis. Without `importance` the table is empty.
-
-    """
+    """Table of the misfit that each effect explains alone and after the effects above it."""
     rows = []
     for row in diagnosis.get("importance") or []:
         shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
@@ -536,14 +442,7 @@ def _share_of_misfit(share: float | None) -> str:
 
 
 def undetermined_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the questions that the runs leave open, and what would answer them.
-
-    Parameters
-    ----------
-    diagnosis : mapping
-        The JSON of a diagnosis. Without `undetermined` the table is empty.
-
-    """
+    """Table of the questions that the runs leave open, and what would answer them."""
     rows = [
         (mark_code(gap["what"]), mark_code(gap["why"]), mark_code(gap["settled_by"] or ""))
         for gap in diagnosis.get("undetermined") or []
@@ -552,23 +451,16 @@ def undetermined_table(diagnosis: Mapping[str, Any]) -> TextTable:
 
 
 def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the smallest size of each effect that 95 of 100 repeats would detect.
-
-    Parameters
-    ----------
-    diagnosis : mapping
-        The JSON of a diagnosis, with `detection_limits`.
-
-    """
+    """Table of the smallest size of each effect that 95 of 100 repeats would detect."""
     rows = [
-        (code_cell(name), _limit(limit), limit.get("reason") or _worst_setting(name, limit))
+        (
+            code_cell(name),
+            DASH if limit["value"] is None else format_size(limit["value"], limit["unit"]),
+            limit.get("reason") or _worst_setting(name, limit),
+        )
         for name, limit in diagnosis["detection_limits"].items()
     ]
     return make_table(("effect", "detectable from", "at the least favourable"), rows, (1,))
-
-
-def _limit(limit: Mapping[str, Any]) -> str:
-    return DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
 
 
 def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
@@ -607,22 +499,8 @@ def source_table(runs: Sequence[RunResults]) -> TextTable:
 
 
 def _budget_cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
-    last = row["source"] == "total"
-    size = (
-        ""
-        if last
-        else "not known"
-        if row["size"] is None
-        else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
-    )
-    share = "" if row["share_mean"] is None or last else f"{100 * row['share_mean']:.0f} %"
-    name: Cell = Markup("<b>total</b>") if last else row["source"]
-    return (
-        name,
-        size,
-        row["told"],
-        format_number(row["mean_N"], 2),
-        share,
-        format_number(row["frame_N"], 2),
-        row["common"],
-    )
+    size = "not known" if row["size"] is None else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
+    share = "" if row["share_mean"] is None else f"{100 * row['share_mean']:.0f} %"
+    name, size, share = (row["source"], size, share) if row["source"] != "total" else (Markup("<b>total</b>"), "", "")
+    mean, frame = (format_number(row[key], 2) for key in ("mean_N", "frame_N"))
+    return name, size, row["told"], mean, share, frame, row["common"]

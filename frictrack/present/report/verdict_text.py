@@ -9,11 +9,16 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import describe_change, format_number, join_words, lower_first
+from frictrack.base.number_format import (
+    describe_change,
+    format_number,
+    join_words,
+    upper_first,
+)
 from frictrack.present.plots import noise_um, plain_name
-from frictrack.present.report.markup import mark_code
+from frictrack.present.report.markup import describe_evidence, sentences
 from frictrack.results import ModelResults, Results
-from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.candidates import candidate_rows
 from frictrack.results.error_rows import held_out_error
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import certain_effects, describe_alternatives, indistinguishable_effects
@@ -69,12 +74,13 @@ def study_verdict(results: Results) -> VerdictText:
     if model is None:
         return VerdictText("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
     kind = diagnosis["verdict"] if diagnosis else ""
-    sentences = [*_added_effects(results.models)]
+    paragraph = [*_added_effects(results.models)]
     if diagnosis:
-        sentences += _VERDICT_SENTENCES[kind](model, diagnosis)
-        if rests := diagnosis.get("rests_on_repairs"):
-            sentences.append(Markup("<b>{}</b>.").format(_capitalised(rests)))
-    return VerdictText(_headline(results, model, kind), tuple(sentences), kind, _runs_and_model(model))
+        rows = {row.effect: row for row in candidate_rows(diagnosis)}
+        rivals = indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
+        alternatives = describe_alternatives(diagnosis)
+        paragraph += sentences("verdict", diagnosis, _residual(model), rows, rivals, alternatives, AXES)
+    return VerdictText(_headline(results, model, kind), tuple(paragraph), kind, _runs_and_model(model))
 
 
 def effect_names(names: Sequence[str]) -> str:
@@ -125,7 +131,7 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
         added = [effect for *_, effect in single_additions(results.models) if effect in model.summary["model"]]
         if added:
             verb = "explains" if len(added) == 1 else "explain"
-            return f"{_capitalised(join_words(added))} {verb} the misfit; nothing else is detectable"
+            return f"{upper_first(join_words(added))} {verb} the misfit; nothing else is detectable"
         return f"{name} is complete for these runs"
     if kind == "undetermined":
         gaps = diagnosis.get("undetermined") or [{"what": "the law"}]
@@ -134,10 +140,6 @@ def _headline(results: Results, model: ModelResults, kind: str) -> str:
         unclear = "the last of them" if certain_effects(diagnosis) else "them"
         return f"{name} {model_status(diagnosis)}: these runs cannot distinguish {unclear}"
     return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _runs_and_model(model: ModelResults) -> str:
@@ -156,7 +158,7 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     (old, unit), (new, _) = held_out_error(first.summary["errors"]), held_out_error(last.summary["errors"])
     effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
     found = [row for row in candidate_rows(first.diagnosis) if len(added) == 1 and row.effect == added[0][2]]
-    why = Markup(" ({})").format(_evidence(found[0])) if found else Markup("")
+    why = Markup(" ({})").format(describe_evidence(found[0])) if found else Markup("")
     yield Markup("{} lacked {}{}: with {} the held-out error {}.").format(
         plain_name(first.name),
         Markup(effects),
@@ -166,90 +168,8 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     )
 
 
-def _complete(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    yield Markup(
-        "No further effect of the library is significant: {}lack of fit has p = {}. "
-        "This holds for these runs and this library; smaller effects than the "
-        '<a href="#limits">detection limits</a> would not be detected.'
-    ).format(_residual(model), format_number(diagnosis["p_lack_of_fit"], 2))
-
-
 def _residual(model: ModelResults) -> str:
     rms, noise = model.summary["errors"].get("rms_displacement_um"), noise_um(model)
     if rms is None or noise is None:
         return ""
     return f"the residual is {format_number(rms)} µm, the noise {format_number(noise)} µm, "
-
-
-def _undetermined(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    yield Markup("These runs cannot show whether something is missing: {}lack of fit has p = {}.").format(
-        _residual(model), format_number(diagnosis["p_lack_of_fit"], 2)
-    )
-    for gap in diagnosis["undetermined"][:MAX_GAPS_NAMED]:
-        yield Markup("Undetermined: <b>{}</b>: {}.").format(gap["what"], mark_code(gap["why"]))
-    more = len(diagnosis["undetermined"]) - MAX_GAPS_NAMED
-    if more > 0:
-        yield Markup('{} more {} under <a href="#missing">What is missing</a>.').format(
-            more, "question is" if more == 1 else "questions are"
-        )
-
-
-def _missing(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    yield _model_fails(model, diagnosis)
-    rows = {row.effect: row for row in candidate_rows(diagnosis)}
-    for effect in diagnosis["missing"]:
-        if effect not in rows:
-            yield Markup("With it in the model, <b>{}</b> is missing too.").format(effect)
-            continue
-        row = rows[effect]
-        added = f" in addition to {join_words(row.added_to)}" if row.added_to else ""
-        change = f"; the held-out error {describe_change(row.before, row.after, row.unit)}" if row.held_out else ""
-        yield Markup("Missing{}: <b>{}</b> ({}{}).").format(added, effect, _evidence(row), change)
-
-
-def _evidence(row: CandidateRow) -> str:
-    """What an effect is, and the evidence for it."""
-    return f"{lower_first(row.source['words'].get('what', ''))}; {row.evidence}"
-
-
-def _model_fails(model: ModelResults, diagnosis: Mapping[str, Any]) -> Markup:
-    return Markup("The model fails: {}reduced chi-squared is {}.").format(
-        _residual(model), format_number(diagnosis["reduced_chi2"])
-    )
-
-
-def _ambiguous(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    yield from _missing(model, diagnosis)
-    first, *others = indistinguishable_effects(diagnosis)
-    if others:
-        yield Markup("In place of <b>{}</b>, <b>{}</b> would predict the same data within the noise.").format(
-            first, join_words(others, "or")
-        )
-    for words in describe_alternatives(diagnosis):
-        yield Markup("{}.").format(_capitalised(words))
-    left = diagnosis.get("unexplained") or {}
-    if left.get("rival"):
-        yield Markup("{}.").format(_capitalised(left["words"]))
-
-
-def _unexplained(model: ModelResults, diagnosis: Mapping[str, Any]) -> Iterator[Markup]:
-    yield _model_fails(model, diagnosis)
-    left = diagnosis.get("unexplained")
-    if left and left.get("words"):
-        yield Markup("No effect of the library explains it: {}.").format(left["words"])
-        return
-    if leads := diagnosis.get("leads"):
-        yield Markup("Leads, no causes: with <b>{}</b> a misfit remains.").format(join_words(leads))
-    elif not any(row.passes for row in candidate_rows(diagnosis)):
-        yield Markup("No effect of the library passes.")
-    if left:
-        yield Markup("The remaining misfit repeats best with {}.").format(AXES[left["axis"]].name)
-
-
-_VERDICT_SENTENCES = {
-    "complete": _complete,
-    "undetermined": _undetermined,
-    "missing": _missing,
-    "ambiguous": _ambiguous,
-    "unexplained": _unexplained,
-}

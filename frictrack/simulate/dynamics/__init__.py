@@ -10,8 +10,14 @@ The simulator and the fit share this integrator. Three steps use it:
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.dynamics.collocation import NODES, CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.edge_response import EdgeResponse
-from frictrack.simulate.dynamics.linear_response import LinearResponse
-from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
+from frictrack.simulate.dynamics.collocation import (
+    NODES,
+    CollocationSolution,
+    EdgeResponse,
+    KrylovResponse,
+    LinearResponse,
+    MotionResponse,
+    Panels,
+    Start,
+)
 from frictrack.simulate.dynamics.solver import linearise_acceleration, solve_motion, solve_simplified_newton

@@ -2,17 +2,34 @@
 
 The method is Gauss-Legendre collocation of order 6 at the panel edges (Hairer, Norsett & Wanner 1993, Solving Ordinary
 Differential Equations I, section II.7). `_A` and `_B` are its Butcher tableau; for x'' the tableau is applied twice.
+
+The linear response of a motion is how it changes under a small force or a small change of the start.
+
+The law is linearised along the motion: x'' = a_x x + a_v v + g. Within a panel that is a 3 x 3 system for the node
+accelerations; from panel to panel the state (x, v) is carried on by a block bidiagonal system, solved as a banded one.
+
+`EdgeResponse` answers many forces at once, given at the panel edges. The state z = (x, v) answers an acceleration g by
+z[i + 1] = M[i] z[i] + w[i], w linear in g. With the fundamental matrix P[i + 1] = M[i] P[i] this is z = P times the
+running sum of P^-1 w: two running sums per row (variation of constants; Hairer, Norsett & Wanner 1993, Solving Ordinary
+Differential Equations I, section I.11). Within a panel g is the cubic through its values at the nearest four edges.
+
+A force with memory depends on the whole motion so far, so derivatives at single nodes do not describe it.
+`KrylovResponse` is solved iteratively from directional differences of the law itself; the response without memory is
+the preconditioner (Newton-Krylov methods: Knoll & Keyes 2004, J. Comput. Phys. 193, 357-397).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtbtrs
 
+from frictrack.base.errors import FrictrackError
 from frictrack.records import Array, Mask
 
 Start = float | Array  # of one motion, or of each of several (R,)
@@ -190,3 +207,461 @@ class CollocationSolution:
         return CollocationSolution(
             panels, self.x[nodes], self.v[nodes], self.a[nodes], self.x_edge[edges], self.v_edge[edges]
         )
+
+
+class LinearResponse:
+    """Linear response x'' = a_x x + a_v v + g of a motion on p panels, or of R motions laid end to end.
+
+    Parameters
+    ----------
+    panels
+        Time axis.
+    a_x, a_v
+        Derivatives of the acceleration with respect to position (1/s^2) and velocity (1/s) at the nodes, each (3 p,).
+
+    """
+
+    def __init__(self, panels: Panels, a_x: Array, a_v: Array) -> None:
+        self.panels = panels
+        self._a_x, self._a_v = a_x, a_v
+
+    def acceleration(self, dx: Array, dv: Array) -> Array:
+        """Change of the acceleration at the nodes (3 p,), m/s^2, by small changes of position and velocity there."""
+        return self._a_x * dx + self._a_v * dv
+
+    def part(self, panels: Panels, nodes: slice) -> LinearResponse:
+        """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
+        return LinearResponse(panels, self._a_x[nodes], self._a_v[nodes])
+
+    # arrays over the panels end with the panel axis, so that every operation runs over all panels at once
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """Accelerations at the nodes per unit of what acts there, within one panel, (3, 3, p)."""
+        h, ax, av = self.panels.h, self._a_x.reshape(-1, 3).T, self._a_v.reshape(-1, 3).T
+        stiffness = -(ax * h**2)[:, None] * _AA[:, :, None] - (av * h)[:, None] * _A[:, :, None]
+        return _invert_3x3(stiffness + np.eye(3)[:, :, None])
+
+    @cached_property
+    def _by_start(self) -> Array:
+        """What the panel's first position and velocity act at the nodes, (3, 2, p)."""
+        ax, av = self._a_x.reshape(-1, 3).T, self._a_v.reshape(-1, 3).T
+        return np.stack([ax, ax * self.panels.h * NODES[:, None] + av], axis=1)
+
+    @cached_property
+    def end_gain(self) -> Array:
+        """State at the end of each panel per unit of acceleration at its nodes, (2, 3, p)."""
+        h = self.panels.h
+        return np.einsum("cip,ijp->cjp", np.stack([h**2 * _BA[:, None], h * _B[:, None]]), self._inverse)
+
+    @cached_property
+    def transition(self) -> Array:
+        """State at the end of each panel per unit of the state at its beginning, (2, 2, p)."""
+        out: Array = np.einsum("cjp,jsp->csp", self.end_gain, self._by_start)
+        out[0, 0] += 1
+        out[0, 1] += self.panels.h
+        out[1, 1] += 1
+        return out
+
+    @cached_property
+    def _band(self) -> Array:
+        """The system that carries states from panel to panel, as LAPACK lower bands."""
+        return _bidiagonal_band(self.transition, self.panels)
+
+    def newton_step(self, residual: Array) -> tuple[Array, Array]:
+        """Newton correction (node accelerations (3 p,), edge positions (p + R,)) for a residual (3 p,)."""
+        a, edges = self.respond_to_one(residual, np.zeros((2, 1)))
+        return a, edges[0]
+
+    def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under one small input.
+
+        Parameters
+        ----------
+        g
+            Added acceleration at the nodes, m/s^2, shape (3 p,).
+        start
+            Change of position (m) and velocity (m/s) at the first edge of every motion, (2, R).
+
+        Returns
+        -------
+        tuple of arrays
+            Change of the node accelerations (3 p,), and of the state (x, v) at the edges, (2, p + R).
+
+        """
+        at_nodes = np.ascontiguousarray(g.reshape(-1, 3).T)
+        edges = self.carry(start[None], np.einsum("cjp,jp->cp", self.end_gain, at_nodes)[None])[0]
+        at_nodes += np.einsum("jsp,sp->jp", self._by_start, edges[:, self.panels.begin])
+        return np.einsum("ijp,jp->pi", self._inverse, at_nodes).ravel(), edges
+
+    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under k small inputs.
+
+        Parameters
+        ----------
+        g
+            Added acceleration at the nodes, m/s^2, shape (3 p, k).
+        start
+            Change of position (m) and velocity (m/s) at the first edge of every motion, shape (2, k).
+
+        Returns
+        -------
+        tuple of arrays
+            Change of the node accelerations (3 p, k), and of the state (x, v) at the edges, (p + R, 2, k).
+
+        """
+        pairs = [self.respond_to_one(own, first[:, None]) for own, first in zip(g.T, start.T, strict=True)]
+        nodes = np.stack([a for a, _ in pairs], axis=1) if pairs else np.zeros_like(g)
+        return nodes, self.edge_states(g, start)
+
+    def edge_states(self, g: Array, start: Array | None = None) -> Array:
+        """Change of the state at the edges, (p + R, 2, k), under inputs g (3 p, k) and starts (2, k), default zero."""
+        k = g.shape[1]
+        at_nodes = np.ascontiguousarray(g.T.reshape(k, -1, 3).transpose(2, 0, 1))
+        kicks = np.einsum("cjp,jkp->kcp", self.end_gain, at_nodes)
+        first = np.zeros((k, 2, 1)) if start is None else start.T[:, :, None]
+        return self.carry(first, kicks).transpose(2, 1, 0)
+
+    def carry(self, start: Array, kicks: Array) -> Array:
+        """States (k, 2, p + R) at the edges from starts (k, 2, R or 1) and kicks (k, 2, p)."""
+        k, panels = len(kicks), self.panels
+        chain = np.empty((k, len(panels.edges), 2))
+        states = chain.transpose(0, 2, 1)
+        if len(panels.starts) == 1:
+            states[:, :, 1:] = kicks
+        else:
+            states[:, :, panels.begin + 1] = kicks
+        states[:, :, list(panels.starts)] = start
+        solved, info = dtbtrs(self._band, chain.reshape(k, -1).T, uplo="L", diag="U", overwrite_b=True)
+        if info:
+            raise FrictrackError("the motion could not be integrated: the linear system is singular")
+        return np.asarray(solved.T.reshape(k, -1, 2).transpose(0, 2, 1))
+
+
+def _invert_3x3(m: Array) -> Array:
+    """Invert 3 x 3 matrices (3, 3, p) by cofactors, which is accurate here: short panels put them near the identity.
+
+    Raises FrictrackError if one of them is singular.
+    """
+    out = np.empty_like(m)
+    for i in range(3):
+        for j in range(3):
+            k, n, q, r = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            out[j, i] = m[k, q] * m[n, r] - m[k, r] * m[n, q]
+    size = m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0]
+    if not size.all():
+        raise FrictrackError("the motion could not be integrated: the linear system is singular")
+    out /= size
+    return out
+
+
+def _bidiagonal_band(transition: Array, panels: Panels) -> Array:
+    """Store the block bidiagonal system z[i + 1] - M[i] z[i] = w[i] as LAPACK lower bands, (4, 2 p + 2 R).
+
+    Nothing is carried from the last edge of a motion to the first of the next.
+    """
+    band = np.zeros((len(panels.edges), 2, 4))  # as LAPACK reads it: column by column
+    band[:, :, 0] = 1.0
+    begin = panels.begin
+    band[begin, 0, 2] = -transition[0, 0]
+    band[begin, 1, 1] = -transition[0, 1]
+    band[begin, 0, 3] = -transition[1, 0]
+    band[begin, 1, 2] = -transition[1, 1]
+    return band.reshape(-1, 4).T
+
+
+MAX_CONDITION = 1e8  # of the fundamental matrix; beyond it running sums lose digits and panels are chained instead
+N_INTERPOLATION_EDGES = 4  # of a cubic
+
+
+class EdgeResponse:
+    """Map accelerations at the panel edges to displacements there, at an unchanged start.
+
+    Call it with accelerations (k, p + 1), m/s^2; it returns displacements (k, p + 1), m.
+
+    Parameters
+    ----------
+    linear
+        Response of the motion on p panels.
+
+    Attributes
+    ----------
+    fundamental
+        State (x, v) at each edge per unit of the state at the first edge, shape (p + 1, 2, 2).
+    stiff
+        Whether panels are chained one by one, because the fundamental matrix is ill-conditioned.
+    weights
+        Of the running sums, shape (5, p + 1), unless stiff: two rows multiply the accelerations before each sum, two
+        the sums, the last one the acceleration at the edge.
+
+    """
+
+    def __init__(self, linear: LinearResponse) -> None:
+        self._linear = linear
+        first, weights = _stencils(linear.panels)
+        self._first_edge = first
+        self._kick = linear.end_gain.transpose(2, 0, 1) @ weights  # (p, 2, 4)
+        self.fundamental = _fundamental(linear.transition.transpose(2, 0, 1))  # (p + 1, 2, 2)
+        with np.errstate(all="ignore"):  # singular where a state that is forgotten falls below the smallest number
+            condition = np.abs(self.fundamental).max(axis=(1, 2)) ** 2 / np.abs(np.linalg.det(self.fundamental))
+        self.stiff = not float(condition.max()) < MAX_CONDITION
+        if not self.stiff:
+            sums, own = self._running_sums(np.linalg.inv(self.fundamental)[1:] @ self._kick)
+            self.weights = np.concatenate([sums, self.fundamental[:, 0].T, own[None]])
+
+    @property
+    def starts(self) -> Array:
+        """Displacement at the edges per unit of start position (m) and of start velocity (m/s), shape (2, p + 1)."""
+        return np.ascontiguousarray(self.fundamental[:, 0].T)
+
+    def __call__(self, g: Array) -> Array:
+        """Displacements (k, p + 1) for accelerations (k, p + 1)."""
+        return self._by_chaining(g) if self.stiff else self._by_running_sums(g)
+
+    def _by_chaining(self, g: Array) -> Array:
+        """The same displacements by the banded system of `LinearResponse.carry`."""
+        nearest = g.T[self._first_edge[:, None] + np.arange(N_INTERPOLATION_EDGES)]  # (p, 4, k)
+        kicks = (self._kick @ nearest).transpose(2, 1, 0)
+        return np.ascontiguousarray(self._linear.carry(np.zeros((len(g), 2, 1)), kicks)[:, 0])
+
+    def _by_running_sums(self, g: Array) -> Array:
+        out = g * self.weights[0]
+        np.cumsum(out, axis=-1, out=out)
+        out *= self.weights[2]
+        other = g * self.weights[1]
+        np.cumsum(other, axis=-1, out=other)
+        other *= self.weights[3]
+        out += other
+        out += np.multiply(g, self.weights[4], out=other)
+        return out
+
+    def _running_sums(self, kick: Array) -> tuple[Array, Array]:
+        """Weights (2, p + 1) of both running sums, and the correction (p + 1,) to them at each edge.
+
+        A running sum up to an edge counts the cubics of the next panels only in part. For a smooth g the difference
+        is a multiple of g at that edge.
+        """
+        p = len(kick)
+        sums, early = np.zeros((2, p + 1)), np.zeros((p + 1, 2))
+        panel = np.arange(p)
+        for k in range(N_INTERPOLATION_EDGES):
+            at = self._first_edge + k
+            for total, own in zip(sums, kick[:, :, k].T, strict=True):
+                np.add.at(total, at, own)
+            for last in (
+                at + gap for gap in range(-N_INTERPOLATION_EDGES + 1, N_INTERPOLATION_EDGES)
+            ):  # edges up to which is summed
+                inside = (last >= 0) & (last <= p)
+                before, counted = inside & (panel < last) & (at > last), inside & (panel >= last) & (at <= last)
+                np.add.at(early, last[before], kick[before, :, k])
+                np.add.at(early, last[counted], -kick[counted, :, k])
+        return sums, np.einsum("mc,mc->m", early, self.fundamental[:, 0])
+
+
+def _stencils(panels: Panels) -> tuple[NDArray[np.int_], Array]:
+    """First of the four edges that interpolate each panel (p,), and the Lagrange weights at its nodes (p, 3, 4)."""
+    p = len(panels.h)
+    first = np.clip(np.arange(p) - 1, 0, max(p + 1 - N_INTERPOLATION_EDGES, 0))
+    edges = panels.edges[first[:, None] + np.arange(N_INTERPOLATION_EDGES)]
+    nodes = panels.t.reshape(-1, len(NODES))
+    weights = np.ones((p, len(NODES), N_INTERPOLATION_EDGES))
+    for k in range(N_INTERPOLATION_EDGES):
+        for other in range(N_INTERPOLATION_EDGES):
+            if other != k:
+                gap = (edges[:, k] - edges[:, other])[:, None]
+                weights[:, :, k] *= (nodes - edges[:, other, None]) / gap
+    return first, weights
+
+
+def _fundamental(transition: Array) -> Array:
+    """State at each edge per unit of the state at the first, (p + 1, 2, 2): running products of (p, 2, 2)."""
+    out = np.empty((len(transition) + 1, 2, 2))
+    out[0] = np.eye(2)
+    (a, b, c, d), (e, f, g, h) = (1.0, 0.0, 0.0, 1.0), transition.reshape(-1, 4).T.tolist()
+    for i, (m, n, o, q) in enumerate(zip(e, f, g, h, strict=True), start=1):
+        a, b, c, d = m * a + n * c, m * b + n * d, o * a + q * c, o * b + q * d
+        out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = a, b, c, d
+    return out
+
+
+MAX_KRYLOV_DIRECTIONS = 80
+N_FIRST_DIRECTIONS = 16  # that have room at first
+MAX_CANCELLATION = 0.7  # share that remains after orthogonalisation; below it rounding errors are removed once more
+MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
+SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
+CORRECTED_RTOL = 1e-4  # the same of its sum of directions, computed anew
+MAX_CORRECTIONS, MIN_CORRECTION = 3, 0.5  # of this sum, and the share that one leaves at most
+NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
+
+
+@dataclass(eq=False)
+class _Directions:
+    """Solved directions: their inputs, node accelerations (m, 3 p) and edge states (m, 2 p + 2).
+
+    The inputs are kept orthonormal (m, 3 p); `upper` (m, m) holds how the solved inputs are made of them. The arrays
+    have room for more; `count` are in use.
+    """
+
+    inputs: Array
+    upper: Array
+    accelerations: Array
+    edges: Array
+    count: int = 0
+
+    @classmethod
+    def with_room(cls, nodes: int, edges: int) -> _Directions:
+        """No directions yet."""
+        m = N_FIRST_DIRECTIONS
+        return cls(np.empty((m, nodes)), np.zeros((m, m)), np.empty((m, nodes)), np.empty((m, edges)))
+
+    def append(self, w: Array, a: Array, edges: Array) -> bool:
+        """Add the solution of an input w (3 p,); False if the known directions make up all of it."""
+        made_of, new = self._orthogonalised(w)
+        size = float(np.linalg.norm(new))
+        if not size > MIN_NEW_SHARE * float(np.linalg.norm(w)):
+            return False
+        if self.count == len(self.inputs):
+            self.inputs, self.accelerations, self.edges = (
+                np.concatenate([q, np.empty_like(q)]) for q in (self.inputs, self.accelerations, self.edges)
+            )
+            self.upper = np.pad(self.upper, (0, self.count))
+        self.inputs[self.count], self.accelerations[self.count], self.edges[self.count] = new / size, a, edges
+        self.upper[: self.count, self.count], self.upper[self.count, self.count] = made_of, size
+        self.count += 1
+        return True
+
+    def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array]:
+        """Components of an input (3 p,) in the orthonormal inputs from `last` on, and what is left of it."""
+        used = self.inputs[last : self.count]
+        c = used @ inputs
+        return c, inputs - c @ used
+
+    def _orthogonalised(self, w: Array) -> tuple[Array, Array]:
+        """Components (m,) of an input in the known ones, and what is left of it."""
+        made_of, left = self.components(w)
+        if np.linalg.norm(left) < MAX_CANCELLATION * np.linalg.norm(w):
+            again, left = self.components(left)  # twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
+            made_of = made_of + again
+        return made_of, left
+
+    def solution(self, components: Array) -> tuple[Array, Array]:
+        """Node accelerations (3 p,) and edge states (2 p + 2,) under an input of given components (m,)."""
+        m = len(components)
+        c = solve_triangular(self.upper[:m, :m], components, check_finite=False) if m else components
+        return c @ self.accelerations[:m], c @ self.edges[:m]
+
+
+class KrylovResponse:
+    """Linear response of a motion under a law with memory, with the interface of `LinearResponse`.
+
+    Directions that were solved for one input are reused for the next.
+
+    Parameters
+    ----------
+    local
+        Response of the same law without its memory; the preconditioner.
+    tangent
+        Function of node accelerations (3 p,) and of a change of the start (2,). It returns the change of the law's
+        acceleration (3 p,) along that small change of the motion.
+
+    """
+
+    def __init__(self, local: LinearResponse, tangent: Callable[[Array, Array], Array]) -> None:
+        self._local, self._tangent = local, tangent
+        self._directions = _Directions.with_room(len(local.panels.t), 2 * len(local.panels.edges))
+
+    def newton_step(self, residual: Array) -> tuple[Array, Array]:
+        """Newton correction (node accelerations (3 p,), edge positions (p + 1,)) for a residual (3 p,)."""
+        a, edges = self.solve(residual, np.zeros(2), NEWTON_STEP_RTOL)
+        return a, edges[:, 0]
+
+    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under k small inputs; see `LinearResponse.respond`.
+
+        Raises
+        ------
+        FrictrackError
+            If the response grows beyond all bounds.
+
+        """
+        pairs = [self._solve_and_correct(g[:, j], start[:, j]) for j in range(g.shape[1])]
+        if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
+            raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
+        a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
+        return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
+
+    def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Compute the change of the motion under one small input; see `LinearResponse.respond_to_one`."""
+        a, edges = self._solve_and_correct(g, start[:, 0])
+        return a, edges.T
+
+    def edge_states(self, g: Array, start: Array) -> Array:
+        """Compute the change of the state at the edges, (p + 1, 2, k), under inputs g (3 p, k) and starts (2, k)."""
+        return self.respond(g, start)[1]
+
+    @np.errstate(all="ignore")
+    def _solve_and_correct(self, g: Array, start: Array) -> tuple[Array, Array]:
+        """Solve for one input, and correct the solution while that helps (iterative refinement).
+
+        Directions of a stiff contact cancel by four decimals, and so multiply the errors of their differences: what
+        the sum of them leaves is computed anew.
+        """
+        a, edges = self.solve(g, start)
+        left = g + self._tangent(a, start) - a
+        tolerance = CORRECTED_RTOL * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+        for _ in range(MAX_CORRECTIONS):
+            size = float(np.linalg.norm(left))
+            if not size > tolerance:
+                break
+            more, more_edges = self.solve(left, np.zeros(2), max(SENSITIVITY_RTOL, tolerance / size))
+            better = g + self._tangent(a + more, start) - a - more
+            if not float(np.linalg.norm(better)) < MIN_CORRECTION * size:
+                break
+            a, edges, left = a + more, edges + more_edges, better
+        return a, edges
+
+    @np.errstate(all="ignore")  # a response that grows beyond all bounds becomes NaN
+    def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:
+        """Solve for one input by generalised conjugate residuals, preconditioned from the right.
+
+        Parameters
+        ----------
+        g
+            Added acceleration at the nodes, m/s^2, shape (3 p,).
+        start
+            Change of position and velocity at the first edge, (2,).
+        rtol
+            Norm of the residual over the norm of the input at which the iteration ends.
+
+        Returns
+        -------
+        tuple of arrays
+            Change of the node accelerations (3 p,), and of the state at the edges (p + 1, 2). Both are NaN if the law
+            runs off to infinity.
+
+        References
+        ----------
+        Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20, 345-357.
+
+        """
+        a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
+        residual = g + self._tangent(a, start) - a if np.any(start) else g
+        tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
+        components = np.zeros(0)
+        for left in range(MAX_KRYLOV_DIRECTIONS, -1, -1):
+            own, residual = self._directions.components(residual, len(components))
+            components, size = np.append(components, own), float(np.linalg.norm(residual))
+            if size <= tolerance or not left or not self._add_direction(residual / size):
+                break
+        if not np.all(np.isfinite(residual)):
+            return np.full_like(a, np.nan), np.full_like(edges, np.nan)
+        a_own, edges_own = self._directions.solution(components)
+        return a + a_own, edges + edges_own.reshape(edges.shape)
+
+    def _add_direction(self, toward: Array) -> bool:
+        """Solve one more direction; False if nothing new remains of it."""
+        a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
+        return self._directions.append(a - self._tangent(a, np.zeros(2)), a, edges.ravel())
+
+
+MotionResponse = LinearResponse | KrylovResponse

@@ -8,16 +8,21 @@ response of `memory_response`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.dynamics.collocation import CollocationSolution, Panels, Start
-from frictrack.simulate.dynamics.linear_response import LinearResponse
-from frictrack.simulate.dynamics.memory_response import KrylovResponse, MotionResponse
+from frictrack.simulate.dynamics.collocation import (
+    CollocationSolution,
+    KrylovResponse,
+    LinearResponse,
+    MotionResponse,
+    Panels,
+    Start,
+)
 
 MAX_NEWTON_STEPS = 30
 MAX_DISPLACEMENT_M = 1e6  # beyond it the iteration has diverged
@@ -33,9 +38,6 @@ SWEEP_PANELS, MIN_SWEEP_PANELS = 64, 4  # panels per window of a sweep: first tr
 SWEEP_TOLERANCE_M = 1e-12  # at which a window of a sweep has converged
 MAX_SIMPLIFIED_STEPS = 25
 MAX_CHORD_STEPS, MAX_CHORD_RATE = 12, 0.3  # steps with the response of a near motion; by which their size has to fall
-SEGMENT_PANELS = 16  # panels per segment where all panels together do not converge
-MAX_MARCHED_PANELS = 2048  # the time of segments grows with the square of their number
-SEGMENT_TOLERANCE_M = 1e-10  # at which a segment has converged
 
 Acceleration = Callable[[Array, Array, Array], Array]  # (x, v, t) -> x'', each (3 p,)
 # (x, v, step in x, step in v) -> x'' and its derivatives by x and v, each (3 p,)
@@ -181,10 +183,6 @@ def solve_motion(  # noqa: PLR0913 - one door to the solver, all settings named
         if solved is None:
             guess = _sweep_windows(law, guess) if memory else guess
             solved = _newton(law, guess, tolerance)
-        # beside a near motion the caller rather takes a shorter step
-        if solved is None and memory and near is None and len(panels.h) <= MAX_MARCHED_PANELS:
-            marched = _march_segments(law, guess)
-            solved = None if marched is None else _newton(law, marched, tolerance)
     if solved is None:
         raise FrictrackError(
             "the motion under this law could not be integrated; check mass, drive and the sign of incline "
@@ -346,24 +344,4 @@ def _sweep_windows(law: _Law, a: Array) -> Array:
         if present is not None:
             present = present.after(x, v, now)
             x, v = x[-1:], v[-1:]
-    return a
-
-
-def _march_segments(law: _Law, a: Array) -> Array | None:
-    """Solve segment by segment, because later forces do not act on earlier motion; node accelerations (3 p,)."""
-    done, count, total = 0, SEGMENT_PANELS, len(law.panels.h)
-    a = a.copy()
-    while done < total:
-        until = min(done + count, total)
-        part = replace(law, panels=Panels(law.panels.edges[: until + 1]))
-        if done:
-            a[3 * done : 3 * until] = a[3 * done - 1]
-        found = _newton(part, a[: 3 * until], SEGMENT_TOLERANCE_M)
-        if found is None and count == 1:
-            return None
-        if found is None:
-            count //= 2
-            continue
-        a[: 3 * until] = found[0].a
-        done, count = until, min(2 * count, SEGMENT_PANELS)
     return a

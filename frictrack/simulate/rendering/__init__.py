@@ -2,8 +2,7 @@
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.rendering.camera import Camera, Oscillation, cramer_rao_shift_std
+from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, cramer_rao_shift_std
 from frictrack.simulate.rendering.film_writer import write_film
-from frictrack.simulate.rendering.foreground import Highlight, Rod
 from frictrack.simulate.rendering.renderer import Target, render, render_clean
 from frictrack.simulate.rendering.surface import Surface

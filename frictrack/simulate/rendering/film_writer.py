@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,20 +21,11 @@ Frame = NDArray[Any]
 WriteFrame = Callable[[Frame], object]
 
 
-class FilmSettings(NamedTuple):
-    """Settings of the written file: frames per second, JPEG quality (1 to 100) and bit depth."""
-
-    fps: float
-    quality: int
-    bit_depth: int
-
-
 def write_film(
     frames: Iterable[Frame],
     path: str | os.PathLike[str],
     fps: float,
     quality: int = 95,
-    bit_depth: int | None = None,
 ) -> int:
     """Write frames to a film; the suffix of the path chooses the format.
 
@@ -52,8 +43,6 @@ def write_film(
         Frames per second.
     quality
         JPEG quality of .avi, 1 to 100.
-    bit_depth
-        Bits in use, stored in TIFF files; by default all bits of the frames.
 
     Returns
     -------
@@ -75,9 +64,8 @@ def write_film(
     if first is None:
         raise FrictrackError(f"{path.name}: expected at least one frame to write but got none")
     _check_frame(first, path)
-    settings = FilmSettings(fps, quality, bit_depth or 8 * first.dtype.itemsize)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _atomic_file(path) as partial, _WRITERS[path.suffix.lower()](partial, first, settings) as write_frame:
+    with _atomic_file(path) as partial, _WRITERS[path.suffix.lower()](partial, first, fps, quality) as write_frame:
         n = 0
         for n, frame in enumerate(chain([first], frames), start=1):  # noqa: B007 - the count is the answer
             write_frame(np.ascontiguousarray(frame))
@@ -124,30 +112,29 @@ def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.Vi
 
 
 @contextmanager
-def _mjpeg(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
-    with _opencv(path, "MJPG", settings.fps, frame) as writer:
-        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, settings.quality)
+def _mjpeg(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
+    with _opencv(path, "MJPG", fps, frame) as writer:
+        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, quality)
         # Three equal channels, because this writer scrambles grey frames.
         yield lambda f: writer.write(cv2.cvtColor(f, cv2.COLOR_GRAY2BGR))
 
 
 @contextmanager
-def _mov(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
+def _mov(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
     # QuickTime keeps any frame rate; AVI does not (above), Matroska rounds time stamps to 1 ms.
-    with _opencv(path, "png ", settings.fps, frame) as writer:
+    with _opencv(path, "png ", fps, frame) as writer:
         yield writer.write
 
 
 @contextmanager
-def _tiff(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
-    about = {"finterval": 1 / settings.fps}
-    white = (281, "H", 1, 2**settings.bit_depth - 1, True)  # tag MaxSampleValue
+def _tiff(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
+    about = {"finterval": 1 / fps}
     with tifffile.TiffWriter(path, imagej=True) as writer:
-        yield lambda f: writer.write(f, contiguous=True, metadata=about, extratags=[white])
+        yield lambda f: writer.write(f, contiguous=True, metadata=about)
 
 
 @contextmanager
-def _folder(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteFrame]:
+def _folder(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
     numbers = iter(range(10**9))
 
     def write_frame(f: Frame) -> None:
@@ -158,7 +145,7 @@ def _folder(path: Path, frame: Frame, settings: FilmSettings) -> Iterator[WriteF
     yield write_frame
 
 
-_WRITERS: dict[str, Callable[[Path, Frame, FilmSettings], AbstractContextManager[WriteFrame]]] = {
+_WRITERS: dict[str, Callable[[Path, Frame, float, int], AbstractContextManager[WriteFrame]]] = {
     ".avi": _mjpeg,
     ".mov": _mov,
     ".tif": _tiff,

@@ -14,14 +14,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Array
-from frictrack.simulate.rendering.camera import Camera, Oscillation
-from frictrack.simulate.rendering.foreground import Highlight, Rod
-from frictrack.simulate.rendering.rotated_block import BlockPose, render_rotated_block
-from frictrack.simulate.rendering.surface import MovingCells, Surface
+from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod
+from frictrack.simulate.rendering.surface import BlockPose, MovingCells, Surface, render_rotated_block
 
 PositionFunction = Callable[[Array], tuple[Array, ...]]  # times (n,), s -> x, y, px and, if it rotates, angle, rad
 
@@ -71,11 +68,7 @@ class Target:
 
 
 def render(
-    position_px: PositionFunction | Array,
-    camera: Camera,
-    target: Target,
-    rng: np.random.Generator,
-    n_frames: int | None = None,
+    position_px: PositionFunction, camera: Camera, target: Target, rng: np.random.Generator, n_frames: int
 ) -> Iterator[NDArray[Any]]:
     """Render the frames that a camera records.
 
@@ -84,58 +77,30 @@ def render(
     Parameters
     ----------
     position_px
-        Centre of the block without camera shake: an array (n_frames, 2 or 3) at the frame times i / fps, or a
-        function of times (n,), s. Both give x, y (px) and, if the block rotates, the angle (rad). A function is also
-        called for times half an exposure before the first and after the last frame.
+        Centre of the block without camera shake: a function of times (n,), s, that gives x, y (px) and, if the block
+        rotates, the angle (rad); called for times half an exposure before the first and after the last frame, too.
     camera, target
         What records, and what is recorded.
     rng
         Source of the noise.
     n_frames
-        Number of frames; required with a function.
+        Number of frames.
 
     Yields
     ------
     NDArray
         Frame (height, width): uint8 at 8 bit, else uint16.
 
-    Raises
-    ------
-    FrictrackError
-        For positions that are not finite or of another shape, or a function without `n_frames`.
-
     """
     for clean in render_clean(position_px, camera, target, n_frames):
         yield camera.record(clean, rng)
 
 
-def render_clean(
-    position_px: PositionFunction | Array, camera: Camera, target: Target, n_frames: int | None = None
-) -> Iterator[Array]:
+def render_clean(position_px: PositionFunction, camera: Camera, target: Target, n_frames: int) -> Iterator[Array]:
     """Render frames (height, width) of light without noise, 1 = white; see `render` for the arguments."""
-    path, n = _path(position_px, camera, n_frames)
-    renderer = _Renderer(path, camera, target)
-    starts = range(0, n, FRAMES_AT_ONCE)
-    exposures = (renderer.exposures(np.arange(i, min(i + FRAMES_AT_ONCE, n)) / camera.fps) for i in starts)
-    return (renderer.frame(moments) for block in exposures for moments in block)
-
-
-def _path(position: PositionFunction | Array, camera: Camera, n_frames: int | None) -> tuple[PositionFunction, int]:
-    """Position as a function of time, and the number of frames; an array is interpolated by a cubic spline."""
-    if callable(position):
-        if n_frames is None:
-            raise FrictrackError(
-                "render: expected n_frames with a position function but got none; give the number of frames"
-            )
-        return position, n_frames
-    table = np.asarray(position, dtype=float)
-    if table.ndim != 2 or table.shape[1] not in (2, 3) or len(table) < 4 or not np.all(np.isfinite(table)):
-        raise FrictrackError(
-            "render: expected finite positions of shape (frames, 2 or 3) for at least 4 frames "
-            f"but got {table.shape}; give x, y (and angle) in px at every frame"
-        )
-    spline = make_interp_spline(np.arange(len(table)) / camera.fps, table, k=3)
-    return lambda t: tuple(spline(t).T), min(len(table), n_frames or len(table))
+    renderer = _Renderer(position_px, camera, target)
+    times = np.split(np.arange(n_frames) / camera.fps, range(FRAMES_AT_ONCE, n_frames, FRAMES_AT_ONCE))
+    return (renderer.frame(moments) for some in times for moments in renderer.exposures(some))
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 
 from frictrack.base.workers import limit_memory
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
@@ -154,11 +154,7 @@ def _deeplabcut(file: h5py.File) -> dict[str, Any]:
     if values.shape[1] != len(names) or len({len(name) for name in names}) != 1:
         raise ValueError(f"{len(names)} names for {values.shape[1]} columns")
     frames = np.asarray(rows["index"], dtype=float)
-    return {
-        "names": np.array([name[1:] for name in names]),
-        "frames": frames,
-        "values": values,
-    }
+    return {"names": np.array([name[1:] for name in names]), "frames": frames, "values": values}
 
 
 def _names_in_pickle(stored: bytes) -> list[tuple[str, ...]]:

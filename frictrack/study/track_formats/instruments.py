@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.study.table_cells import MAX_UNPACKED_BYTES, TableFile
-from frictrack.study.table_layout import text_encoding
-from frictrack.study.track_formats.hdf5_tracks import read_arrays
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
+from frictrack.study.track_formats.pose_tracks import read_arrays
 from frictrack.study.track_formats.track_table import SECONDS
 
 LABVIEW = "LabVIEW Measurement"  # first words of a text
@@ -41,19 +40,7 @@ def is_labview_text(path: Path) -> bool:
 
 
 def read_labview_text(path: Path) -> TableFile:
-    """Read a LabVIEW measurement file with one time column, one per channel, or none but the interval of its samples.
-
-    Parameters
-    ----------
-    path
-        A .lvm file, or a text of the same content.
-
-    Raises
-    ------
-    ValueError
-        If it is cut off, or too large.
-
-    """
+    """Read a LabVIEW measurement file: one time column, one per channel, or none but the interval of its samples."""
     if path.stat().st_size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB")
     head, *parts = _END_OF_HEADER.split(path.read_text(encoding=text_encoding(path)))
@@ -113,19 +100,7 @@ def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channe
 
 
 def read_tdms(path: Path) -> TableFile:
-    """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times.
-
-    Parameters
-    ----------
-    path
-        A .tdms file.
-
-    Raises
-    ------
-    ValueError
-        If npTDMS cannot read it.
-
-    """
+    """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times."""
     from nptdms import TdmsFile  # noqa: PLC0415 - optional
 
     try:
@@ -148,19 +123,7 @@ def _waveforms(channels: list[Any]) -> Channels:
 
 
 def read_matlab(path: Path) -> TableFile:
-    """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures.
-
-    Parameters
-    ----------
-    path
-        A .mat file of any version.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or too large.
-
-    """
+    """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
     variables = read_arrays(path)
     vectors = {name: values for name, values in variables.items() if np.size(values) >= MIN_VALUES}
     recordings: dict[str, Channels] = {}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from frictrack.records import Array
-from frictrack.study.table_cells import TableFile, TrackColumns
+from frictrack.study.table_layout import TableFile, TrackColumns
 
 SECONDS, FRAMES = "t (s)", "frame (frames)"  # headers of the two clocks
 MAX_CELLS = 1 << 25  # of one table
@@ -18,38 +18,17 @@ MIN_LIKELIHOOD = 0.6  # pcutoff, below which DeepLabCut takes a point for not se
 
 @dataclass(frozen=True, eq=False)
 class TargetPositions:
-    """The positions of one target.
+    """The positions of one target."""
 
-    Parameters
-    ----------
-    name
-        Its name in the other program.
-    at
-        Times, s, or numbers of the frames in which it was measured, (n,).
-    x, y
-        Position in these frames, in `unit`, (n,); NaN where there is none.
-    unit
-        Unit of the positions, such as "m" or "px".
-    y_down
-        Whether y points down, as in a picture.
-    sigma
-        Standard deviation of the positions, in `unit`, (n,); None if the program states none.
-    further
-        Other columns of it, by header, (n,) each.
-    note
-        What the user is to know about its frames.
-
-    """
-
-    name: str
-    at: Array
-    x: Array
+    name: str  # its name in the other program
+    at: Array  # times, s, or numbers of the frames in which it was measured, (n,)
+    x: Array  # x, y: position in these frames, in `unit`, (n,); NaN where there is none
     y: Array
-    unit: str = "px"
-    y_down: bool = True
-    sigma: Array | None = None
-    further: Mapping[str, Array] = field(default_factory=dict)
-    note: str = ""
+    unit: str = "px"  # unit of the positions, such as "m" or "px"
+    y_down: bool = True  # whether y points down, as in a picture
+    sigma: Array | None = None  # standard deviation of the positions, in `unit`, (n,); None if the program states none
+    further: Mapping[str, Array] = field(default_factory=dict)  # other columns of it, by header, (n,) each
+    note: str = ""  # what the user is to know about its frames
 
 
 def table_of_tracks(program: str, tracks: Sequence[TargetPositions], clock: str) -> TableFile:
@@ -94,16 +73,7 @@ def table_of_tracks(program: str, tracks: Sequence[TargetPositions], clock: str)
 
 
 def with_likely_points(track: TargetPositions, likelihood: Array) -> TargetPositions:
-    """Return a track without the positions that DeepLabCut takes for not seen.
-
-    Parameters
-    ----------
-    track
-        The track, with all positions.
-    likelihood
-        How likely the point was seen, (n,); NaN where it is not known, which counts as seen.
-
-    """
+    """Return a track without the positions that DeepLabCut takes for not seen."""
     unseen = likelihood < MIN_LIKELIHOOD
     if not np.any(unseen):
         return track

@@ -1,4 +1,4 @@
-"""Check a track by itself: time base, motion, interlacing, key frames, peak locking, scores, both directions."""
+"""Check a track by itself: time base, motion, interlacing, peak locking, scores, both directions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter, shift
+from scipy.ndimage import shift
 
 from frictrack.base.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
 from frictrack.recording import Recording
@@ -86,76 +86,6 @@ N_HARMONICS = 2  # of one cycle per pixel
 ALPHA_PEAK_LOCKING = 1e-3  # significance level of peak locking
 MIN_AMPLITUDE_SIGMAS = 0.2  # standard deviations of a frame, from which the amplitude is reported
 LOW_SCORE_MARGIN = 0.1  # below the typical score, from which a score is low
-PERIODS_FRAMES = range(5, 301)  # periods of key frames that are searched
-MIN_REPEATS = 6  # of a period in the film
-MIN_SIGNIFICANCE = 6.0  # standard errors above every other phase; the search covers some 10^4 phases
-
-
-def key_frame_notes(change: Array, x: Array, y: Array) -> tuple[str, ...]:
-    """Detect key frames of a codec: at a fixed period the whole picture is coded anew.
-
-    Parameters
-    ----------
-    change : array (n,)
-        Rms difference of each frame from the one before, DN.
-    x, y : array (n,)
-        Track, px.
-
-    Returns
-    -------
-    tuple of str
-        A note with the period, and with the jump of the positions there; empty where no period is significant.
-
-    """
-    known = np.nan_to_num(change, nan=float(np.nanmedian(change)))
-    excess = known - median_filter(known, size=9)  # what stands out of its neighbours, whatever else goes on
-    significance, minus_period = max((_peak_significance(excess, p), -p) for p in PERIODS_FRAMES)
-    if significance < MIN_SIGNIFICANCE:
-        return ()
-    period = -minus_period
-    phase = int(np.nanargmax(_fold_mean(excess, period)))
-    jump, error = _jump(x, y, np.arange(phase, len(x), period))
-    every = f"every {period}th frame (key frames of the codec)"
-    if np.isnan(jump):
-        return (f"the picture jumps {every}",)
-    if jump > 3 * error:
-        return (f"positions jump by {jump:.3f} px {every}",)
-    return (f"the picture jumps {every}; positions jump with it by less than {jump + 2 * error:.3f} px",)
-
-
-def _jump(x: Array, y: Array, at: np.ndarray) -> tuple[float, float]:
-    """Median step of the track on entering the frames `at`, and its standard error, px."""
-    at = at[(at >= 2) & (at < len(x) - 1)]
-    # A step of 1 between two frames leaves 2/3 after the mean slope of the surrounding frames is subtracted.
-    steps = np.stack([1.5 * (q[at] - q[at - 1] - (q[at + 1] - q[at - 2]) / 3) for q in (x, y)])
-    steps = steps[:, np.all(np.isfinite(steps), axis=0)]
-    if steps.shape[1] < MIN_REPEATS:
-        return np.nan, np.nan
-    middle = np.median(steps, axis=1)  # a bump or a bad frame must not make a jump
-    spread = robust_std(steps - middle[:, None], axis=1)
-    error = 1.2533 * spread / np.sqrt(steps.shape[1])
-    return float(np.hypot(*middle)), float(np.hypot(*error))
-
-
-def _peak_significance(values: Array, period: int) -> float:
-    """Standard errors by which the highest phase of `period` exceeds every other.
-
-    A vibration or flicker of the light raises many phases; key frames raise one.
-    """
-    rows = len(values) // period
-    if rows < MIN_REPEATS:
-        return 0.0
-    folded = values[1 : 1 + (rows - 1) * period].reshape(rows - 1, period)
-    ceiling = 6 * np.median(np.max(folded, axis=1))  # one flash must not make a period
-    folded = np.minimum(folded, max(ceiling, 0.0))
-    mean, error = folded.mean(axis=0), folded.std(axis=0) / np.sqrt(rows - 1)
-    top, rival = np.argsort(mean)[[-1, -2]]
-    return float((mean[top] - mean[rival]) / max(np.hypot(error[top], error[rival]), 1e-12))
-
-
-def _fold_mean(values: Array, period: int) -> Array:
-    """Mean of the values at each phase (period,), counted from the first value."""
-    return np.array([np.nanmean(values[phase::period]) for phase in range(period)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +102,6 @@ class PeakLocking:
         Frequency at the typical speed, as sampled by the camera, Hz.
     acceleration : float
         Apparent acceleration A (2 pi f)^2, px/s^2.
-    curve : tuple of float
-        Coefficients of cosine and sine of one and two cycles per pixel, px.
 
     """
 
@@ -182,23 +110,6 @@ class PeakLocking:
     p: float
     frequency: float
     acceleration: float
-    curve: tuple[float, ...]
-
-    def at(self, x: Array) -> Array:
-        """Evaluate the error at positions.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Positions, px.
-
-        Returns
-        -------
-        array (n,)
-            Error, px.
-
-        """
-        return np.asarray(_pixel_harmonics(x) @ np.array(self.curve))
 
 
 def peak_locking(track: Track) -> PeakLocking | None:
@@ -237,19 +148,14 @@ def peak_locking(track: Track) -> PeakLocking | None:
     noise = float(np.sum((value - design @ curve) ** 2)) / dof
     covariance = inverse * noise
     strength = float(curve @ np.linalg.solve(covariance, curve))
-    phase = np.linspace(0, 1, 200)
-    shape = _pixel_harmonics(phase) @ curve
-    error = float(
-        np.sqrt(np.mean(np.einsum("ij,jk,ik->i", _pixel_harmonics(phase), covariance, _pixel_harmonics(phase))))
-    )
+    pixel = _pixel_harmonics(np.linspace(0, 1, 200))
+    error = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", pixel, covariance, pixel))))
     speed = float(np.median(np.abs(np.concatenate([np.gradient(x[part], t[part]) for part in parts]))))
     rate = 1 / float(np.median(np.diff(t)))
     frequency = abs(speed - rate * round(speed / rate))
-    amplitude = float(np.ptp(shape)) / 2
+    amplitude = float(np.ptp(pixel @ curve)) / 2
     acceleration = amplitude * (2 * np.pi * frequency) ** 2
-    return PeakLocking(
-        amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration, tuple(curve.tolist())
-    )
+    return PeakLocking(amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration)
 
 
 def _pixel_harmonics(x: Array) -> Array:

@@ -138,16 +138,14 @@ def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array)
     backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
     member = without_shadow(_body_pixels(stack, backgrounds, picture), stack, backgrounds)
-    return BodyAppearance(
-        picture, member, np.rint(at).astype(np.int64), rows, _misfit(stack[:, member], picture[member])
-    )
+    misfit = _misfit(stack[:, member], picture[member])
+    return BodyAppearance(picture, member, np.rint(at).astype(np.int64), rows, misfit)
 
 
 def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask:
     """Pixels that move with the body, from registered frames (k, h, w) and the background behind them."""
-    differs = _typical_square(
-        stack - backgrounds, 0.5
-    )  # a plain background far brighter than the body must not leak in
+    # A plain background far brighter than the body must not leak in.
+    differs = _typical_square(stack - backgrounds, 0.5)
     spread = _typical_square(stack - picture)
     member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
     # The scene is visible through a moving shadow: it changes more than the body does in the same light.
@@ -157,11 +155,8 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
     body_variance = float(np.percentile(spread[member], 25))
     similar = (spread < MAX_NOISE_RATIO * max(body_variance, 0.25) + 0.04 * slope).astype(np.uint8)
     similar = cv2.dilate(similar, np.ones((3, 3), np.uint8))
-    return _largest_patches(
-        clean_mask(
-            np.asarray((similar > 0) & (differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance))), close=5
-        )
-    )
+    contrasts = differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance)
+    return _largest_patches(clean_mask(np.asarray((similar > 0) & contrasts), close=5))
 
 
 def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
@@ -194,9 +189,8 @@ def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
 def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
     """Typical square (h, w) of deviations (k, h, w): the median, or the mean of few."""
     squares = off**2
-    usual = (
-        np.median(squares, axis=0) if len(off) > MIN_MEDIAN_FRAMES else np.sum(squares, axis=0) / max(len(off) - 1, 1)
-    )
+    few = len(off) <= MIN_MEDIAN_FRAMES
+    usual = np.sum(squares, axis=0) / max(len(off) - 1, 1) if few else np.median(squares, axis=0)
     return np.asarray(cv2.GaussianBlur(usual, (0, 0), blur), dtype=np.float32)
 
 

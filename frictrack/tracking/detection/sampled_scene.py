@@ -24,9 +24,8 @@ from frictrack.tracking.correlation import Rectangle
 
 MAX_SAMPLES = 32  # frames of a film that are looked at
 MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
-NOISE_QUANTILE = (
-    0.3  # of the differences, which shows noise where a body covers a place in up to two thirds of the frames
-)
+# Of the differences, which shows noise where a body covers a place in up to two thirds of the frames.
+NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
@@ -395,21 +394,7 @@ def _energy_limit(energies: list[Picture]) -> float:
 
 
 def clean_mask(mask: Mask, close: int) -> Mask:
-    """Close gaps in a mask and remove specks.
-
-    Parameters
-    ----------
-    mask : array of bool (h, w)
-        Pixels.
-    close : int
-        Gaps narrower than this are closed, px.
-
-    Returns
-    -------
-    array of bool (h, w)
-        Cleaned mask.
-
-    """
+    """Close gaps of a mask (h, w) narrower than `close` px and remove specks."""
     bits = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((close, close), np.uint8))
     return np.asarray(cv2.morphologyEx(bits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
 
@@ -458,23 +443,7 @@ def cut_window(picture: NDArray[Any], corner: NDArray[Any], shape: tuple[int, in
 
 
 def read_subpixel(picture: NDArray[Any], corner: Array, shape: tuple[int, int]) -> Picture:
-    """Read a window at a position between the pixels, by cubic interpolation.
-
-    Parameters
-    ----------
-    picture : array (H, W)
-        Grey values.
-    corner : array (2,)
-        Upper left corner (x, y), px.
-    shape : tuple of int
-        Height and width, px.
-
-    Returns
-    -------
-    array (h, w)
-        float32.
-
-    """
+    """Read a window of a height and width at a position (x, y) px between the pixels, by cubic interpolation."""
     whole = np.floor(corner).astype(int)
     part = cut_window(picture, whole - 2, (shape[0] + 5, shape[1] + 5))
     return _shifted(part, corner - whole)[2 : 2 + shape[0], 2 : 2 + shape[1]]

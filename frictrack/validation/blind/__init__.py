@@ -6,11 +6,10 @@
 
 A study is drawn at random and a hidden effect is scaled to a size that an ideal detector can just see
 (`truth_sampling`, `ideal_detector`), its tables or films are written (`study_files`), and each diagnosis becomes an
-`Outcome`. Effects that fit as well as the hidden one (`equivalents`) count as correct within a group.
+`Outcome`. Effects that fit as well as the hidden one (`equivalent_effects`) count as correct within a group.
 """
+# ruff: noqa: F401 - the imports are the interface
 
 from __future__ import annotations
 
 from frictrack.validation.blind.benchmark import make, score
-
-__all__ = ["make", "score"]

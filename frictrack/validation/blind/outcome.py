@@ -1,4 +1,4 @@
-"""Diagnose one blind study, add the named effects, and compare the result with the truth."""
+"""Diagnose one blind study, add the named effects, and compare with the truth and with effects that fit as well."""
 
 from __future__ import annotations
 
@@ -15,12 +15,110 @@ from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect
 from frictrack.fit import Fit
+from frictrack.fit.least_squares import Solution, refine
+from frictrack.fit.linearised import LinearisedModel, linearise, measured_series
+from frictrack.fit.parameters import ParameterLayout
+from frictrack.fit.penalties import penalty_residual
+from frictrack.fit.stepwise import remove_effect, scan_effect, simulate_trial, try_effect
 from frictrack.flow import Session, open_study
-from frictrack.records import Mask
+from frictrack.records import Array, Mask
 from frictrack.simulate import Trajectory
-from frictrack.validation.blind.equivalents import equivalent_effects
-from frictrack.validation.blind.ideal_detector import MIN_SPEED, limits_over_ideal
+from frictrack.validation.blind.ideal_detector import MIN_SCATTER, MIN_SPEED, limits_over_ideal
 from frictrack.validation.blind.truth import RunTruth, Truth, effect_named, lists_as_tuples
+
+MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
+NOTHING = "nothing"  # stands among the equivalents of an effect that the law and the other effects imitate
+SCREEN_SHARE, SCREEN_CHI2 = 0.3, 60.0  # share of the rise, and chi-squared, below which a linearised rival is refined
+
+
+def equivalent_effects(truth: Truth, base: Solution) -> dict[str, tuple[str, ...]]:
+    """Find for each hidden effect the library effects that can replace it, the others staying.
+
+    `base`: fitted base law. Its pieces and layout are used; its data are replaced by the true motion. Returns for each
+    hidden effect the names of equivalent effects, itself first; `NOTHING` where it is not needed: the other hidden
+    effects and the law, fitted again, leave no more without it.
+    """
+    full = solution_at_truth(truth, base)
+    return {name: (name, *_equal_in_fit(full, name)) for name in truth.hidden}
+
+
+def _equal_in_fit(full: Solution, name: str) -> list[str]:
+    """Names of effects that explain the data without noise as well as the hidden one does."""
+    reduced = remove_effect(full, name)
+    if reduced.objective - full.objective < MAX_CHI2_EXCESS:
+        return [NOTHING]
+    fits = replacements(full, name, reduced=reduced)
+    return [other for other, fitted in fits.items() if fitted.objective - full.objective < MAX_CHI2_EXCESS]
+
+
+def replacements(
+    full: Solution, name: str, max_chi2: float = np.inf, reduced: Solution | None = None
+) -> dict[str, Solution]:
+    """Fit every effect of the library in place of a hidden one to data without noise.
+
+    `full`: solution at the truth; see `solution_at_truth`; `max_chi2`: chi-squared that an effect may leave along the
+    true motion; those that leave more are not simulated. Returns the best fit by effect; only effects that are not far
+    worse along the true motion. The objective of a fit less that of `full` is the chi-squared by which these runs
+    separate the two effects in the mean.
+    """
+    reduced = reduced or remove_effect(full, name)
+    linearised, levels = linearise(reduced), penalty_residual(full.problem.layout, full.p, full.tau)
+    screen = min(SCREEN_SHARE * (reduced.objective - full.objective) + SCREEN_CHI2, max_chi2) + float(levels @ levels)
+    model, out = reduced.problem.model, dict[str, Solution]()
+    kinds = {e.kind for e in model.effects}
+    for effect in effects.LIBRARY.values():
+        fits_in = not effect.replaces and (not effect.modifies or kinds & effect.modifies)
+        if fits_in and effect.name not in model and effect.name != name:
+            with suppress(FrictrackError):
+                fitted = _replacement(linearised, effect, full.tau, screen)
+                out |= {} if fitted is None else {effect.name: fitted}
+    return out
+
+
+def _replacement(linearised: LinearisedModel, effect: Effect, tau: float, screen: float) -> Solution | None:
+    """The fit with another effect instead of the true one; None if it leaves more than `screen` along the motion."""
+    data = measured_series(linearised)
+    scans = scan_effect(linearised, effect, data)
+    if not scans:
+        return None
+    trial = try_effect(linearised, effect, scans, data.coordinates[:, 0])
+    if trial.misfit > screen:
+        return None
+    extended = simulate_trial(linearised, trial)
+    return refine(extended.problem, extended.p, extended.starts, tau=tau)
+
+
+def solution_at_truth(truth: Truth, base: Solution) -> Solution:
+    """Fit the true law to the true motion, from the true parameters; only rounding errors remain.
+
+    `base`: fitted base law of the study. Returns the refined solution with all hidden effects.
+    """
+    trajectories = [truth.trajectory(run) for run in truth.runs]
+    pieces = [replace(p, y=(trajectories[p.run].x + trajectories[p.run].shift)[p.frames]) for p in base.problem.pieces]
+    base_layout = base.problem.layout
+    model = base_layout.model
+    for name in truth.hidden:
+        model = model + effect_named(name)
+    absent = frozenset((n, i) for i, run in enumerate(truth.runs) for n in truth.hidden if n not in run.values)
+    layout = replace(base_layout, model=model, absent=absent)
+    problem = base.problem.rebuild(base_layout, pieces).rebuild(layout, pieces)
+    starts = [np.array([s.x[i], s.v[i]]) for s, i in ((trajectories[p.run], p.frames[0]) for p in pieces)]
+    return refine(problem, _true_parameters(truth, layout), starts, tau=max(truth.scatter, MIN_SCATTER))
+
+
+def _true_parameters(truth: Truth, layout: ParameterLayout) -> Array:
+    """True parameters in the order of the layout, (P,)."""
+    out = []
+    for slot in layout.slots:
+        run = truth.runs[slot.run or 0]
+        if slot.effect == "level":
+            out.append(run.level)
+        elif slot.effect in truth.law:
+            out.append(truth.law[slot.effect][slot.parameter])
+        else:
+            chosen = truth.runs if slot.run is None else (run,)  # the first run that has it
+            out.append(next(r.values[slot.effect] for r in chosen if slot.effect in r.values)[slot.parameter])
+    return np.array(out)
 
 
 @dataclass(frozen=True)
@@ -112,7 +210,7 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
         named=named,
         group=_first_group(diagnosis),
         sets=_stated_sets(diagnosis),
-        equivalents=_equivalents(truth, fit, named),
+        equivalents=_equivalents_of_hidden(truth, fit, named),
         noted=_faults_in_notes(session),
         overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
         limits=limits_over_ideal(truth, diagnosis["detection_limits"]) if truth.kind == "none" and not named else {},
@@ -168,7 +266,7 @@ def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
     return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
 
 
-def _equivalents(truth: Truth, fit: Fit, named: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def _equivalents_of_hidden(truth: Truth, fit: Fit, named: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Equivalents of the hidden effects; none where a law without one of these cannot be followed from the truth."""
     retimed = truth.film and "dropped_frame" in truth.hidden  # frames do not correspond to the truth
     found = len(truth.hidden) > 1 and set(named) == set(truth.hidden)  # they decide nothing

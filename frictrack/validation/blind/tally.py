@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest, norm
 
-from frictrack.validation.blind.equivalents import NOTHING
-from frictrack.validation.blind.outcome import Outcome
+from frictrack.validation.blind.outcome import NOTHING, Outcome
 from frictrack.validation.blind.truth import effect_named
 from frictrack.validation.blind.truth_sampling import KINDS
 
@@ -22,7 +21,7 @@ Criterion = Callable[[Outcome], bool]
 VERDICTS_WITHOUT_NAMES = ("complete", "undetermined")
 
 
-def wilson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
+def wilson(hits: int, of: int) -> tuple[float, float]:
     """Confidence interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22); (0, 1) if there are no cases.
 
     Examples
@@ -33,7 +32,7 @@ def wilson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
     """
     if not of:
         return 0.0, 1.0
-    interval = binomtest(hits, of).proportion_ci(confidence_level=level, method="wilson")
+    interval = binomtest(hits, of).proportion_ci(confidence_level=0.95, method="wilson")
     return float(interval.low), float(interval.high)
 
 

@@ -5,6 +5,7 @@
 
 Each function that returns a `Section` reproduces one part; notebooks call them one by one.
 """
+# ruff: noqa: F401 - the imports are the interface
 
 from __future__ import annotations
 
@@ -16,40 +17,23 @@ from typing import Any
 
 from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
-from frictrack.validation.reproduce.augmented_models import equation_4, orders, two_models
-from frictrack.validation.reproduce.page import (
+from frictrack.flow import Progress, no_progress
+from frictrack.validation.reproduce.first_paper import equation_4, orders, time_units, tustin_groups, two_models
+from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
+from frictrack.validation.reproduce.second_paper import sine_filter
+from frictrack.validation.reproduce.sections import (
+    FULL,
+    QUICK,
+    Claim,
+    Effort,
     Reproduction,
+    ResultTable,
+    Section,
     SectionStore,
     cannot_write,
     tables_html,
     write_reproduction,
 )
-from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
-from frictrack.validation.reproduce.second_paper import sine_filter
-from frictrack.validation.reproduce.sections import FULL, QUICK, Claim, Effort, Progress, ResultTable, Section, silent
-from frictrack.validation.reproduce.tustin_model import time_units, tustin_groups
-
-__all__ = [
-    "FULL",
-    "QUICK",
-    "Claim",
-    "Effort",
-    "Reproduction",
-    "ResultTable",
-    "Section",
-    "eq8_trials",
-    "equation_4",
-    "genetic_searches",
-    "orders",
-    "reproduce",
-    "run_sections",
-    "sine_filter",
-    "tables_html",
-    "time_units",
-    "tustin_groups",
-    "two_models",
-]
-
 
 SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
     "time_units": (time_units, (), 2),
@@ -63,7 +47,7 @@ SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
 }  # function, its arguments, and processor time in full (s, on a machine of 2024)
 
 
-def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
     """Reproduce both papers and write page, figures, tables and JSON.
 
     Sections that are in the folder already are kept, so that a call that was interrupted goes on.
@@ -93,7 +77,7 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
     return write_reproduction(run_sections(folder, quick=quick, seed=seed, progress=progress), folder)
 
 
-def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = silent) -> Reproduction:
+def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> Reproduction:
     """Run all sections that are not done, and keep each in the folder as soon as it is; see `reproduce`."""
     known = {"effort": QUICK if quick else FULL, "seed": seed}
     store = SectionStore(folder, f"{__version__} {known}")

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from frictrack.present.plots import style
 from frictrack.records import Array
-from frictrack.validation.reproduce.papers_method import AccelerationSeries
-from frictrack.validation.reproduce.recordings import SyntheticRecording
+from frictrack.validation.reproduce.papers_method import AccelerationSeries, SyntheticRecording
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (9, 2)))
 COLOURS = (style.VERMILION, style.BLUE, style.GREEN)

@@ -18,20 +18,18 @@ from scipy.stats import binomtest, fisher_exact
 
 from frictrack.records import Array
 from frictrack.search import GA, MGA, SGA, SearchMethod, SearchResult, code_length, code_length_as_printed, minimise
-from frictrack.validation.reproduce import figures, laws, papers_method, printed, recordings
+from frictrack.validation.reproduce import figures, laws, papers_method
 from frictrack.validation.reproduce.sections import (
     FULL,
     QUICK,
     Claim,
     Effort,
-    Progress,
     ResultTable,
     Section,
     claim,
     decided,
     figure,
     section,
-    silent,
     table,
     verdict,
 )
@@ -47,15 +45,16 @@ def mean_interval(x: Array, rng: np.random.Generator) -> tuple[float, float]:
     Efron 1979, Ann. Statist. 7: percentiles of the bootstrap.
 
     """
-    means = x[rng.integers(len(x), size=(N_BOOTSTRAP, len(x)))].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
+    return _interval_of(_bootstrap_means(x, len(x), rng))
 
 
 def change_interval(x: Array, base: Array, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of a relative change of means, from bootstrap percentiles."""
-    ratio = _bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1
-    low, high = np.percentile(ratio, [2.5, 97.5])
+    return _interval_of(_bootstrap_means(x, len(x), rng) / _bootstrap_means(base, len(base), rng) - 1)
+
+
+def _interval_of(drawn: Array) -> tuple[float, float]:
+    low, high = np.percentile(drawn, [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -154,15 +153,9 @@ def _counts(found: SearchResult, reach: float) -> tuple[float, float, float, flo
     return float(found.generation_of_last_improvement), first, found.cost, converged
 
 
-def _run_settings(
-    settings: Mapping[str, SearchMethod], what: str, progress: Progress, trials: Problem
-) -> dict[str, SearchTrials]:
+def _run_settings(settings: Mapping[str, SearchMethod], trials: Problem) -> dict[str, SearchTrials]:
     """Run all settings; `trials` are the other arguments of `run_trials`."""
-    results = {}
-    for i, (name, method) in enumerate(settings.items()):
-        progress(i, len(settings), f"{what}: {name}")
-        results[name] = run_trials(*trials, method)
-    return results
+    return {name: run_trials(*trials, method) for name, method in settings.items()}
 
 
 # ---- Eq. 8
@@ -195,15 +188,13 @@ def maximum() -> tuple[float, float]:
     return x, x * float(np.sin(w * x)) + 2
 
 
-def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
+def eq8_trials(effort: Effort = FULL) -> Section:
     """Reproduce Figs. 17-19 and Tables 5 and 6.
 
     Parameters
     ----------
     effort
         Number of seeds.
-    progress
-        Called with settings done, all settings and a text.
 
     Returns
     -------
@@ -212,7 +203,7 @@ def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
 
     """
     trials = eq8, SEARCH_INTERVAL, effort.seeds, -FOUND_VALUE, EQ8_BUDGET
-    results = _run_settings(EQ8_SETTINGS, "Tables 5, 6", progress, trials)
+    results = _run_settings(EQ8_SETTINGS, trials)
     bits = {
         name: np.array([length(g, 200, 10, 0.2, 50) for g in range(200)])
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
@@ -223,7 +214,7 @@ def eq8_trials(effort: Effort = FULL, progress: Progress = silent) -> Section:
         [_table_5(results), _table_6(results, bits)],
         [
             figure("fig17_test_function", figures.humps, eq8, maximum()),
-            figure("fig18_19_generations", figures.generations, last, {n: printed.TABLE_5[n][0] for n in last}),
+            figure("fig18_19_generations", figures.generations, last, {n: laws.TABLE_5[n][0] for n in last}),
             figure("eq7_code_length", figures.lengths, bits),
         ],
         *_claims_5(results),
@@ -249,8 +240,8 @@ def _table_5(results: dict[str, SearchTrials]) -> ResultTable:
         mean = _interval(mean_interval(found.last, rng))
         change = "" if found is base else _interval(change_interval(found.last, base.last, rng), "%")
         hits = f"{int(np.sum(found.cost <= -FOUND_VALUE))} of {len(found.last)}"
-        generations = _printed(printed.TABLE_5, name, 0), float(found.last.mean()), mean, change
-        times = _printed(printed.TABLE_5, name, 1, "GA"), float(found.seconds.mean() / base.seconds.mean())
+        generations = _printed(laws.TABLE_5, name, 0), float(found.last.mean()), mean, change
+        times = _printed(laws.TABLE_5, name, 1, "GA"), float(found.seconds.mean() / base.seconds.mean())
         rows.append([name, *generations, float(np.nanmean(found.first)), hits, *times])
     return table("table5", rows)
 
@@ -261,9 +252,9 @@ def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> Result
     rows: list[list[Any]] = []
     for name, n in length.items():
         found = results["GA" if name == "20 bits" else name]
-        optima = _printed(printed.TABLE_6, name, 0), float(-np.median(found.cost)), float(-found.cost.max())
+        optima = _printed(laws.TABLE_6, name, 0), float(-np.median(found.cost)), float(-found.cost.max())
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
-        rows.append([name, *optima, float(n), _printed(printed.TABLE_6, name, 1, "20 bits"), time])
+        rows.append([name, *optima, float(n), _printed(laws.TABLE_6, name, 1, "20 bits"), time])
     return table("table6", rows)
 
 
@@ -271,13 +262,13 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
     rng, (x, y) = np.random.default_rng(55), maximum()
     base, mga, more = results["GA"], results["MGA"], results["GA, more mutation"]
     n, hits = len(base.last), int(np.sum(base.cost <= -FOUND_VALUE))
-    same = abs(y - printed.EQ8_MAXIMUM) < 5e-5 and abs(x - printed.EQ8_PLACE) < 6e-5
-    said = printed.TABLE_5["MGA"][0] / printed.TABLE_5["GA"][0] - 1
+    same = abs(y - laws.EQ8_MAXIMUM) < 5e-5 and abs(x - laws.EQ8_PLACE) < 6e-5
+    said = laws.TABLE_5["MGA"][0] / laws.TABLE_5["GA"][0] - 1
     change, interval = (
         float(mga.last.mean() / base.last.mean() - 1),
         change_interval(mga.last, base.last, rng),
     )
-    chance = probability_by_chance(base.last, printed.RUNS, said, rng)
+    chance = probability_by_chance(base.last, laws.RUNS, said, rng)
     first = float(np.nanmean(more.first) / np.nanmean(base.first) - 1)
     ratio = float(mga.seconds.mean() / base.seconds.mean())
     found = f"{y:.6f} at {x:.6f}; GA found it in {hits} of {n} runs"
@@ -293,7 +284,7 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
 def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple[Claim, ...]:
     grid = float(-eq8(np.arange(1024)[:, None] / 1023 * 3 - 1).min())
     ten, adaptive = results["10 bits"], results["adaptive"]
-    n, reached = len(ten.cost), int(np.sum(-ten.cost > printed.TABLE_6["10 bits"][0] + 1e-3))
+    n, reached = len(ten.cost), int(np.sum(-ten.cost > laws.TABLE_6["10 bits"][0] + 1e-3))
     time = float(adaptive.seconds.mean() / results["GA"].seconds.mean())
     kept, mean = int(np.sum(adaptive.cost <= -FOUND_VALUE)), bits["as read"].mean()
     better = f"median {-np.median(ten.cost):.6f}; {reached} of {n} runs did better than print"
@@ -309,7 +300,7 @@ def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple
 # ---- Table 7
 
 
-def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = silent) -> Section:
+def genetic_searches(effort: Effort = FULL, seed: int = 0) -> Section:
     """Reproduce Table 7: searches of ATM1 with n = 2 in the force domain, ten parameters, 1000 generations.
 
     The same with the effort of a quick run stands next to it.
@@ -320,8 +311,6 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
         Seeds and evaluations.
     seed
         Seed of the recording.
-    progress
-        Called with settings done, all settings and a text.
 
     Returns
     -------
@@ -330,9 +319,9 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
 
     """
     rng = np.random.default_rng([seed, 7])
-    recording = recordings.record_printed(printed.ATM1["high"], "sample", recordings.BEAM, rng)
+    recording = papers_method.record_printed(laws.ATM1["high"], "sample", papers_method.BEAM, rng)
     data, law = papers_method.measure_series([recording.run]), laws.atm1(2)
-    truth = laws.read_printed(printed.ATM1["high"], "sample")
+    truth = laws.read_printed(laws.ATM1["high"], "sample")
     thinned = data.thinned()
     best = papers_method.lowest_error_parameters(law, data, [truth], rng, effort.lowest)
     floor = papers_method.squared_error(law, papers_method.refine_parameters(law, thinned, best), thinned)
@@ -340,7 +329,7 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0, progress: Progress = 
 
     def trials(of: Effort) -> dict[str, SearchTrials]:
         limit = LOCAL_OPTIMUM_RATIO * floor
-        return _run_settings(FRICTION_SETTINGS, "Table 7", progress, (*problem, of.seeds, limit, of.budget))
+        return _run_settings(FRICTION_SETTINGS, (*problem, of.seeds, limit, of.budget))
 
     results = trials(effort)
     tables = [_table_7("table7", results, floor, effort)]
@@ -364,7 +353,7 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
         n, ratio, reached = len(found.cost), found.cost / floor, np.isfinite(found.first)
         local = int(np.sum(ratio > LOCAL_OPTIMUM_RATIO))
         low, high = binomtest(local, n).proportion_ci(method="wilson")
-        said = None if setting not in printed.TABLE_7 else 100 * printed.TABLE_7[setting][2]
+        said = None if setting not in laws.TABLE_7 else 100 * laws.TABLE_7[setting][2]
         shares = (
             said,
             100 * local / n,
@@ -372,9 +361,9 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
             100 * float(np.mean(ratio <= FOUND_RATIO)),
         )
         first = float(found.first[reached].mean()) if reached.any() else None
-        counts = _printed(printed.TABLE_7, setting, 0), float(found.last.mean()), float(found.converged.mean()), first
+        counts = _printed(laws.TABLE_7, setting, 0), float(found.last.mean()), float(found.converged.mean()), first
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
-        rows.append([setting, *shares, *counts, _printed(printed.TABLE_7, setting, 1, "GA"), time])
+        rows.append([setting, *shares, *counts, _printed(laws.TABLE_7, setting, 1, "GA"), time])
     return table(name, rows, seeds=effort.seeds, budget=effort.budget)
 
 
@@ -384,14 +373,14 @@ def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tup
     p = fisher_p_value((local["GA"], local["MGA"]), (n, n))
     fewer = verdict(local["MGA"] < local["GA"] and p < 0.05, local["MGA"] > local["GA"] and p < 0.05)
     best = min(local, key=lambda name: local[name])
-    low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, printed.TABLE_7["MGA"][2]
+    low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, laws.TABLE_7["MGA"][2]
     ratios = {
         "last improvement": _ratio(mga.last, base.last),
         "within 1 % of own end": _ratio(mga.converged, base.converged),
         "within 1.2 of the lowest": _ratio(mga.first, base.first),
     }
     met = sum(r < 0.8 for r in ratios.values())
-    time, share = float(mga.seconds.mean() / base.seconds.mean()), printed.TABLE_7["MGA"][0] / printed.TABLE_7["GA"][0]
+    time, share = float(mga.seconds.mean() / base.seconds.mean()), laws.TABLE_7["MGA"][0] / laws.TABLE_7["GA"][0]
     shares = {name: f"{100 * count / n:.0f} %" for name, count in local.items()}
     against = f"{shares['MGA']} against {shares['GA']} (p = {p:.2g})"
     reached = decided(verdict(local[best] / n <= said, bool(low > said)), n)

@@ -1,21 +1,29 @@
-"""The result of one section of the reproduction: tables, figures, and claims of the papers with our verdicts."""
+"""The sections of the reproduction: tables, figures, claims with our verdicts; the page and files made of them."""
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 import tomllib
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from frictrack.validation.reproduce.printed import RUNS
+from frictrack import search
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number
+from frictrack.present import plots
+from frictrack.present.report import SvgEmbedder, page_template
+from frictrack.validation.reproduce.laws import RUNS
 
-Progress = Callable[[int, int, str], None]
 Cell = str | float | None
 HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot be decided"
 
@@ -174,5 +182,191 @@ def verdict(holds: bool, fails: bool = True) -> str:
     return HOLDS if holds else FAILS if fails else OPEN
 
 
-def silent(done: int, total: int, what: str) -> None:
-    """Report no progress."""
+VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All sections of a reproduction, with the seed of its recordings and whether it was quick.
+
+    `seconds` is the processor time of each section by name, s.
+    """
+
+    parts: tuple[Section, ...]
+    seed: int
+    quick: bool
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def claims(self) -> list[Claim]:
+        """All claims in order of the sections."""
+        return [claim for part in self.parts for claim in part.claims]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of claims that hold, fail and cannot be decided."""
+        verdicts = [claim.verdict for claim in self.claims]
+        return {kind: verdicts.count(verdict) for verdict, kind in VERDICT_CLASSES.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """JSON of `reproduce`."""
+        return {
+            "seed": self.seed,
+            "quick": self.quick,
+            "counts": self.counts,
+            "seconds": self.seconds,
+            "parts": [part.summary() for part in self.parts],
+        }
+
+
+class SectionStore:
+    """The sections that are done, in the folder of the reproduction.
+
+    Parameters
+    ----------
+    folder
+        The folder; created when something is written.
+    about
+        What the sections depend on besides the code of this package and of the searches.
+
+    """
+
+    def __init__(self, folder: Path, about: str) -> None:
+        sources = (
+            path for package in (Path(__file__).parent, Path(search.__file__).parent) for path in package.iterdir()
+        )
+        code = b"".join(path.read_bytes() for path in sorted(sources) if path.is_file())
+        self.folder, self.key = folder, sha256(about.encode() + code).hexdigest()
+
+    def read(self, name: str) -> tuple[Section, float] | None:
+        """Return a section and its processor time, s; None if it is not done, or was made in another way."""
+        try:
+            kept = json.loads((self.folder / "sections" / f"{name}.json").read_text(encoding="utf-8"))
+            if kept["key"] != self.key:
+                return None
+            found = kept["section"]
+            files = {figure: self.folder / "figures" / f"{figure}.svg" for figure in kept["captions"]}
+            figures: dict[str, Any] = {
+                n: (kept["captions"][n], f.read_text(encoding="utf-8")) for n, f in files.items()
+            }
+            tables = tuple(ResultTable(**table) for table in found["tables"])
+            claims = tuple(Claim(**one) for one in found["claims"])
+        except (OSError, ValueError, KeyError, TypeError):  # not there, or written by another version
+            return None
+        return Section(name, found["title"], tuple(found["text"]), tables, figures, claims), float(kept["seconds"])
+
+    def write(self, part: Section, seconds: float) -> None:
+        """Write the figures and tables of a section, and what `read` needs."""
+        for sub in ("figures", "tables", "sections"):
+            (self.folder / sub).mkdir(parents=True, exist_ok=True)
+        for name, (_, figure) in part.figures.items():
+            (self.folder / "figures" / f"{name}.svg").write_text(svg_text(figure), encoding="utf-8")
+        for table in part.tables:
+            with (self.folder / "tables" / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows([table.heads, *table.rows])
+        captions = {name: caption for name, (caption, _) in part.figures.items()}
+        kept = {"key": self.key, "seconds": seconds, "captions": captions, "section": part.summary()}
+        _write_json(kept, self.folder / "sections" / f"{part.name}.json")
+
+
+def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, Any]:
+    """Write page, figures, tables and JSON.
+
+    Parameters
+    ----------
+    reproduction
+        What to write.
+    folder
+        Where to write; created if it does not exist.
+
+    Returns
+    -------
+    dict
+        JSON with the paths of page and folder.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        page = folder / "reproduce.html"
+        page.write_text(render_page(reproduction), encoding="utf-8")
+        result = reproduction.summary() | {"page": str(page), "output": str(folder)}
+        _write_json(result, folder / "reproduce.json")
+    except OSError as e:
+        raise cannot_write(e, folder) from e
+    return result
+
+
+def cannot_write(e: OSError, folder: Path) -> FrictrackError:
+    """The error for a folder that cannot be written."""
+    return FrictrackError(f"cannot write {e.filename or folder}: {e.strerror or e}; choose another folder with -o")
+
+
+def _write_json(content: dict[str, Any], path: Path) -> None:
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def svg_text(figure: Any) -> str:
+    """The SVG of a figure, or of one that was drawn before."""
+    return figure if isinstance(figure, str) else plots.svg(figure)
+
+
+def render_page(reproduction: Reproduction) -> str:
+    """Render the page as HTML."""
+    draw = SvgEmbedder()
+    return page_template("page.html.j2", "validation/reproduce").render(
+        parts=reproduction.parts,
+        claims=reproduction.claims,
+        counts=reproduction.counts,
+        quick=reproduction.quick,
+        minutes=format_number(sum(reproduction.seconds.values()) / 60, 2),
+        kinds=VERDICT_CLASSES,
+        draw=lambda figure: draw.embed(svg_text(figure)),
+        as_text=as_text,
+    )
+
+
+def as_text(table: ResultTable) -> dict[str, Any]:
+    """A table as the pages set it: text of every cell, and the columns of numbers."""
+    numeric = {i for i, _ in enumerate(table.heads) if any(isinstance(row[i], float) for row in table.rows)}
+    return {"heads": table.heads, "rows": [list(map(format_cell, row)) for row in table.rows], "numeric": numeric}
+
+
+def format_cell(cell: Cell) -> str:
+    """Format a cell; numbers get four digits.
+
+    Examples
+    --------
+    >>> format_cell(12.0), format_cell("a")
+    ('12', 'a')
+
+    """
+    if cell is None:
+        return "\N{EN DASH}"
+    if isinstance(cell, str):
+        return cell
+    whole = cell == round(cell) and abs(cell) < 1e6
+    return f"{cell:.0f}".replace("-", "\N{MINUS SIGN}") if whole else format_number(cell, 4)
+
+
+def tables_html(tables: Sequence[ResultTable]) -> Markup:
+    """Render tables as HTML, for a notebook.
+
+    Parameters
+    ----------
+    tables
+        Tables of a section.
+
+    Returns
+    -------
+    Markup
+        HTML.
+
+    """
+    grid: Any = page_template("grid.html.j2").module
+    parts = (Markup("<h4>{}</h4>{}<p>{}</p>").format(t.title, grid.grid(as_text(t)), t.note) for t in tables)
+    return Markup("").join(parts)

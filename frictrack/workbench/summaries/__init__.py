@@ -16,4 +16,4 @@ from frictrack.workbench.summaries.diagnosis import candidate_curves
 from frictrack.workbench.summaries.fields import check_fields, new_study, refuse_implausible
 from frictrack.workbench.summaries.models import effect_library
 from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader, read_snapshot
-from frictrack.workbench.summaries.state import StudyState, state_of
+from frictrack.workbench.summaries.state import change_words, state_of

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from frictrack.base.number_format import describe_change, format_change, format_number
-from frictrack.flow import AttemptsReader, effect_of_formula
+from frictrack.base.number_format import describe_change, format_change, format_number, upper_first
+from frictrack.flow import ResultsReader, effect_of_formula
 from frictrack.present import plots
 from frictrack.present.plots.style import BAND_SIGMAS
 from frictrack.present.report import (
@@ -23,27 +22,17 @@ from frictrack.present.report import (
 )
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results, to_builtins
-from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.candidates import candidate_rows
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import describe_formula, force_without_effect
 from frictrack.study import Study
-from frictrack.workbench.plot_data import (
-    FORCE_TITLES,
-    RESIDUAL_TITLES,
-    PlotData,
-    candidate_columns,
-    compared_runs,
-    comparison_plots,
-)
+from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns, compared_runs, comparison_plots
 from frictrack.workbench.summaries.models import model_errors
 from frictrack.workbench.summaries.snapshot import Snapshot
 
 BINS = 40  # of the horizontal axis of a plot
-MIN_COMMON_POWER = 0.05  # of the noise of a frame; a smaller change is hardly seen in any plot
-AXES_OF_PLOTS = {
-    **dict(zip(RESIDUAL_TITLES, ("t", "x", "v"), strict=True)),
-    **dict(zip(FORCE_TITLES, ("t", "v"), strict=True)),
-}  # title of a plot -> column of its horizontal axis
+PLOT_OVER = dict(zip(("t", "x", "v"), RESIDUAL_TITLES, strict=True))  # title of the plot over each axis
+MAX_FORMULAS = 3
 
 
 def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
@@ -68,13 +57,13 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     if snapshot.study is None or results is None or results.current is None:
         return None
     tried = snapshot.attempted.get(effect)
-    tried = tried or AttemptsReader().read(snapshot.study, [effect]).get(effect)  # any effect can be tried
+    tried = tried or ResultsReader().attempts(snapshot.study, [effect]).get(effect)  # any effect can be tried
     if tried is None:
         return None
     columns = candidate_columns(results.runs, results.current, tried)
     about = {
         "name": effect,
-        "plot": most_changed_plot(results, results.current, columns),
+        "plot": _most_changed_plot(results, results.current, columns["with"]),
         "errors": error_change(results.current, tried),
         "fitted": True,
     }
@@ -104,127 +93,31 @@ def error_change(now: ModelResults, tried: ModelResults) -> dict[str, Any]:
     return {"now": first, "with": second, "unit": before[unit], "words": words}
 
 
-def most_changed_plot(results: Results, model: ModelResults, columns: Mapping[str, Array]) -> str:
-    """Find the plot in which a candidate changes the picture most.
+def _most_changed_plot(results: Results, model: ModelResults, residual: Array) -> str:
+    """Title of the plot in which a candidate changes the residual most in the same way in all runs.
 
-    The change is averaged over bins of the plot's horizontal axis, run by run, in units of the noise of one frame. What
-    counts is the part that the runs have in common: the mean product of the sums of two runs in the same bin. A
-    change that belongs to places is common to all runs over the place, and cancels over the time. If no axis has such
-    a part, or there is one run, the largest change of the averages counts.
-
-    Parameters
-    ----------
-    results, model
-        The study and its current model.
-    columns
-        "with" and "F_with"; see `candidate_curves`.
-
-    Returns
-    -------
-    str
-        Title of the plot.
-
+    A change that belongs to places is common to all runs over the place, and cancels over the time.
     """
-    now = comparison_plots(results, model).columns
-    runs = compared_runs(results.runs, model)
-    noise, force_noise = now["noise_high"] / BAND_SIGMAS, _force_noise(results, model)
-    in_noise = {
-        RESIDUAL_TITLES: (columns["with"] - now["left"]) / noise,
-        FORCE_TITLES: (columns["F_with"] - now["F_model"]) / force_noise,
-    }
-    number = np.repeat(np.arange(len(runs)), [len(run.motion) for run in runs])
-    changes = {
-        title: _binned_change(now[AXES_OF_PLOTS[title]], change, number)
-        for titles, change in in_noise.items()
-        for title in titles
-    }
-    for k in (0, 1):
-        best = max(changes, key=lambda title: changes[title][k])
-        if changes[best][k] > MIN_COMMON_POWER:
-            return best
-    return RESIDUAL_TITLES[0]
-
-
-def _force_noise(results: Results, model: ModelResults) -> Array:
-    """Standard deviation of the measured force (rows,), N; NaN where no force is known."""
-    parts = [
-        np.full(len(run.motion), np.nan) if run.friction is None else run.friction.sigma_F
-        for run in compared_runs(results.runs, model)
-    ]
-    return np.concatenate(parts) if parts else np.zeros(0)
-
-
-def _binned_change(axis: Array, change: Array, run: NDArray[np.int64]) -> tuple[float, float]:
-    """Average a change in units of the noise (rows,) over bins of an axis: the power that runs share, and that of each.
-
-    With the sum s of a run in a bin and the count n of all runs there, sum_ij s_i s_j = (sum s)^2 - sum s^2 for i != j.
-    """
-    known = np.isfinite(axis) & np.isfinite(change)
+    now, runs = comparison_plots(results, model).columns, compared_runs(results.runs, model)
+    change = (residual - now["left"]) / (now["noise_high"] / BAND_SIGMAS)
+    known = np.isfinite(change)
     if not known.any():
-        return 0.0, 0.0
-    axis, change, run = axis[known], change[known], run[known]
-    bins = np.minimum((BINS * (axis - axis.min()) / (np.ptp(axis) or 1.0)).astype(np.int64), BINS - 1)
-    sums, counts = np.zeros((2, int(run.max()) + 1, BINS))
-    np.add.at(sums, (run, bins), change)
-    np.add.at(counts, (run, bins), 1.0)
-    pairs = np.sum(sums, axis=0) ** 2 - np.sum(sums**2, axis=0)
-    common = np.sum(pairs / np.maximum(np.sum(counts, axis=0), 1.0))
-    return float(common / len(change)), float(np.sum(sums**2 / np.maximum(counts, 1.0)) / len(change))
+        return RESIDUAL_TITLES[0]
+    run = np.repeat(np.arange(len(runs)), [len(one.motion) for one in runs])[known]
+
+    def common_power(axis: Array) -> float:
+        """Sum over bins of an axis of the products of the changes of any two runs, per frame."""
+        place = (axis - axis.min()) / max(np.ptp(axis), 1e-300)
+        bins = np.minimum((BINS * place).astype(np.int64), BINS - 1)
+        sums = np.zeros((len(runs), BINS))
+        np.add.at(sums, (run, bins), change[known])
+        pairs = np.sum(sums, axis=0) ** 2 - np.sum(sums**2, axis=0)
+        return float(np.sum(pairs / np.maximum(np.bincount(bins, minlength=BINS), 1)))
+
+    return PLOT_OVER[max(PLOT_OVER, key=lambda axis: common_power(now[axis][known]))]
 
 
-MAX_FORMULAS = 3
-
-
-class VerdictSummary(TypedDict):
-    """The verdict on one model.
-
-    Attributes
-    ----------
-    verdict, title, brief
-        The kind of verdict, the headline, and its beginning for the bar.
-    sentences, numbers
-        The paragraph of the report, and the statistics, as sentences.
-    complete
-        False while only the verdict is known.
-    rests_on_repairs
-        How far the verdict rests on repaired frames; None if it does not.
-    plot
-        Title of the plot in which the model fails most.
-
-    """
-
-    verdict: str
-    title: str
-    brief: str
-    sentences: list[str]
-    numbers: list[str]
-    complete: bool
-    rests_on_repairs: str | None
-    plot: str
-
-
-class DiagnosisSummary(VerdictSummary):
-    """The diagnosis of the current model.
-
-    Attributes
-    ----------
-    candidates, formulas
-        Candidate effects as cards; formulas for a force that no effect explains.
-    unexplained
-        A sentence on that force; None if everything is explained.
-    next, next_words
-        Experiments that would settle it; sentences on effects that no experiment separates.
-
-    """
-
-    candidates: list[dict[str, Any]]
-    formulas: list[dict[str, Any]]
-    unexplained: str | None
-    next: list[dict[str, Any]]
-    next_words: list[str]
-
-
-def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
+def summarise_diagnosis(snapshot: Snapshot) -> dict[str, Any] | None:
     """Describe the diagnosis of the current model in the words of the report; None before it is made.
 
     Parameters
@@ -232,26 +125,30 @@ def summarise_diagnosis(snapshot: Snapshot) -> DiagnosisSummary | None:
     snapshot
         The study as its files are.
 
+    Returns
+    -------
+    dict or None
+        Its verdict (see `verdict_of`); candidates as cards; formulas for a force that no effect explains, and a
+        sentence on that force (`unexplained`); experiments that would settle it (`next`), and sentences on effects
+        that no experiment separates (`next_words`).
+
     """
     results, study = snapshot.results, snapshot.study
     if results is None or results.diagnosis is None or study is None:
         return None
     found = results.diagnosis
     left = force_without_effect(found) or {}
-    summary: DiagnosisSummary = to_builtins(
-        DiagnosisSummary(
-            **_verdict(results, found),
-            candidates=_candidates(results, found, snapshot.attempted),
-            formulas=[_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
-            unexplained=_unexplained(left),
-            next=[_experiment(step) for step in separating_experiments(found)],
-            next_words=[_plain(line) for line in inseparable(found)],
-        )
-    )
-    return summary
+    cards = candidate_cards(candidate_rows(found))
+    return _verdict(results, found) | {
+        "candidates": [_card(card, results, snapshot.attempted.get(card.row.effect)) for card in cards],
+        "formulas": [_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
+        "unexplained": _unexplained(left),
+        "next": [_experiment(step) for step in separating_experiments(found)],
+        "next_words": [_plain(line) for line in inseparable(found)],
+    }
 
 
-def verdict_of(results: Results, model: ModelResults) -> VerdictSummary | None:
+def verdict_of(results: Results, model: ModelResults) -> dict[str, Any] | None:
     """Describe the verdict on a model that was tried; None if it was not diagnosed."""
     if model.diagnosis is None:
         return None
@@ -259,23 +156,25 @@ def verdict_of(results: Results, model: ModelResults) -> VerdictSummary | None:
     return _verdict(replace(results, models=models, diagnosis=model.diagnosis), model.diagnosis)
 
 
-def _verdict(results: Results, found: Mapping[str, Any]) -> VerdictSummary:
+def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     """Describe the verdict on the current model of `results`."""
     verdict = study_verdict(results)
-    return VerdictSummary(
-        verdict=found["verdict"],
-        title=verdict.headline,
-        brief=verdict.headline.partition(": these runs cannot")[0],
-        sentences=[str(sentence.striptags()) for sentence in verdict.sentences],
-        numbers=_numbers(found),
-        complete=found.get("complete", True),
-        rests_on_repairs=found.get("rests_on_repairs") or None,
-        plot=_failing_plot(found),
-    )
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
+    repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
+    return {
+        "verdict": found["verdict"],
+        "title": verdict.headline,
+        "brief": verdict.headline.partition(": these runs cannot")[0],  # for the bar
+        "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
+        "numbers": [
+            f"Reduced chi-squared {chi2}; p of the lack of fit {p}.",
+            *filter(None, [found.get("repeats_words")]),
+        ],
+        "complete": found.get("complete", True),  # False while only the verdict is known
+        "rests_on_repairs": found.get("rests_on_repairs") or None,
+        # where the model fails most: over the axis along which the misfit repeats
+        "plot": next((PLOT_OVER[axis] for axis in repeats if axis in PLOT_OVER), RESIDUAL_TITLES[0]),
+    }
 
 
 def _plain(text: str) -> str:
@@ -283,24 +182,13 @@ def _plain(text: str) -> str:
     return str(mark_code(text).striptags())
 
 
-def _numbers(found: Mapping[str, Any]) -> list[str]:
-    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
-    repeats = found.get("repeats_words")
-    return [f"Reduced chi-squared {chi2}; p of the lack of fit {p}.", *([repeats] if repeats else [])]
-
-
-# --- candidates
-
-
-def _candidates(
-    results: Results, found: Mapping[str, Any], attempted: Mapping[str, ModelResults]
-) -> list[dict[str, Any]]:
-    cards = candidate_cards(candidate_rows(found))
-    return [_card(card, results, tried=attempted.get(card.row.effect)) for card in cards]
-
-
-def _card(card: CandidateCard, results: Results, *, tried: ModelResults | None) -> dict[str, Any]:
+def _card(card: CandidateCard, results: Results, tried: ModelResults | None) -> dict[str, Any]:
     row = card.row
+    errors = None
+    if tried is not None and results.current is not None and not row.added_to:
+        errors = error_change(results.current, tried)
+    elif row.held_out:
+        errors = {"now": row.before, "with": row.after, "unit": row.unit, "words": f"Held-out error {row.held_out}."}
     return {
         "name": row.effect,
         "rank": row.standing,
@@ -310,38 +198,17 @@ def _card(card: CandidateCard, results: Results, *, tried: ModelResults | None) 
         "numbers": list(card.numbers),
         "fitted": tried is not None,
         "error_with": row.held_out or None,
-        "errors": _errors(row, results, tried),
+        "errors": errors,
         "has_scan": bool(plots.has_scan(results.figures.get(row.effect, {}))),
     }
 
 
-def _errors(row: CandidateRow, results: Results, tried: ModelResults | None) -> dict[str, Any] | None:
-    """Return the error now and with a candidate: of the fit that was tried, else of the diagnosis; None if unknown.
-
-    A fit that was tried has this effect alone; one found in addition to others has the error of the diagnosis.
-    """
-    if tried is not None and results.current is not None and not row.added_to:
-        return error_change(results.current, tried)
-    if not row.held_out:
-        return None
-    return {"now": row.before, "with": row.after, "unit": row.unit, "words": f"Held-out error {row.held_out}."}
-
-
-def _failing_plot(found: Mapping[str, Any]) -> str:
-    """Return the title of the plot in which the model fails most: over the axis along which the misfit repeats."""
-    repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
-    over = dict(zip(("t", "x", "v"), RESIDUAL_TITLES, strict=True))
-    return next((over[axis] for axis in repeats if axis in over), RESIDUAL_TITLES[0])
-
-
-# --- a force that no effect explains
-
-
 def _unexplained(left: Mapping[str, Any]) -> str | None:
+    """A sentence on the force that no effect explains."""
     if not left:
         return None
     if left.get("words"):
-        return f"{_capitalised(left['words'])}."
+        return f"{upper_first(left['words'])}."
     return f"A force that no effect of the library explains repeats best with {AXES[left['axis']].name}."
 
 
@@ -353,13 +220,7 @@ def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}
 
 
-# --- next experiments
-
-
 def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
     evidence = step["expected_delta_bic"]
     expected = f"; expected delta BIC at least {format_number(evidence, 2)}" if evidence is not None else ""
-    return {
-        "title": _plain(step["what"]),
-        "words": f"Distinguishes {_plain(step['tells'])}{expected}.",
-    }
+    return {"title": _plain(step["what"]), "words": f"Distinguishes {_plain(step['tells'])}{expected}."}

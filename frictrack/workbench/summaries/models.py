@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, TypedDict
+from typing import Any
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import format_quantity
 from frictrack.effects import catalogue
 from frictrack.flow import user_effects
 from frictrack.present.plots import has_law, numbered_name, residual_unit
-from frictrack.results import ModelResults, Results, to_builtins
+from frictrack.results import ModelResults, Results
 from frictrack.results.error_rows import held_out_error
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
 
-
-class OutdatedEntry(TypedDict):
-    """One outdated result.
-
-    Attributes
-    ----------
-    what, name
-        "track", "motion", "model", "diagnosis" or "report"; the name of the run or of the model's group.
-    reason
-        A sentence.
-    update
-        The job that brings it up to date: "do" and "arguments".
-
-    """
-
-    what: str
-    name: str
-    reason: str
-    update: dict[str, Any]
+OUTDATED = {
+    "track": "The track of {} is outdated",
+    "motion": "The motion of {} is outdated",
+    "model": "The model {} is outdated",
+    "diagnosis": "The diagnosis of {} is outdated",
+    "report": "The report is outdated",
+}
 
 
-def list_outdated(snapshot: Snapshot) -> list[OutdatedEntry]:
+def list_outdated(snapshot: Snapshot) -> list[dict[str, Any]]:
     """List everything that is outdated.
 
     Parameters
@@ -45,141 +33,68 @@ def list_outdated(snapshot: Snapshot) -> list[OutdatedEntry]:
     snapshot
         The study as its files are.
 
+    Returns
+    -------
+    list of dict
+        what ("track", "motion", "model", "diagnosis" or "report"), name of the run or of the model's group, reason (a
+        sentence), and the job that brings it up to date: `update` with "do" and "arguments".
+
     """
-    parts = snapshot.results.outdated_parts if snapshot.results else ()
     return [
-        OutdatedEntry(
-            what=part.what,
-            name=part.name,
-            reason=_sentence(part.what, part.name, part.reason),
-            update={"do": part.command, "arguments": part.arguments},
-        )
-        for part in parts
+        {
+            "what": part.what,
+            "name": part.name,
+            "reason": f"{OUTDATED[part.what].format(part.name)}: {part.reason}.",
+            "update": {"do": part.command, "arguments": part.arguments},
+        }
+        for part in (snapshot.results.outdated_parts if snapshot.results else ())
     ]
 
 
-def why_outdated(snapshot: Snapshot, what: str, name: str = "") -> str | None:
-    """Return the sentence why one result is outdated; None if it is not.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-    what, name
-        As in `OutdatedEntry`.
-
-    """
-    return next((one["reason"] for one in list_outdated(snapshot) if (one["what"], one["name"]) == (what, name)), None)
-
-
 def report_state(snapshot: Snapshot) -> dict[str, Any]:
-    """Return whether the report exists, and why it is outdated (None if it is not).
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
+    """Return whether the report exists, and why it is outdated (None if it is not)."""
     exists = snapshot.results is not None and (snapshot.results.output / "report.html").exists()
-    return {"exists": exists, "outdated": why_outdated(snapshot, "report") if exists else None}
+    return {"exists": exists, "outdated": _why_outdated(snapshot, "report") if exists else None}
 
 
-def _sentence(what: str, name: str, reason: str) -> str:
-    return f"{_SUBJECTS[what].format(name=name)}: {reason}."
-
-
-_SUBJECTS = {
-    "track": "The track of {name} is outdated",
-    "motion": "The motion of {name} is outdated",
-    "model": "The model {name} is outdated",
-    "diagnosis": "The diagnosis of {name} is outdated",
-    "report": "The report is outdated",
-}
+def _why_outdated(snapshot: Snapshot, what: str, name: str = "") -> str | None:
+    return next((one["reason"] for one in list_outdated(snapshot) if (one["what"], one["name"]) == (what, name)), None)
 
 
 SETTINGS = ("fix", "bounds", "prior", "tie", "per_run")
 
 
-class ModelEntry(TypedDict):
-    """One model that was tried.
-
-    Attributes
-    ----------
-    group, label
-        Name in the results ("2_tustin+patch"), and in words ("2. Tustin + patch").
-    current
-        Whether it is the current model.
-    effects
-        Names of its effects.
-    errors
-        reduced_chi2; rms of the residual and rms_unit; heldout (error of predicted frames or runs) and heldout_unit;
-        None where not computed.
-    equation
-        The fitted equation as plain text.
-    outdated
-        Why it does not belong to the study of now; None if it does.
-    has_law
-        Whether its law can be drawn over the speed.
-    diagnosis
-        Its verdict, a `VerdictSummary`; None if it was not diagnosed.
-
-    """
-
-    group: str
-    label: str
-    current: bool
-    effects: list[str]
-    errors: dict[str, Any]
-    equation: str
-    outdated: str | None
-    has_law: bool
-    diagnosis: dict[str, Any] | None
-
-
-def list_models(snapshot: Snapshot, verdict_of: Callable[[Results, ModelResults], Any]) -> list[ModelEntry]:
-    """List the models in the order in which they were tried, each with its verdict."""
-    results = snapshot.results
-    if results is None:
+def list_models(snapshot: Snapshot, verdict_of: Callable[[Results, ModelResults], Any]) -> list[dict[str, Any]]:
+    """List the models in the order in which they were tried, each with its errors and its verdict."""
+    if (results := snapshot.results) is None:
         return []
     return [
-        ModelEntry(
-            group=model.name,
-            label=numbered_name(model.name),
-            current=model.current,
-            effects=list(model.summary["model"]),
-            errors=model_errors(model),
-            equation=model.equation,
-            outdated=why_outdated(snapshot, "model", model.name),
-            has_law=has_law(model),
-            diagnosis=verdict_of(results, model),
-        )
+        {
+            "group": model.name,
+            "label": numbered_name(model.name),
+            "current": model.current,
+            "effects": list(model.summary["model"]),
+            "errors": model_errors(model),
+            "equation": model.equation,
+            "outdated": _why_outdated(snapshot, "model", model.name),
+            "has_law": has_law(model),
+            "diagnosis": verdict_of(results, model),
+        }
         for model in results.models
     ]
 
 
 def model_errors(model: ModelResults) -> dict[str, Any]:
-    """Select the errors of a model that the page shows.
-
-    Parameters
-    ----------
-    model
-        The model.
-
-    """
-    errors = model.summary["errors"]
-    unit = residual_unit(model)
+    """Select the errors of a model that the page shows: of the residual, and of predicted frames or runs."""
+    errors, unit = model.summary["errors"], residual_unit(model)
     heldout, heldout_unit = held_out_error(errors)
-    found: dict[str, Any] = to_builtins(
-        {
-            "reduced_chi2": errors.get("reduced_chi2"),
-            "rms": errors.get("rms_displacement_um" if unit == "µm" else "rms_N"),
-            "rms_unit": unit,
-            "heldout": heldout,
-            "heldout_unit": heldout_unit,
-        }
-    )
-    return found
+    return {
+        "reduced_chi2": errors.get("reduced_chi2"),
+        "rms": errors.get("rms_displacement_um" if unit == "µm" else "rms_N"),
+        "rms_unit": unit,
+        "heldout": heldout,
+        "heldout_unit": heldout_unit,
+    }
 
 
 # --- the current model
@@ -217,16 +132,8 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
 
 
 def effect_library(study: Study | None) -> list[dict[str, Any]]:
-    """Return the catalogue of effects, with those that the study defines.
-
-    Parameters
-    ----------
-    study
-        The study, if there is one.
-
-    """
-    found: list[dict[str, Any]] = to_builtins(list(_library(study.effects if study else ()).values()))
-    return found
+    """Return the catalogue of effects, with those that the study defines, if there is one."""
+    return list(_library(study.effects if study else ()).values())
 
 
 def _library(tables: Sequence[EffectTable]) -> dict[str, dict[str, Any]]:
@@ -243,45 +150,27 @@ def _catalogue(tables: tuple[str, ...]) -> dict[str, dict[str, Any]]:
 def _effect(name: str, library: Mapping[str, Any], model: ModelResults, study: Study) -> dict[str, Any]:
     entry = library.get(name) or library.get(name.split(":", maxsplit=1)[0], {})
     given = {parameter["name"]: parameter for parameter in entry.get("parameters", [])}
-    values = _values(model, name)
-    settings = _settings(study.effects, name)
+    values, own = _values(model, name), next((table for table in study.effects if table.effect == name), None)
+    parameters = []
+    for parameter in dict.fromkeys((*values, *given)):
+        about, fitted = given.get(parameter), values.get(parameter, {})
+        settings = {key: getattr(own, key).get(parameter) if own else None for key in SETTINGS}
+        low, high = settings.pop("bounds") or (None, None)
+        parameters.append(
+            {
+                "name": parameter,
+                "unit": about["unit"] if about else next(iter(fitted.values()))["unit"],
+                "values": {run: value_text(value) for run, value in fitted.items()},
+                "settings": settings | {"low": low, "high": high},
+                "bounds": about["bounds"] if about else None,
+            }
+        )
     return {
         "name": name,
         "equation": entry.get("equation", ""),
         "what": entry.get("what", ""),
-        "parameters": [
-            _parameter(parameter, given.get(parameter), values.get(parameter, {}), settings)
-            for parameter in dict.fromkeys((*values, *given))
-        ],
+        "parameters": parameters,
     }
-
-
-def _parameter(
-    name: str, about: Mapping[str, Any] | None, values: Mapping[str, Any], settings: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
-    own = {key: settings[key].get(name) for key in SETTINGS}
-    low, high = own["bounds"] or (None, None)
-    unit = about["unit"] if about else next(iter(values.values()))["unit"]
-    return {
-        "name": name,
-        "unit": unit,
-        "values": {run: value_text(value) for run, value in values.items()},
-        "settings": {
-            "fix": own["fix"],
-            "low": low,
-            "high": high,
-            "prior": list(own["prior"]) if own["prior"] else None,
-            "tie": own["tie"],
-            "per_run": own["per_run"],
-        },
-        "bounds": about["bounds"] if about else None,
-    }
-
-
-def _settings(tables: Iterable[EffectTable], effect: str) -> dict[str, dict[str, Any]]:
-    """Return the settings of an effect in the study file: by kind, then by parameter."""
-    found = next((table for table in tables if table.effect == effect), None)
-    return {key: dict(getattr(found, key)) if found else {} for key in SETTINGS}
 
 
 def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
@@ -296,14 +185,7 @@ def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
 
 
 def value_text(value: Mapping[str, Any]) -> str:
-    """Write a fitted value with its standard deviation, and why it is not determined.
-
-    Parameters
-    ----------
-    value
-        "value", "std", "unit" and perhaps "std_misfit" and "reason", as the JSON of a fit has them.
-
-    """
+    """Write a fitted value with its standard deviation, and why it is not determined."""
     reason = f" ({value['reason']})" if value.get("reason") else ""
     if value["value"] is None:
         return f"not determined{reason}"

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import (
-    AttemptsReader,
     Change,
     CommandHistory,
     ResultsReader,
@@ -75,7 +74,6 @@ class SnapshotReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._results = ResultsReader(with_budgets=False)
-        self._attempts = AttemptsReader()
         self._last = Snapshot(path)
 
     def read(self) -> Snapshot:
@@ -92,7 +90,7 @@ class SnapshotReader:
             history = CommandHistory(study.output)
             results = self._results.read(study)
             names = [candidate["effect"] for candidate in (results.diagnosis or {}).get("candidates", [])]
-            attempted = self._attempts.read(study, names)
+            attempted = self._results.attempts(study, names)
             changes, tests = tuple(history.changes), SignificanceBudget(study.output).summary()
             self._last = Snapshot(self.path, study, results, raw, changes, tests, recordings, attempted)
         except (FrictrackError, OSError, UnicodeDecodeError) as e:
@@ -106,14 +104,7 @@ def _reader(path: Path) -> SnapshotReader:
 
 
 def read_snapshot(path: Path) -> Snapshot:
-    """Read the files of a study as they are now; nothing is computed and nothing is raised.
-
-    Parameters
-    ----------
-    path
-        The study file, which need not exist.
-
-    """
+    """Read the files of a study as they are now; nothing is computed and nothing is raised."""
     return _reader(path).read()
 
 
@@ -147,84 +138,34 @@ def _surveyed(path: Path, *_: int) -> Surveyed:
 
 
 def surveyed_source(path: Any) -> Surveyed | None:
-    """Return what is known of the recording of a run; None for one at an address, or one that is gone.
-
-    Parameters
-    ----------
-    path
-        `RunTable.source`.
-
-    """
+    """Return what is known of the recording of a run; None for one at an address, or one that is gone."""
     return _survey(path) if isinstance(path, Path) and path.exists() else None
 
 
 def file_version(path: Any) -> str:
-    """Return a text that changes when the content of a recording changes; "" for one at an address.
-
-    Parameters
-    ----------
-    path
-        `RunTable.source`.
-
-    """
+    """Return a text that changes when the content of a recording changes; "" for one at an address."""
     if not isinstance(path, Path) or not path.exists():
         return ""
     state = path.stat()
     return f"{state.st_mtime_ns:x}-{state.st_size:x}"
 
 
-class RecordingEntry(TypedDict):
-    """One recording.
-
-    Attributes
-    ----------
-    name, kind
-        File name, and "film" or "table".
-    words
-        What it holds, in a few words.
-    frames, width, height, fps
-        Of a film, px and 1/s; None if unknown.
-    in_study
-        Whether a run of the study uses it.
-    skipped
-        Why it cannot be used; None if it can.
-
-    """
-
-    name: str
-    kind: str
-    words: str
-    frames: int | None
-    width: int | None
-    height: int | None
-    fps: float | None
-    in_study: bool
-    skipped: str | None
-
-
-def list_recordings(snapshot: Snapshot) -> list[RecordingEntry]:
-    """List the recordings in the folder of the study file.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
+def list_recordings(snapshot: Snapshot) -> list[dict[str, Any]]:
+    """List the recordings in the folder of the study file; `skipped` says why one cannot be used."""
     runs = snapshot.study.runs if snapshot.study else ()
     used = {run.source.resolve() for run in runs if isinstance(run.source, Path)}
     return [
-        RecordingEntry(
-            name=seen.path.name,
-            kind="table" if seen.is_table else "film",
-            words=seen.words,
-            frames=seen.n_frames or None,
-            width=seen.shape[1] or None,
-            height=seen.shape[0] or None,
-            fps=seen.fps,
-            in_study=seen.path.resolve() in used,
-            skipped=_why_skipped(seen.problem, seen.columns_to_confirm),
-        )
+        {
+            "name": seen.path.name,
+            "kind": "table" if seen.is_table else "film",
+            "words": seen.words,
+            "frames": seen.n_frames or None,
+            "width": seen.shape[1] or None,
+            "height": seen.shape[0] or None,
+            "fps": seen.fps,
+            "in_study": seen.path.resolve() in used,
+            "skipped": _why_skipped(seen.problem, seen.columns_to_confirm),
+        }
         for seen in snapshot.recordings
     ]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Any
 
+from frictrack.base.number_format import upper_first
 from frictrack.effects import models
 from frictrack.flow import Change, undo_stacks
 from frictrack.present.plots import numbered_name
@@ -13,18 +14,11 @@ from frictrack.present.plots.style import joined_name
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import CHECK_FIRST, describe_tests
 from frictrack.study import Study
-from frictrack.workbench.summaries.diagnosis import DiagnosisSummary, summarise_diagnosis, verdict_of
-from frictrack.workbench.summaries.fields import Field, study_fields
-from frictrack.workbench.summaries.models import (
-    ModelEntry,
-    OutdatedEntry,
-    current_model,
-    list_models,
-    list_outdated,
-    report_state,
-)
-from frictrack.workbench.summaries.runs import Readiness, RunSummary, readiness, summarise_runs
-from frictrack.workbench.summaries.snapshot import RecordingEntry, Snapshot, list_recordings
+from frictrack.workbench.summaries.diagnosis import summarise_diagnosis, verdict_of
+from frictrack.workbench.summaries.fields import study_fields
+from frictrack.workbench.summaries.models import current_model, list_models, list_outdated, report_state
+from frictrack.workbench.summaries.runs import readiness, summarise_runs
+from frictrack.workbench.summaries.snapshot import Snapshot, list_recordings
 
 AUTHORS = {"cli": "command line", "page": "page", "python": "Python"}
 KEY_NAMES = {
@@ -39,49 +33,21 @@ ALL_RUNS = ("study", "camera", "motion")  # tables whose keys hold for all runs
 MAX_VALUE_TEXT = 60  # characters
 
 
-class HistorySummary(TypedDict):
-    """The changes of a study.
-
-    Attributes
-    ----------
-    entries
-        "n" (number from 1), "words", "author" and "at" (ISO 8601, local time) of each change, oldest first.
-    tests
-        Sentences on the tests that were made of the models.
-    can_undo, can_redo
-        Whether there is such a change.
-    undo_words, redo_words
-        What would be undone or redone; "" if nothing.
-
-    """
-
-    entries: list[dict[str, Any]]
-    tests: list[str]
-    can_undo: bool
-    can_redo: bool
-    undo_words: str
-    redo_words: str
-
-
-def summarise_history(snapshot: Snapshot) -> HistorySummary:
-    """Tell the history of a study.
-
-    Parameters
-    ----------
-    snapshot
-        The study as its files are.
-
-    """
+def summarise_history(snapshot: Snapshot) -> dict[str, Any]:
+    """Tell the history of a study: its changes, oldest first, sentences on the tests made, and what can be undone."""
     changes = snapshot.changes
-    done, undone = _stacks(changes)
-    return HistorySummary(
-        entries=[_entry(change, changes) for change in changes],
-        tests=describe_tests(snapshot.tests),
-        can_undo=bool(done),
-        can_redo=bool(undone),
-        undo_words=f"Undo: {change_words(done[-1])}" if done else "",
-        redo_words=f"Redo: {change_words(undone[-1])}" if undone else "",
-    )
+    try:
+        done, undone = undo_stacks(changes)
+    except ValueError:  # a damaged log: Undo itself says so
+        done, undone = [], []
+    return {
+        "entries": [_entry(change, changes) for change in changes],
+        "tests": describe_tests(snapshot.tests),
+        "can_undo": bool(done),
+        "can_redo": bool(undone),
+        "undo_words": f"Undo: {change_words(done[-1])}" if done else "",
+        "redo_words": f"Redo: {change_words(undone[-1])}" if undone else "",
+    }
 
 
 def change_words(change: Change) -> str:
@@ -105,13 +71,6 @@ def change_words(change: Change) -> str:
         return change.text
 
 
-def _stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
-    try:
-        return undo_stacks(changes)
-    except ValueError:  # a damaged log: Undo itself says so
-        return [], []
-
-
 def _entry(change: Change, changes: Sequence[Change]) -> dict[str, Any]:
     words = change_words(change)
     if change.command in ("undo", "redo"):
@@ -119,7 +78,7 @@ def _entry(change: Change, changes: Sequence[Change]) -> dict[str, Any]:
         target = changes[of - 1] if isinstance(of, int) and 0 < of <= len(changes) else None
         words = f"{change.command}: {change_words(target)}" if target else change.command
     author = AUTHORS.get(change.author, change.author)
-    return {"n": change.revision, "words": words[:1].upper() + words[1:], "author": author, "at": change.time}
+    return {"n": change.revision, "words": upper_first(words), "author": author, "at": change.time}
 
 
 # --- words of each command
@@ -135,11 +94,8 @@ def _edit(arguments: Mapping[str, Any]) -> str:
         return f"repair the frames {spans} of {which}"
     if not value and value != 0:
         return f"remove the {what}"
-    return f"set the {what} to {_value(key, value)}" if _is_short(value) else f"set the {what}"
-
-
-def _is_short(value: Any) -> bool:
-    return not isinstance(value, dict) and len(str(value)) <= MAX_VALUE_TEXT
+    is_short = not isinstance(value, dict) and len(str(value)) <= MAX_VALUE_TEXT
+    return f"set the {what} to {_value(key, value)}" if is_short else f"set the {what}"
 
 
 def _value(key: Any, value: Any) -> str:
@@ -169,48 +125,6 @@ _WORDS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 }
 
 
-class StudyState(TypedDict):
-    """Everything that the page shows of a study; the server adds its own version, its id and the jobs.
-
-    Attributes
-    ----------
-    revision
-        Number of changes of the study so far.
-    path, folder, exists, name
-        The study file, its folder, whether it exists, and the name of the study.
-    error
-        Why the study file or the results cannot be read; None if they can.
-    keys
-        `prior`, `conditions` and `functions` of the study file as they are typed on the page; "" if absent.
-    check_first
-        Implausible numbers, as sentences: no verdict is better than they are.
-
-    Notes
-    -----
-    The other keys are described where their types are defined.
-
-    """
-
-    revision: int
-    path: str
-    folder: str
-    exists: bool
-    name: str
-    error: str | None
-    recordings: list[RecordingEntry]
-    fields: dict[str, Field]
-    keys: dict[str, str]
-    ready: Readiness
-    runs: list[RunSummary]
-    models: list[ModelEntry]
-    model: dict[str, Any] | None
-    diagnosis: DiagnosisSummary | None
-    check_first: list[str]
-    outdated: list[OutdatedEntry]
-    report: dict[str, Any]
-    history: HistorySummary
-
-
 def _study_keys(study: Study | None) -> dict[str, str]:
     if study is None:
         return {}
@@ -219,37 +133,44 @@ def _study_keys(study: Study | None) -> dict[str, str]:
     return {"prior": prior, "conditions": conditions, "functions": "; ".join(study.functions)}
 
 
-def state_of(snapshot: Snapshot) -> StudyState:
-    """Return the state of a study as JSON-serialisable dictionaries.
+def state_of(snapshot: Snapshot) -> dict[str, Any]:
+    """Return everything that the page shows of a study; the server adds its own version, its id and the jobs.
 
     Parameters
     ----------
     snapshot
         The study as its files are.
 
+    Returns
+    -------
+    dict
+        JSON-serialisable. `error` says why the study file or the results cannot be read, `keys` has keys of the study
+        file as they are typed on the page, `check_first` has sentences on implausible numbers: no verdict is better
+        than they are. The other keys are described where their values are made.
+
     """
     runs = summarise_runs(snapshot)
     implausible = snapshot.results.warnings if snapshot.results else ()
-    state: StudyState = to_builtins(
-        StudyState(
-            revision=len(snapshot.changes),
-            path=str(snapshot.path),
-            folder=str(snapshot.path.parent),
-            exists=snapshot.path.exists(),
-            name=snapshot.study.name if snapshot.study else snapshot.path.resolve().parent.name,
-            error=snapshot.error,
-            recordings=list_recordings(snapshot),
-            fields=study_fields(snapshot),
-            keys=_study_keys(snapshot.study),
-            ready=readiness(snapshot, runs),
-            runs=runs,
-            models=list_models(snapshot, verdict_of),
-            model=current_model(snapshot),
-            diagnosis=summarise_diagnosis(snapshot),
-            check_first=[f"{CHECK_FIRST} {words}." for words in implausible],
-            outdated=list_outdated(snapshot),
-            report=report_state(snapshot),
-            history=summarise_history(snapshot),
-        )
+    state: dict[str, Any] = to_builtins(
+        {
+            "revision": len(snapshot.changes),
+            "path": str(snapshot.path),
+            "folder": str(snapshot.path.parent),
+            "exists": snapshot.path.exists(),
+            "name": snapshot.study.name if snapshot.study else snapshot.path.resolve().parent.name,
+            "error": snapshot.error,
+            "recordings": list_recordings(snapshot),
+            "fields": study_fields(snapshot),
+            "keys": _study_keys(snapshot.study),
+            "ready": readiness(snapshot, runs),
+            "runs": runs,
+            "models": list_models(snapshot, verdict_of),
+            "model": current_model(snapshot),
+            "diagnosis": summarise_diagnosis(snapshot),
+            "check_first": [f"{CHECK_FIRST} {words}." for words in implausible],
+            "outdated": list_outdated(snapshot),
+            "report": report_state(snapshot),
+            "history": summarise_history(snapshot),
+        }
     )
     return state

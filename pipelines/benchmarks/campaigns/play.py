@@ -16,7 +16,7 @@ from frictrack.diagnose.experiments import next_run
 from frictrack.diagnose.model_selection import information_criterion, likelihood_gain
 from frictrack.fit import Fit
 from frictrack.fit.stepwise import add_effect, refine_to_end
-from frictrack.flow.diagnosis_records import CompletenessTest, named_effects, plan_test
+from frictrack.flow.command_history import CompletenessTest, named_effects, plan_test
 from frictrack.settings.costs import Costs
 from frictrack.validation.blind.ideal_detector import degrees_of_freedom, detection_threshold
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.fit.least_squares import Solution, fit_with_scatter
-from frictrack.validation.blind.equivalents import MAX_CHI2_EXCESS, replacements, solution_at_truth
 from frictrack.validation.blind.ideal_detector import IdealDetector
+from frictrack.validation.blind.outcome import MAX_CHI2_EXCESS, replacements, solution_at_truth
 from frictrack.validation.blind.truth import Truth, effect_named
 
 MAX_CHI2_RIVAL = 30.0  # separation beyond which noise puts a rival before the truth in less than one of 300 studies

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import io
 import re
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, wraps
+from html import escape
 from threading import RLock
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -40,6 +42,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
 REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
+REPAIRED_STYLE: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
@@ -155,6 +158,7 @@ def numbered_name(group: str) -> str:
     return f"{group.split('_', 1)[0]}. {plain_name(group)}"
 
 
+Y_MARGIN = 0.08  # of the range of values, above and below
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
@@ -275,7 +279,7 @@ def axis_scale(values: Array, unit: str) -> tuple[float, str]:
     return (1e3, f"m{unit}") if largest >= 5e-4 else (1e6, f"µ{unit}")
 
 
-def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> None:
+def set_y_limits(ax: Axes, values: Iterable[Array]) -> None:
     """Limit the y axis to the given values and a margin, so that smeared ends do not set the scale.
 
     Parameters
@@ -284,15 +288,13 @@ def set_y_limits(ax: Axes, values: Iterable[Array], margin: float = 0.08) -> Non
         The panel.
     values : iterable of Array
         Arrays of any shape; NaN is ignored.
-    margin : float
-        Margin over the range of the values.
 
     """
     together = np.concatenate([np.ravel(v) for v in values])
     together = together[np.isfinite(together)]
     if len(together):
         low, high = float(together.min()), float(together.max())
-        room = margin * ((high - low) or abs(high) or 1.0)
+        room = Y_MARGIN * ((high - low) or abs(high) or 1.0)
         ax.set_ylim(low - room, high + room)
 
 
@@ -312,16 +314,14 @@ def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> Non
     if codes is None or not np.any(codes):
         return
     at = x[codes > 0]
-    marks: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "zorder": 4}
-    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, **marks)
+    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, zorder=4, **REPAIRED_STYLE)
 
 
 def repaired_handles(codes: np.ndarray[Any, Any] | None) -> list[Line2D]:
     """Return the entry of a legend for the ticks of `mark_repaired`; empty if no frame was repaired."""
     if codes is None or not np.any(codes):
         return []
-    look: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
-    return [Line2D([], [], label="repaired by the user", **look)]
+    return [Line2D([], [], label="repaired by the user", **REPAIRED_STYLE)]
 
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
@@ -451,11 +451,10 @@ def svg(figure: Figure) -> str:
         same text.
 
     """
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        canvas = _SvgCanvas(figure)
-        figure.set_dpi(SVG_DPI)
-        with _laid_out(figure):
-            text = canvas.to_svg()
+    canvas = _SvgCanvas(figure)
+    figure.set_dpi(SVG_DPI)
+    with _laid_out(figure):
+        text = canvas.to_svg()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
@@ -504,7 +503,7 @@ def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
-    with collection_paused(), ticks_in_rows(figure):
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused(), ticks_in_rows(figure):
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -523,19 +522,38 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
         Dots per inch.
 
     """
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        buffer = io.BytesIO()
-        canvas = FigureCanvasAgg(figure)
-        figure.set_dpi(dpi)
-        with _laid_out(figure):
-            canvas.print_png(buffer)
+    buffer, canvas = io.BytesIO(), FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    with _laid_out(figure):
+        canvas.print_png(buffer)
     return buffer.getvalue()
 
 
 def pdf(figure: Figure) -> bytes:
     """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS):
-        buffer = io.BytesIO()
-        with _laid_out(figure):
-            FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
+    buffer = io.BytesIO()
+    with _laid_out(figure):
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return buffer.getvalue()
+
+
+class Drawable(Protocol):
+    """What prints itself in a line and can be drawn."""
+
+    def plot(self) -> Figure:
+        """Return the figure."""
+        ...
+
+
+def html(result: Drawable) -> str:
+    """Return the text and the figure of a result as HTML, for a notebook.
+
+    Parameters
+    ----------
+    result : object
+        A result with `plot`; its text is its `repr`.
+
+    """
+    picture = b64encode(png(result.plot())).decode()
+    image = f'<img alt="" style="max-width: 100%" src="data:image/png;base64,{picture}">'
+    return f"<p><code>{escape(repr(result))}</code></p>{image}"

@@ -9,17 +9,11 @@ from typing import Any
 import numpy as np
 
 from frictrack.effects import Path, Span, models
-from frictrack.fit.global_search import search_settings
+from frictrack.fit.global_search import PopulationMisfit, ReducedPopulationMisfit, search_settings
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.separable import (
-    ConstrainedVariableProjection,
-    PopulationMisfit,
-    ReducedPopulationMisfit,
-    SeparableModel,
-    VariableProjection,
-    force_block,
-    variable_projection,
-)
+from frictrack.fit.separable.common_amplitudes import ConstrainedVariableProjection, variable_projection
+from frictrack.fit.separable.model import DataBlock, SeparableModel
+from frictrack.fit.separable.varpro import VariableProjection
 from frictrack.search import minimise
 
 from .problems import FPS, NOISE, PROBLEMS, Array, Case, T, V, X
@@ -41,9 +35,14 @@ def layout(name: str) -> ParameterLayout:
     return ParameterLayout(models.Model(tuple(made)), ("run",), (SPAN,))
 
 
+def _block(friction: Array) -> DataBlock:
+    """A friction series (n,), N, as data; forces map to it directly."""
+    return DataBlock(0, PATH, friction / NOISE, lambda rows: rows / NOISE, np.zeros_like, friction)
+
+
 @cache
 def _search(name: str) -> VariableProjection | ConstrainedVariableProjection:
-    return variable_projection(SeparableModel(layout(name), [force_block(0, PATH, np.zeros(len(T)), NOISE)]))
+    return variable_projection(SeparableModel(layout(name), [_block(np.zeros(len(T)))]))
 
 
 def varpro(name: str, case: Case, *, cold: bool = False) -> dict[str, Any]:
@@ -58,7 +57,7 @@ def varpro(name: str, case: Case, *, cold: bool = False) -> dict[str, Any]:
 
 def papers(name: str, case: Case, method: str, over: str, budget: int, **settings: Any) -> dict[str, Any]:
     """A global search over "all" parameters or the "nonlinear" ones until it succeeds or its budget is spent."""
-    block = force_block(0, PATH, case.data, NOISE)
+    block = _block(case.data)
     misfit: PopulationMisfit | ReducedPopulationMisfit = (
         ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
     )(layout(name), [block])
@@ -94,7 +93,7 @@ def per_evaluation(name: str, population: int = 40) -> dict[str, float]:
     """CPU microseconds per law of a population: bare numpy, full space, non-linear parameters alone."""
     law, rng, case = PROBLEMS[name], np.random.default_rng(0), _case(name)
     low, high = law.box.T
-    block = force_block(0, PATH, case.data, NOISE)
+    block = _block(case.data)
     out = {"bare": _timed(case.sse, low + (high - low) * rng.random((population, len(low))))}
     for over, misfit in (
         ("all", PopulationMisfit(layout(name), [block])),

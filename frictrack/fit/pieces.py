@@ -1,0 +1,468 @@
+"""Pieces: the parts of runs that are fitted as one, with their measurement, its noise and what drives them.
+
+The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
+correlation time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a
+frame of unknown size adds no information. The map is linear, so it also applies to sensitivities.
+
+References
+----------
+Kalman, R. E. (1960). A new approach to linear filtering and prediction problems. J. Basic Eng. 82, 35-45.
+
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import solve_banded
+
+from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
+from frictrack.records import Array
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
+
+Rows = NDArray[np.int_]
+SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The linear map from errors (n, ...) to independent ones of standard deviation one.
+
+    With E the shift by one frame, it is D^-1 (I - P E)^-1 (I - C E): D holds the deviations of the innovations,
+    C the correlation of neighbouring frames, P what the prediction keeps of its predecessor.
+
+    Attributes
+    ----------
+    size : array of shape (n,)
+        The diagonal of D.
+    correlation, persistence : array of shape (n - 1,), optional
+        The diagonals of C and P; None where all noise is white.
+
+    """
+
+    size: Array
+    correlation: Array | None = None
+    persistence: Array | None = None
+
+    @classmethod
+    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...]) -> Whitening:
+        """For frames at t (n,), s, white noise sigma (n,) and a correlated part: rms, and correlation time in s.
+
+        Examples
+        --------
+        >>> w = Whitening.of(np.arange(3.0), np.full(3, 1e-9), (2.0, 1 / np.log(2.0)))
+        >>> w.whitened(np.array([2.0, 1.0, 0.5])).round(6)
+        array([1., 0., 0.])
+
+        """
+        rms, time = correlated
+        decay = np.exp(-np.diff(t) / time)
+        variance, share, before = np.empty(len(t)), np.empty(len(t)), rms**2
+        for i, white in enumerate(sigma**2):
+            variance[i] = before + white
+            share[i] = before / variance[i]
+            if i < len(decay):
+                before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
+        return cls(np.sqrt(variance), decay, decay * (1 - share[:-1]))
+
+    def whitened(self, errors: Array) -> Array:
+        """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
+        return _solved(self.persistence, _times(self.correlation, errors)) / _column(self.size, errors)
+
+    def coloured(self, white: Array) -> Array:
+        """Compute the errors (n, ...) that have these innovations."""
+        return _solved(self.correlation, _times(self.persistence, white * _column(self.size, white)))
+
+    def transposed(self, white: Array) -> Array:
+        """Apply the transposed map of `whitened`."""
+        return _times(self.correlation, _solved(self.persistence, white / _column(self.size, white), up=True), up=True)
+
+    def coloured_transposed(self, rows: Array) -> Array:
+        """Apply the transposed map of `coloured` to rows (n, ...)."""
+        return _times(self.persistence, _solved(self.correlation, rows, up=True), up=True) * _column(self.size, rows)
+
+
+def _times(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E) times a series (n, ...), or `up` the transposed matrix."""
+    if share is None:
+        return series
+    out, weight = series.copy(), _column(share, series)
+    if up:
+        out[:-1] -= weight * series[1:]
+    else:
+        out[1:] -= weight * series[:-1]
+    return out
+
+
+def _solved(share: Array | None, series: Array, *, up: bool = False) -> Array:
+    """Compute (I - diag(share) E)^-1 times a series (n, ...), or `up` that of the transposed matrix."""
+    if share is None:
+        return series
+    banded = np.ones((2, len(series)))
+    banded[(0, slice(1, None)) if up else (1, slice(-1))] = -share
+    flat = series.reshape(len(series), -1)
+    solution = solve_banded((0, 1) if up else (1, 0), banded, flat, check_finite=False)
+    return np.asarray(solution).reshape(series.shape)
+
+
+def _column(values: Array, like: Array) -> Array:
+    """Values (n,) reshaped to multiply an array (n, ...)."""
+    return values.reshape(-1, *[1] * (like.ndim - 1))
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One part of a run: measured displacement and what drives it.
+
+    It has no stop or reversal, unless it is followed through these (`turns`). Times count from release. Shapes are
+    (n,) at the frames and (3 p,) at the nodes of the p `panels`.
+    """
+
+    run: int
+    frames: Rows  # row of each frame in the run's tables
+    t: Array
+    y: Array
+    sigma: Array
+    panels: Panels
+    at: Rows  # which edge of the panels each frame is
+    per_frame: int  # panels per frame interval
+    x_hat: Array  # smoothed motion at the nodes: the first guess
+    v_hat: Array
+    a_hat: Array
+    known: Array  # acceleration by drive and incline at the nodes, m/s^2
+    path: Path  # load, drive and further series of the run; its motion is replaced by the simulated one
+    mass: float
+    way: Array = field(default_factory=lambda: np.empty((3, 0)))  # t, x, v of the run's smoothed motion since release
+    angle: Array | None = None  # rad, at the frames
+    cut: bool = False  # a part of a longer piece
+    turns: bool = False  # followed through stops and reversals; the direction is that of the simulated motion
+    slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
+    systematic: float = 0.0  # m rms of slow systematic errors
+    correlated: tuple[float, ...] = ()  # correlated noise: rms in m, correlation time in s
+    step: float = 0.0  # resolution of the positions, m
+    shake: tuple[float, ...] = ()  # remaining camera shake: frequency in Hz, rms in m
+    locked: float = 0.0  # share of the noise variance that the tracker does not state; it may be peak locking
+    clock: float = 1.0  # factor on the recorded times
+    clock_error: float = 0.0  # relative standard deviation of their interval
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        """The map from errors at the frames, m, to independent numbers of standard deviation one."""
+        return Whitening.of(self.t, self.sigma, self.correlated) if self.correlated else Whitening(self.sigma)
+
+    def whitened(self, errors: Array) -> Array:
+        """Convert errors (n, ...) at the frames, m, to independent numbers of standard deviation one."""
+        return self.whitening.whitened(errors)
+
+    def coloured(self, white: Array) -> Array:
+        """Convert independent numbers (n, ...) of standard deviation one to errors, m: the inverse of `whitened`."""
+        return self.whitening.coloured(white)
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviation of all noise at the frames (n,), m."""
+        return np.hypot(self.sigma, self.correlated[0]) if self.correlated else self.sigma
+
+    def path_at_nodes(self, x: Array, v: Array, level: float) -> Path:
+        """Return the path at the nodes for a motion x, v (3 p,) there, its load times the friction `level`."""
+        return replace(self.path, x=x, v=v, s=self.direction(v), load=self.path.load * level)
+
+    def path_since_start(self, x: Array, v: Array, t: Array, level: float, first: int = 0) -> Path:
+        """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory.
+
+        With `first`, it begins at the last of so many nodes instead of the start.
+        """
+        rows = self.rows_after(first, len(t))
+        s = self._direction(v, begins=not first) if self.turns else self.path.s[rows]
+        series = self._series(lambda q: q[rows])
+        return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+    def at_frames(self, x: Array, v: Array, level: float) -> Path:
+        """Return the path at the frames for a motion x, v (n,) there, its load times the friction `level`."""
+        s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
+        series = self._series(self._nodes_to_frames) | {"angle": self.angle}
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
+
+    @property
+    def known_at_frames(self) -> Array:
+        """Acceleration by drive and incline at the frames, m/s^2."""
+        return self._nodes_to_frames(self.known)
+
+    def _nodes_to_frames(self, series: Array) -> Array:
+        """A series at the frames; the first frame lies before the first node."""
+        return np.asarray(make_interp_spline(self.panels.t, series, k=1)(self.t))
+
+    def _series(self, of: Callable[[Array], Array]) -> dict[str, Any]:
+        """Series of the path besides its motion, mapped by `of` from the nodes to other points."""
+        return {name: of(q) for name in SERIES if (q := getattr(self.path, name)) is not None}
+
+    @staticmethod
+    def rows_after(first: int, n: int) -> Rows:
+        """Rows of n nodes from the last of the `first` ones on; the start takes the values of the first node."""
+        return np.maximum(np.arange(first - 1, first - 1 + n), 0)
+
+    def direction(self, v: Array) -> Array:
+        """Return the direction of motion (3 p,) at the nodes for velocities there."""
+        return self._direction(v) if self.turns else self.path.s
+
+    def _direction(self, v: Array, *, begins: bool = True) -> Array:
+        """Sign of the velocity (n,), at rest the last one; 0 at first where the piece begins, and at rest."""
+        if self.slack:
+            return np.clip(v / self.slack, -1.0, 1.0)
+        s = direction_of_motion(v)
+        if begins and self.path.s[0] == 0:
+            s[0] = 0.0
+        return s
+
+    def refined(self, per_frame: int) -> Piece:
+        """Return the same piece with `per_frame` panels per frame interval."""
+        edges, at = panel_edges(self.t, per_frame)
+        panels = Panels(edges)
+        old, new = self.panels.t, panels.t
+        moved = {name: np.interp(new, old, getattr(self, name)) for name in ("x_hat", "v_hat", "a_hat", "known")}
+        still = np.zeros_like(new)
+        series = self._series(lambda q: np.interp(new, old, q))
+        path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
+        return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
+
+    def with_clock(self, clock: float) -> Piece:
+        """Return the same piece with all times since release multiplied by `clock` relative to the recorded ones."""
+        by = clock / self.clock
+        if by == 1.0:
+            return self
+        path, scale = self.path, np.array([[by], [1.0], [1.0 / by]])  # of t, x, v
+        path = replace(
+            path,
+            t=by * path.t,
+            v=path.v / by,
+            drive_at=None if path.drive_at is None else partial(_at_scaled_time, path.drive_at, by),
+            lift=None if path.lift is None else path.lift / by**2,
+            before=None if path.before is None else path.before * scale,
+        )
+        return replace(
+            self,
+            t=by * self.t,
+            panels=Panels(by * self.panels.edges),
+            v_hat=self.v_hat / by,
+            a_hat=self.a_hat / by**2,
+            path=path,
+            way=self.way * scale,
+            slack=self.slack / by,
+            clock=clock,
+        )
+
+    def in_mass_units(self, mass: float) -> Piece:
+        """Return the same piece with its equation of motion in units of another mass (kg)."""
+        drive = 0.0 if self.path.drive is None else self.path.drive
+        return replace(self, mass=mass, known=self.known - drive / self.mass + drive / mass)
+
+    def part(self, start: int, stop: int) -> Piece:
+        """Return the frames from `start` up to `stop` as a piece."""
+        low, high = int(self.at[start]), int(self.at[stop - 1])
+        nodes = slice(3 * low, 3 * high)
+        at_nodes = {name: getattr(self, name)[nodes] for name in ("x_hat", "v_hat", "a_hat", "known")}
+        at_frames = {name: getattr(self, name)[start:stop] for name in ("frames", "t", "y", "sigma")}
+        s = self.path.s[nodes]
+        if self.turns and low:  # the direction at its first node
+            s = np.full_like(s, direction_of_motion(self.v_hat[: 3 * low + 1])[-1])
+        path = replace(
+            self.path,
+            before=motion_before(self.way, self.t[start]),
+            **{name: getattr(self.path, name)[nodes] for name in ("t", "x", "v")},
+            s=s,
+            **self._series(lambda q: q[nodes]),
+        )
+        angle = None if self.angle is None else self.angle[start:stop]
+        panels, at = Panels(self.panels.edges[low : high + 1]), self.at[start:stop] - low
+        return replace(self, panels=panels, path=path, at=at, angle=angle, **at_nodes, **at_frames)
+
+
+def cut_rows(frames: int, n: int) -> list[Rows]:
+    """Cut the rows of some frames into parts of about n; 0 leaves them whole."""
+    return np.array_split(np.arange(frames), max(1, round(frames / n)) if n else 1)
+
+
+def displacement_rows(piece: Piece, forces: Array) -> Array:
+    """Compute displacements per unit of forces (3 p, K) at the nodes, then the measured less the known one, (n, K + 1).
+
+    They are whitened: in standard deviations. The start is still in them.
+    """
+    inputs = np.column_stack([-forces / piece.mass, piece.known])
+    x = np.column_stack([piece.panels.integrate(g, 0.0, 0.0)[2][piece.at] for g in inputs.T])
+    return piece.whitened(np.column_stack([x[:, :-1], piece.y - x[:, -1]]))
+
+
+def without_starts(piece: Piece, rows: Array, n: int = 0) -> list[Array]:
+    """Cut whitened rows (n, k) into windows of about n frames, and project start position and speed of each out."""
+    start, out = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t.mean()])), []
+    for cut in cut_rows(len(rows), n):
+        q, _ = np.linalg.qr(start[cut])
+        out.append(rows[cut] - q @ (q.T @ rows[cut]))
+    return out
+
+
+def panel_edges(t: Array, per_frame: int) -> tuple[Array, Rows]:
+    """Panel edges through the frame times t (n,), no panel longer than a frame, and the edge index of each frame."""
+    interval = np.diff(t)
+    count = per_frame * np.maximum(1, np.rint(interval / np.median(interval)).astype(int))
+    at = np.concatenate([[0], np.cumsum(count)])
+    return np.interp(np.arange(at[-1] + 1), at, t), at
+
+
+def motion_before(way: Array, t: float) -> Array:
+    """The part of a motion (3, k) up to time t."""
+    return way[:, : int(np.searchsorted(way[0], t, side="right"))]
+
+
+def _at_scaled_time(series: Callable[[Array], Array], by: float, t: Array) -> Array:
+    return series(t / by)
+
+
+def spans_of(pieces: Sequence[Piece], n_runs: int, fps: float) -> tuple[Span, ...]:
+    """Compute the span of every run: duration, places and speeds."""
+    return tuple(_span([p for p in pieces if p.run == r], fps) for r in range(n_runs))
+
+
+def _span(pieces: Sequence[Piece], fps: float) -> Span:
+    speeds, path = np.abs(np.concatenate([p.v_hat for p in pieces])), pieces[0].path
+    return Span(
+        duration=max(float(p.t[-1]) for p in pieces),
+        x_min=min(float(p.y.min()) for p in pieces),
+        x_max=max(float(p.y.max()) for p in pieces),
+        v_min=float(speeds.min()),
+        v_max=float(speeds.max()),
+        fps=fps,
+        clamp_x=path.clamp_x,
+        beam_length=path.beam_length,
+        earlier=(path.earlier or ((),))[0],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedPieces:
+    """Pieces laid end to end, so that one evaluation of a model serves them all.
+
+    Their nodes follow each other in every array (3 p,), p panels in all.
+    """
+
+    pieces: tuple[Piece, ...]
+
+    @cached_property
+    def panels(self) -> Panels:
+        """The panels of all pieces."""
+        return Panels.joined([piece.panels for piece in self.pieces])
+
+    @cached_property
+    def known(self) -> Array:
+        """Acceleration by drive and incline at the nodes, m/s^2, (3 p,)."""
+        return np.concatenate([piece.known for piece in self.pieces])
+
+    @cached_property
+    def mass(self) -> float | Array:
+        """Mass at the nodes, kg, (3 p,); a number where all pieces have the same."""
+        return self.spread([piece.mass for piece in self.pieces])
+
+    @cached_property
+    def nodes(self) -> list[slice]:
+        """Nodes of every piece."""
+        return consecutive_slices([3 * len(piece.panels.h) for piece in self.pieces])
+
+    @cached_property
+    def edges(self) -> list[slice]:
+        """Edges of every piece."""
+        return consecutive_slices([len(piece.panels.edges) for piece in self.pieces])
+
+    def spread(self, values: Sequence[float]) -> float | Array:
+        """One value per piece, for each of its nodes (3 p,); a number where all are the same."""
+        first = values[0]
+        return first if all(v == first for v in values) else self.panels.per_node(np.array(values))
+
+    def path_at_nodes(self, x: Array, v: Array, levels: Sequence[float]) -> Path:
+        """Return the path at the nodes for a motion x, v (3 p,) there, its loads times the levels of the pieces."""
+        if len(self.pieces) == 1:
+            return self.pieces[0].path_at_nodes(x, v, levels[0])
+        load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
+        s = self._path.s
+        if any(piece.turns for piece in self.pieces):
+            s = np.concatenate([p.direction(v[rows]) for p, rows in zip(self.pieces, self.nodes, strict=True)])
+        return replace(self._path, x=x, v=v, s=s, load=load)
+
+    @cached_property
+    def _path(self) -> Path:
+        """The path of all pieces, without motion."""
+        paths = [piece.path for piece in self.pieces]
+        joined: dict[str, Any] = {name: self._joined_series([getattr(path, name) for path in paths]) for name in SERIES}
+        for group in (("mass_ratio",), ("gravity",), ("mass",), ("travelled", "begins")):  # a run may lack them
+            if all(getattr(path, group[-1]) is not None for path in paths):
+                joined |= {name: self.spread([getattr(path, name) for path in paths]) for name in group}
+        zeros = np.zeros(len(self.panels.t))
+        return replace(
+            paths[0],
+            **joined,
+            t=self.panels.t,
+            x=zeros,
+            v=zeros,
+            s=np.concatenate([path.s for path in paths]),
+            before=None,
+            earlier=joined_earlier(paths),
+            starts=tuple(rows.start for rows in self.nodes),
+            runs=tuple(paths),
+        )
+
+    def _joined_series(self, series: Sequence[Array | None]) -> Array | None:
+        """A series of every piece, end to end; zero where a piece has none, None where no piece has it."""
+        if all(own is None for own in series):
+            return None
+        pairs = zip(series, self.nodes, strict=True)
+        return np.concatenate([np.zeros(rows.stop - rows.start) if own is None else own for own, rows in pairs])
+
+
+def consecutive_slices(counts: Iterable[int]) -> list[slice]:
+    """Return the slices of parts of given sizes that follow one another."""
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(np.cumsum([0, *counts]))]
+
+
+def column_norms(columns: Array) -> Array:
+    """Compute the norms (P,) of columns (N, P); one for a column of zeros, so that columns can be divided by them."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(norm)
+
+
+def split_motions(
+    joined: JoinedPieces, motion: CollocationSolution, response: MotionResponse
+) -> list[tuple[CollocationSolution, MotionResponse]]:
+    """Split motions that were solved together: motion and response of every piece."""
+    if len(joined.pieces) == 1 or not isinstance(response, LinearResponse):
+        return [(motion, response)]
+    return [
+        (motion.part(piece.panels, nodes, edges), response.part(piece.panels, nodes))
+        for piece, nodes, edges in zip(joined.pieces, joined.nodes, joined.edges, strict=True)
+    ]
+
+
+def group_by_size(sizes: Sequence[int], limit: int, *, alone: bool = False) -> list[tuple[int, ...]]:
+    """Group neighbours whose sizes add up to at most `limit`; each `alone` if so wanted.
+
+    Examples
+    --------
+    >>> group_by_size([2, 2, 3, 9, 1], 5)
+    [(0, 1), (2,), (3,), (4,)]
+
+    """
+    out: list[tuple[int, ...]] = []
+    total = 0
+    for i, size in enumerate(sizes):
+        if not out or alone or total + size > limit:
+            out.append(())
+            total = 0
+        out[-1] += (i,)
+        total += size
+    return out

@@ -1,0 +1,574 @@
+"""Compute the error budget of a run's friction force: of each frame, and of its mean.
+
+Noise averages out in the mean according to its covariance; errors of scale, mass and time base do not. A source whose
+size is not known stays in the table without a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_number, format_plus_minus
+from frictrack.measure.friction import friction, white_noise
+from frictrack.measure.motion import (
+    STENCIL_FRAMES,
+    Derivatives,
+    FactoredSmoother,
+    FilterMethod,
+    Structure,
+    stencil_start,
+    stencil_weights,
+    unit_responses,
+)
+from frictrack.records import Array, Filtered, Mask, Motion, Run
+
+if TYPE_CHECKING:
+    from frictrack.results import RecordingInfo
+
+NOISE, FILTER, SCALE, MASS, TIME = "pixel noise", "filter", "scale", "mass", "time base"
+LOCKING, SHAKE, DRIVE, DRIVE_CLOCK, SENSOR = "peak locking", "camera shake", "drive sensor", "drive clock", "load cell"
+EACH_FRAME, ALL_FRAMES, ALL_RUNS = "each frame", "all frames", "all runs"  # what shares one and the same error
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One source of error of the friction force.
+
+    Parameters
+    ----------
+    source
+        Its name.
+    size, unit
+        Its standard deviation and unit; None if not known.
+    known_from
+        How the size is known.
+    frame_N
+        Effect on the force of one frame, rms over the free section, N; None if the size is not known.
+    mean_N
+        Effect on the mean force over the free section, N; None if the size is not known.
+    common
+        What shares one and the same error: each frame, all frames of a run, or all runs.
+
+    """
+
+    source: str
+    size: float | None
+    unit: str
+    known_from: str
+    frame_N: float | None
+    mean_N: float | None
+    common: str = EACH_FRAME
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON of the row, without its shares."""
+        return {"told" if key == "known_from" else key: value for key, value in vars(self).items()}
+
+
+MIN_REMAINING_SHARE = 0.95  # of an error: a step that leaves more is not worth taking
+NOISE_FACTOR_TWICE_FRAMES = 2.0**0.5  # twice the frames average the noise as much as noise lower by this factor
+FILTERED_SOURCES = (NOISE, FILTER)  # what the smoother trades against each other
+PIXEL_SOURCES = (LOCKING, SHAKE)  # known in pixels, so they scale with the pixel pitch
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Error budget of the friction force of one run.
+
+    Parameters
+    ----------
+    run
+        Name of the run.
+    force_N
+        Mean of the resisting force over the free section, N.
+    rows
+        All sources of error.
+    noise_reduction
+        By factor of noise reduction: the factors on the frame and the mean error from noise and filter.
+    filmed
+        Whether the positions come from a film; those of a table have no pixels.
+
+    """
+
+    run: str
+    force_N: float
+    rows: tuple[Contribution, ...]
+    noise_reduction: dict[float, tuple[float, float]] = field(default_factory=dict)
+    filmed: bool = True
+
+    @property
+    def frame_N(self) -> float:
+        """Standard deviation of the friction force of one frame, rms over the free section, N."""
+        return _root_sum_square(row.frame_N for row in self.rows)
+
+    @property
+    def mean_N(self) -> float:
+        """Standard deviation of the mean friction force, N."""
+        return _root_sum_square(row.mean_N for row in self.rows)
+
+    def row(self, source: str) -> Contribution | None:
+        """Find the row of a source, such as "scale"; None if the budget has none."""
+        return next((row for row in self.rows if row.source == source), None)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the JSON: rows with their shares of both variances, the total last, and sentences."""
+        total = Contribution("total", None, "", "", self.frame_N, self.mean_N, "")
+        return {
+            "force_N": self.force_N,
+            "rows": [row.summary() | self._shares(row) for row in (*self.rows, total)],
+            "says": list(_sentences(self)),
+        }
+
+    def _shares(self, row: Contribution) -> dict[str, float | None]:
+        parts = (("frame", row.frame_N, self.frame_N), ("mean", row.mean_N, self.mean_N))
+        return {f"share_{k}": None if part is None or not total else (part / total) ** 2 for k, part, total in parts}
+
+
+def _root_sum_square(parts: Iterable[float | None]) -> float:
+    """Root of the sum of squares of the parts that are known."""
+    return float(np.sqrt(sum(p**2 for p in parts if p is not None)))
+
+
+def _sentences(budget: Budget) -> Iterator[str]:
+    """Errors of mean and frame with their largest source, what would halve them, and what is not known."""
+    if not budget.mean_N or not budget.frame_N:
+        yield "no error of this run is known"
+        return
+    share = f" ({100 * budget.mean_N / abs(budget.force_N):.2g} %)" if budget.force_N else ""
+    yield (
+        f"mean friction force: {format_plus_minus(budget.force_N, budget.mean_N)} N{share}, "
+        f"{_largest_source(budget, 'mean_N')}; standard deviation of a single frame: "
+        f"{format_number(budget.frame_N, 2)} N, {_largest_source(budget, 'frame_N')}"
+    )
+    if budget.noise_reduction:
+        yield _how_to_halve(budget)
+        yield _effect_of_better_camera(budget)
+    unknown = [row.source for row in budget.rows if row.frame_N is None]
+    if unknown:
+        yield f"not counted because unknown: {', '.join(unknown)}"
+
+
+def _largest_source(budget: Budget, key: str) -> str:
+    """Name the largest contribution to the mean or to a frame, with its share of the variance."""
+    row = max(budget.rows, key=lambda r: getattr(r, key) or 0.0)
+    share = (getattr(row, key) / getattr(budget, key)) ** 2
+    return f"largest source {_source_text(row.source)} ({100 * share:.0f} %)"
+
+
+def _source_text(source: str) -> str:
+    """A source as part of a sentence."""
+    without_article = {FILTER: "signal lost in the filter", NOISE: NOISE, LOCKING: LOCKING}
+    return without_article.get(source, f"the {source}")
+
+
+def _how_to_halve(budget: Budget) -> str:
+    """Say which single step would halve the error of the mean."""
+    steps = list(_halving_steps(budget))
+    if steps:
+        return f"to halve the error of the mean: {' or '.join(steps)}"
+    first, second, *_ = sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0))
+    if not second.mean_N:
+        return f"even {_finer(budget, max(budget.noise_reduction))} would not halve the error of the mean"
+    return (
+        "no single step would halve the error of the mean: "
+        f"{_source_text(first.source)} and {_source_text(second.source)} both count"
+    )
+
+
+def _halving_steps(budget: Budget) -> Iterator[str]:
+    """Single steps that would halve the error of the mean, largest source first."""
+    half = budget.mean_N / 2.0
+    for row in sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0)):
+        others = _root_sum_square(other.mean_N for other in budget.rows if other is not row)
+        if row.mean_N and row.source in IMPROVEMENTS and others < half:
+            yield IMPROVEMENTS[row.source](row, row.mean_N / float(np.sqrt(half**2 - others**2)))
+    for times in sorted(budget.noise_reduction):
+        if times > NOISE_FACTOR_TWICE_FRAMES and _errors_after(budget, times)[1] <= half:
+            yield _finer(budget, times)
+            return
+
+
+def _finer(budget: Budget, times: float) -> str:
+    """Name the step that lowers the noise by a factor: more pixels in a film, more precise positions in a table."""
+    if budget.filmed:
+        return f"{times:.0f} times the pixels per mm" if times != 2.0 else "twice the pixels per mm"
+    return f"positions {times:.0f} times as precise" if times != 2.0 else "positions twice as precise"
+
+
+def _effect_of_better_camera(budget: Budget) -> str:
+    """Say what twice the frame rate, and noise of half the size, would do."""
+    rate = "frame rate (at the same noise per frame)" if budget.filmed else "sampling rate (at the same noise per row)"
+    steps = ((f"twice the {rate}", NOISE_FACTOR_TWICE_FRAMES), (_finer(budget, 2.0), 2.0))
+    after = {what: _errors_after(budget, times) for what, times in steps}
+    if all(_is_no_help(budget, errors) for errors in after.values()):
+        rate, finer = ("frame rate", "more pixels per mm") if budget.filmed else ("sampling rate", "less noise")
+        return f"neither a higher {rate} nor {finer} would help"
+    return "; ".join(
+        f"{what} would not help"
+        if _is_no_help(budget, (frame, mean))
+        else f"{what} would leave {format_number(mean, 2)} N in the mean and {format_number(frame, 2)} N in a frame"
+        for what, (frame, mean) in after.items()
+    )
+
+
+def _is_no_help(budget: Budget, errors: tuple[float, float]) -> bool:
+    return errors[0] > MIN_REMAINING_SHARE * budget.frame_N and errors[1] > MIN_REMAINING_SHARE * budget.mean_N
+
+
+def _errors_after(budget: Budget, times: float) -> tuple[float, float]:
+    """Errors of a frame and of the mean, N, with `times` the pixels per mm, or with twice the frame rate."""
+    frame, mean = budget.noise_reduction[times]
+    pixel_factor = 1.0 if times == NOISE_FACTOR_TWICE_FRAMES else 1.0 / times
+
+    def remaining(key: str, noise_factor: float) -> float:
+        factors = dict.fromkeys(FILTERED_SOURCES, noise_factor) | dict.fromkeys(PIXEL_SOURCES, pixel_factor)
+        return _root_sum_square(factors.get(row.source, 1.0) * (getattr(row, key) or 0.0) for row in budget.rows)
+
+    return remaining("frame_N", frame), remaining("mean_N", mean)
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.2g} times"
+
+
+IMPROVEMENTS: dict[str, Callable[[Contribution, float], str]] = {
+    SCALE: lambda row, f: f"a ruler {_times(f)} as long (the scale known to {(row.size or 0.0) / f:.2g} %)",
+    MASS: lambda row, f: f"weighing to {(row.size or 0.0) / f:.2g} g",
+    TIME: lambda row, f: f"a frame rate known to {(row.size or 0.0) / f:.2g} %",
+    DRIVE: lambda row, f: f"a drive sensor {_times(f)} quieter",
+    DRIVE_CLOCK: lambda row, f: f"the drive's clock known to {(row.size or 0.0) / f:.2g} ms",
+    SHAKE: lambda row, f: f"a steadier camera, or a fixed reference that is seen {_times(f)} better",
+    LOCKING: lambda row, f: f"peak locking {_times(f)} smaller (a coarser pattern on the target)",
+}  # by source: the improvement by a factor f
+
+
+FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
+
+
+AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum
+
+
+class FilterResponse:
+    """The low-pass and its derivatives as one linear map from displacement to acceleration."""
+
+    def __init__(self, derived: Derivatives, motion: Motion) -> None:
+        self.motion, self.derived, self._grid = motion, derived, derived.grid
+        self.noise = derived.noise  # standard deviation of one frame of usual weight, m
+
+    def of(self, displacement: Array) -> Array:
+        """Accelerations (n, k), m/s^2, that displacement errors (n, k), m, appear to be."""
+        return np.asarray(self.derived.apparent_motion(displacement)[2])
+
+    def transmitted_noise(self, weights: Array) -> AccelerationError:
+        """Frame noise that the low-pass transmits, in every frame and in a sum with weights (n,)."""
+        if self.derived.smoother.method is not None:
+            return self._transmitted_by_method(self.derived.smoother.method, weights)
+        rows = self._grid.to_rows(
+            np.sqrt(self.derived.factor.noise_variances(stencil_start(self._grid.n), self._stencils))
+        )
+        smoothed = self.derived.factor.posterior_covariance_times(self._position_weights(weights))
+        variance = float(np.sum(self.derived.factor.data.apply_inverse_covariance(smoothed) * smoothed))
+        if self.derived.sensor_weights is not None:
+            variance += float(np.sum(self.derived.sensor_weights * np.diff(smoothed, 2) ** 2))
+        return self.noise * rows, self.noise * float(np.sqrt(variance))
+
+    def lost_signal(self, weights: Array, transmitted: AccelerationError) -> AccelerationError:
+        """Signal that the low-pass removes, the error of line frequencies included; see `transmitted_noise`."""
+        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted[0] ** 2 - self.motion.shake_a**2, 0.0))
+        return rows, float(np.sqrt(max(self.total_error(weights) ** 2 - transmitted[1] ** 2, 0.0)))
+
+    def total_error(self, weights: Array) -> float:
+        """Noise and lost signal together, in the weighted sum, m/s^2; see `Derivatives.best`."""
+        if (best := self.derived.best) is not None:
+            away = weights @ (self.derived.values() - best.values())[2]
+            return float(np.hypot(FilterResponse(best, self.motion).total_error(weights), away))
+        return self.noise * float(np.sqrt(self._unit_variance(self.derived.factor, weights * self._scale)))
+
+    def noise_reductions(self, weights: Array, factors: Sequence[float]) -> dict[float, tuple[float, float]]:
+        """Factors on both errors if the noise were lower by some factors.
+
+        They are the factor on sigma_a (rms where weights are not zero) and that on the error of the sum. The signal
+        stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
+        """
+        structure = self.derived.smoother.structure
+        if structure is None:
+            return {times: (1.0 / times, 1.0 / times) for times in factors}
+        scaled = weights * self._scale
+        now = self._mean_and_sum(self.derived.factor, scaled)
+        lower = {times: _with_less_noise(structure, 2.0 * np.log(times)) for times in factors}
+        return {
+            times: tuple(np.sqrt(self._mean_and_sum(self.derived.factor_smoother(s), scaled) / now) / times)
+            for times, s in lower.items()
+        }
+
+    def _mean_and_sum(self, factor: FactoredSmoother, weights: Array) -> Array:
+        """Mean variance where weights are not zero, and the variance of the weighted sum, for unit noise, (2,)."""
+        return np.array([np.mean(self._variances(factor)[weights != 0]), self._unit_variance(factor, weights)])
+
+    def _unit_variance(self, factor: FactoredSmoother, weights: Array) -> float:
+        """Variance of a weighted sum for unit noise."""
+        combined = self._position_weights(weights)
+        found = float(combined @ factor.posterior_covariance_times(combined))
+        return found + sum(float(weights @ change) ** 2 for change in self._line_changes)
+
+    @cached_property
+    def _line_changes(self) -> list[Array]:
+        """Change of the acceleration (n,) by one standard deviation of each parameter, for unit noise."""
+        return [self._grid.to_rows(change[2]) for change in self.derived.parameter_errors]
+
+    @cached_property
+    def _scale(self) -> Array:
+        """Stated standard deviations over those of the posterior, (n,)."""
+        stated = np.array(self.derived.deviations()[2])  # a copy, so that the others are released
+        return np.asarray(stated / (self.noise * np.sqrt(self._variances(self.derived.factor))))
+
+    def _variances(self, factor: FactoredSmoother) -> Array:
+        found = self._grid.to_rows(factor.variances(stencil_start(self._grid.n), self._stencils))
+        return np.asarray(found + sum(change**2 for change in self._line_changes))
+
+    def _stencils(self, frames: slice) -> Array:
+        """Weights (m, 6) of the second derivative in m frames of the grid."""
+        return stencil_weights(self._grid.n, self._grid.interval, frames)[2]
+
+    def _position_weights(self, weights: Array) -> Array:
+        """Weights (N,) on smoothed positions that give a weighted sum of accelerations."""
+        out, start, on_grid = np.zeros(self._grid.n), stencil_start(self._grid.n), self._grid.to_frames(weights)
+        for first in range(0, self._grid.n, FRAMES_AT_ONCE):
+            rows = slice(first, first + FRAMES_AT_ONCE)
+            np.add.at(out, start[rows, None] + np.arange(STENCIL_FRAMES), self._stencils(rows) * on_grid[rows, None])
+        return out
+
+    def _transmitted_by_method(self, method: FilterMethod, weights: Array) -> AccelerationError:
+        """Transmitted noise of another method, frame by frame."""
+        rows, total = np.zeros(len(weights)), 0.0
+        for frames, response in unit_responses(method, self.derived.w > 0, 2):
+            sigma_a = self.noise / np.sqrt(self.derived.w[frames]) / self._grid.interval**2
+            second = response[self._grid.frames] * sigma_a
+            rows += np.sum(second**2, axis=1)
+            total += float(np.sum((weights @ second) ** 2))
+        return np.sqrt(rows), float(np.sqrt(total))
+
+
+def _with_less_noise(s: Structure, by: float) -> Structure:
+    """The structure of the same signal with the logarithm of the noise variance lower by `by`."""
+    return replace(
+        s,
+        stiffness=tuple(v - by for v in s.stiffness),
+        lines=tuple((omega, mu - by) for omega, mu in s.lines),
+    )
+
+
+MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
+NOISE_FACTORS = (NOISE_FACTOR_TWICE_FRAMES, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # noise reductions that are tried
+
+
+def budget(
+    run: Run,
+    filtered: Filtered,
+    quality: Mapping[str, Any] | None = None,
+    film: RecordingInfo | None = None,
+    clocks: Mapping[str, Any] | None = None,
+) -> Budget:
+    """Compute the error budget of a run's friction force.
+
+    Parameters
+    ----------
+    run
+        The run, with a mass or with measured friction.
+    filtered
+        The low-passed displacement from which its motion was derived.
+    quality
+        Self-checks of the film: peak locking and camera shake. Without them these sources are left out.
+    film
+        The film, for its time base; None for a table.
+    clocks
+        Alignment of the sensors' clocks.
+
+    Returns
+    -------
+    Budget
+        Every source with its effect in N; sources of unknown size have no number.
+
+    Raises
+    ------
+    FrictrackError
+        If the run has neither a mass nor measured friction, or no free frames.
+
+    Notes
+    -----
+    Sources are independent and add in quadrature (JCGM 100:2008, GUM, section 5.1).
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> found = ft.budget(run, ft.low_pass(run.displacement))
+    >>> [row.source for row in found.rows][:2]
+    ['pixel noise', 'filter']
+
+    """
+    if run.mass is None and run.friction_N is None:
+        raise FrictrackError(f'run "{run.name}": expected a mass for an error budget but got none; weigh the slider')
+    result = friction(run)
+    free = result.free
+    if not np.any(free):
+        raise FrictrackError(f'run "{run.name}": expected free frames for an error budget but got none')
+    weights = np.where(free, np.sign(run.motion.v), 0.0) / np.sum(free)
+    mean = float(weights @ result.F)
+    if run.friction_N is not None:
+        return Budget(run.name, mean, (_cell(result.sigma_F, free),))
+    del result  # of a long run it takes much memory
+    errors = _RunErrors(run, free, weights)
+    response = FilterResponse(Derivatives.of_x(filtered), run.motion)
+    rows = (
+        *errors.noise_and_filter(response, film is not None),
+        *errors.common_errors(film),
+        *errors.picture_errors(response, quality),
+        *errors.drive_errors((clocks or {}).get("drive", {})),
+    )
+    reductions = response.noise_reductions(weights, NOISE_FACTORS)
+    return Budget(run.name, mean, rows, reductions, filmed=film is not None)
+
+
+def _cell(sigma: Array, free: Mask) -> Contribution:
+    """Error of a load cell that measured friction itself; nothing else counts."""
+    level = float(np.sqrt(np.mean(sigma[free] ** 2)))
+    known_from = "white noise of the record, from its fifth differences; zero and sensitivity are not known"
+    return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
+
+
+class _RunErrors:
+    """Effect of every source of error on one run."""
+
+    def __init__(self, run: Run, free: Mask, weights: Array) -> None:
+        assert run.inertia is not None
+        self.run, self.free, self.weights, self.mass = run, free, weights, run.inertia
+
+    def effect(self, rows: Array) -> tuple[float, float]:
+        """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
+        return float(np.sqrt(np.mean(rows[self.free] ** 2))), abs(float(self.weights @ rows))
+
+    def noise_and_filter(self, response: FilterResponse, filmed: bool) -> list[Contribution]:
+        """Noise that the smoother transmits, and signal that it removes."""
+        noise = response.transmitted_noise(self.weights)
+        lost = response.lost_signal(self.weights, noise)
+        known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
+        if response.derived.sensor_weights is not None:
+            known_from += "; the effect includes accelerometer noise"
+        rms_noise, rms_lost = (float(np.sqrt(np.mean(rows[self.free] ** 2))) for rows, _ in (noise, lost))
+        cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
+        how = f"removed by the smoother ({cutoff}), estimated from the record"
+        return [
+            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise[1]),
+            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost[1]),
+        ]
+
+    def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:
+        """Errors that all runs share: of the scale, of the mass, and of the frame rate, squared in the acceleration."""
+        inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a - self.run.pull
+        scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / (self.run.mass or 1.0)
+        rate, rate_from = frame_rate_error(film)
+        length = "standard deviation of the calibrated length of the path"
+        return [
+            self._common(SCALE, scale, inertia, "%", length if scale else "not given"),
+            self._common(MASS, mass, self.mass * weighed, "g", "as given in the study" if mass else "not given"),
+            self._common(TIME, rate, 2 * inertia, "%", rate_from),
+        ]
+
+    def _common(self, source: str, error: float | None, force: Array, unit: str, known_from: str) -> Contribution:
+        """A relative error, and the force (n,) that it multiplies; of an unknown one, what 0.1 % would do."""
+        if not error:
+            known_from += f"; each 0.1 % would add {format_number(1e-3 * self.effect(force)[1], 2)} N"
+            return Contribution(source, None, unit, known_from, None, None, ALL_RUNS)
+        size = error * (1e3 * (self.run.mass or 1.0) if unit == "g" else 100.0)
+        return Contribution(source, size, unit, known_from, *self.effect(error * force), ALL_RUNS)
+
+    def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
+        """Peak locking and camera shake: systematic errors of the picture."""
+        pitch = self.run.pixel_pitch
+        if not quality or pitch is None:
+            return []
+        return [self._peak_locking(response, quality, pitch), *self._camera_shake(response, quality, pitch)]
+
+    def _peak_locking(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> Contribution:
+        size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
+        if size is None or error is None:
+            return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.derived.x / pitch, pitch)  # of one px
+        if size < MIN_SIGMAS_LOCKING * error:
+            largest = size + 2 * error
+            most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
+            known_from = (
+                f"none found; at most {most} px, which would add {in_frame} N in a frame and {in_mean} N in the mean"
+            )
+            return Contribution(LOCKING, 0.0, "px", known_from, 0.0, 0.0, ALL_FRAMES)
+        true = float(np.sqrt(size**2 - error**2))
+        known_from = f"amplitude, measured to {format_number(error, 2)} px"
+        return Contribution(LOCKING, true, "px", known_from, true * frame, true * mean, ALL_FRAMES)
+
+    def _camera_shake(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
+        """What is left of a camera shake: the error of what was subtracted, or all of it if nothing was."""
+        remaining, frequency = quality.get("shake_left_px"), quality.get("shake_Hz")
+        if not remaining or not frequency:
+            return []
+        frame, mean = self._effect_of_wave(response, 2 * np.pi * frequency * self.run.motion.t, pitch)
+        rms = float(np.sqrt(2.0)) * remaining
+        known_from = f"{quality.get('shake_left_told', 'not removed')}, at {frequency:.0f} Hz"
+        return [Contribution(SHAKE, remaining, "px", known_from, rms * frame, rms * mean, ALL_FRAMES)]
+
+    def _effect_of_wave(self, response: FilterResponse, angle: Array, size: float) -> tuple[float, float]:
+        """Effects of a displacement of amplitude `size` (m) with phase angle (n,), averaged over the phase, N."""
+        apparent = response.of(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        effects = [self.effect(self.mass * column) for column in apparent.T]
+        frame, mean = np.sqrt(np.mean(np.square(effects), axis=0))
+        return float(frame), float(mean)
+
+    def drive_errors(self, clock: Mapping[str, Any]) -> list[Contribution]:
+        """White noise of a measured drive, and the uncertainty of its clock."""
+        if self.run.drive is None:
+            return []
+        drive = np.asarray(self.run.drive, dtype=float)
+        level, n, t = white_noise(drive), float(np.sum(self.free)), self.run.motion.t
+        known_from = "white noise of the record, from its fifth differences"
+        rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
+        offset_std = clock.get("sigma_offset_s")
+        if offset_std:
+            slope = np.gradient(drive, t)
+            noise_slope = level / (float(np.median(np.diff(t))) * np.sqrt(2.0))  # what noise alone makes of a slope
+            frame, mean = self.effect(offset_std * slope)
+            frame = float(np.sqrt(max(frame**2 - (offset_std * noise_slope) ** 2, 0.0)))
+            known_from = "of the offset between the drive's clock and the camera's"
+            rows.append(Contribution(DRIVE_CLOCK, 1e3 * offset_std, "ms", known_from, frame, mean, ALL_FRAMES))
+        return rows
+
+
+RATE_PREFIX = "frame rate, "
+PLAYBACK = "speed of showing"
+STAMPS = "stamps"
+MIN_RELATIVE_ERROR = 5e-7  # rounding of the rates in the audit
+RATE_TEXTS = {"given": "the rate given", "header": "that of the header", STAMPS: "that of the time stamps"}
+
+
+def frame_rate_error(film: RecordingInfo | None) -> tuple[float | None, str]:
+    """Return the relative error of the frame rate, None if not known, and how it is known, or why not.
+
+    The rates by the user, the header and the time stamps are compared with the one that is used; the largest difference
+    counts. Agreement of user and header without camera time stamps proves nothing: both state the setting.
+    """
+    if film is None:
+        return None, "not known: the table's times are used as given"
+    rates = {
+        name.removeprefix(RATE_PREFIX): float(value.split()[0])
+        for name, value, verdict in film.audit
+        if name.startswith(RATE_PREFIX) and verdict != PLAYBACK
+    }
+    error = max((abs(rate / film.fps - 1.0) for rate in rates.values()), default=0.0)
+    if error < MIN_RELATIVE_ERROR and not (film.clocked and STAMPS in rates and len(rates) > 1):
+        used = next((RATE_TEXTS.get(name, name) for name in rates), "the frame rate")
+        return None, f"not known: {used} is used as given; there are no camera time stamps to check it"
+    return max(error, MIN_RELATIVE_ERROR), f"difference of the frame rates ({' and '.join(rates)})"

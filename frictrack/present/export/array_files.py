@@ -1,0 +1,201 @@
+"""Export results as one file of arrays: MATLAB version 5, or netCDF after the CF conventions.
+
+    study = load('study.mat').study;
+    plot(study.runs(1).t, study.runs(1).v)      % study.runs(1).units.v is 'm/s'
+
+Groups of netCDF: ``runs/<run>`` (all that is known at the frames of the displacement), ``tracks/<run>/<target>``
+(positions in the picture), ``budgets/<run>``, ``models/<model>`` (parameters) and ``models/<model>/<run>`` (motion by
+the model). Lists and dictionaries are texts in JSON.
+
+References
+----------
+MathWorks: MAT-File Format, level 5. Names of fields have at most 63 characters.
+CF Conventions 1.11, https://cfconventions.org: `units`, `long_name`, `ancillary_variables` for standard deviations.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.base.files import atomic_write
+from frictrack.present.export.formats import ExportedFiles
+from frictrack.present.export.tables import (
+    SIGMA,
+    Column,
+    all_columns,
+    budget_table,
+    column_groups,
+    model_attributes,
+    motion_columns,
+    own_motion,
+    parameters_table,
+    run_attributes,
+    study_attributes,
+    track_columns,
+    tracks_of,
+)
+from frictrack.results import ModelResults, Results, RunResults
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+EMPTY = np.zeros((0, 0))  # MATLAB's [] for what is unknown
+
+
+def write_mat(results: Results) -> ExportedFiles:
+    """Write the file."""
+    from scipy.io import savemat  # noqa: PLC0415 - slow to load
+    from scipy.io.matlab import MatWriteError  # noqa: PLC0415
+
+    own = own_motion(results)
+    study = {
+        **study_attributes(results),
+        "version": results.version,
+        "runs": _array_of([_run(run, own.get(run.name)) for run in results.runs]),
+        "models": _array_of([_model(model) for model in results.models]),
+    }
+    path = results.output / f"{results.path.stem}.mat"
+    try:
+        with atomic_write(path) as part:
+            savemat(part, {"study": study}, long_field_names=True, do_compression=True, oned_as="column")
+    except MatWriteError as e:
+        raise FrictrackError(f"MATLAB's format cannot hold these results ({e}); export --to netcdf") from e
+    return ExportedFiles((path,))
+
+
+def _run(run: RunResults, own: Any) -> dict[str, Any]:
+    """Return the struct of a run: its columns, their units, its description and its tracks."""
+    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in tracks_of(run).items()]
+    return {
+        "name": run.name,
+        **_columns(all_columns(run, own)),
+        "attributes": run_attributes(run),
+        "tracks": _array_of(tracks),
+        "budget": _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY,
+    }
+
+
+def _model(model: ModelResults) -> dict[str, Any]:
+    """Return the struct of a model: its parameters, its errors, and the motion of each run."""
+    table = parameters_table([model]).drop(columns="model").rename(columns={"parameter": "name"})
+    return {
+        "name": model.name,
+        **model_attributes(model),
+        "current": model.current,
+        "parameters": _rows(table),
+        "errors": {key: _known(value) for key, value in model.summary["errors"].items()},
+        "motion": _array_of([{"run": one.run, **_columns(motion_columns(one))} for one in model.motion]),
+    }
+
+
+def _columns(columns: Iterable[Column]) -> dict[str, Any]:
+    """Return columns as fields, texts as cells, and the struct of their units."""
+    columns = list(columns)
+    values = {c.name: c.values.astype(object) if c.values.dtype.kind == "U" else c.values for c in columns}
+    return {**values, "units": {c.name: c.unit for c in columns}}
+
+
+def _array_of(structs: Sequence[Mapping[str, Any]]) -> Any:
+    """Return structs as one array of structs, which needs the same fields in all; missing ones are empty."""
+    if not structs:
+        return EMPTY
+    names = list(dict.fromkeys(name for struct in structs for name in struct))
+    array = np.empty((1, len(structs)), dtype=[(name, object) for name in names])
+    for i, struct in enumerate(structs):
+        array[0, i] = tuple(struct.get(name, EMPTY) for name in names)
+    return array
+
+
+def _rows(table: pd.DataFrame) -> Any:
+    """Return the rows of a table as an array of structs."""
+    return _array_of([{str(k): _known(value) for k, value in row.items()} for row in table.to_dict("records")])
+
+
+def _known(value: Any) -> Any:
+    """Return a cell of a table; empty if it is unknown."""
+    return EMPTY if value is None or value != value else value  # noqa: PLR0124 - NaN differs from itself
+
+
+CONVENTIONS = "CF-1.11"
+MAX_ATTRIBUTE_CHARACTERS = 16_000  # HDF5 keeps an attribute below 64 kB; a longer text becomes a variable
+
+
+def write_netcdf(results: Results) -> ExportedFiles:
+    """Write the file."""
+    try:
+        import h5netcdf  # noqa: F401, PLC0415 - optional; xarray loads it
+        import xarray as xr  # noqa: PLC0415
+    except ImportError as e:
+        raise FrictrackError(f"writing netCDF needs {e.name}; pip install frictrack[xarray]") from e
+    tree = xr.DataTree.from_dict(_groups(results))
+    path = results.output / f"{results.path.stem}.nc"
+    with atomic_write(path) as part:
+        tree.to_netcdf(part, engine="h5netcdf")
+    return ExportedFiles((path,))
+
+
+def _groups(results: Results) -> dict[str, xr.Dataset]:
+    """Return the datasets by the names of their groups."""
+    import xarray as xr  # noqa: PLC0415
+
+    groups = {"/": _described(xr.Dataset(), {"Conventions": CONVENTIONS, **study_attributes(results)})}
+    for kind, names, columns in column_groups(results):
+        groups["/".join([kind, *names.values()])] = _dataset(columns)
+    for run in results.runs:
+        groups[f"runs/{run.name}"] = _described(groups[f"runs/{run.name}"], run_attributes(run))
+        if run.budget.get("rows"):
+            groups[f"budgets/{run.name}"] = _table_dataset(budget_table([run]).drop(columns="run"), "source")
+    return groups | {f"models/{model.name}": _model_dataset(model) for model in results.models}
+
+
+def _dataset(columns: Iterable[Column]) -> xr.Dataset:
+    """Return columns over the time, each with its unit, its meaning, and the name of its standard deviation."""
+    import xarray as xr  # noqa: PLC0415
+
+    columns = list(columns)
+    names = {column.name for column in columns}
+    variables = {}
+    for column in columns:
+        about = {"long_name": column.meaning} | ({"units": column.unit} if column.unit else {})
+        if SIGMA + column.name in names:
+            about["ancillary_variables"] = SIGMA + column.name
+        variables[column.name] = ("t", column.values, about)
+    return xr.Dataset(variables).set_coords("t")
+
+
+def _model_dataset(model: ModelResults) -> xr.Dataset:
+    """Return the parameters of a model; its equation and its errors are attributes."""
+    errors = {name: value for name, value in model.summary["errors"].items() if value is not None}
+    parameters = _table_dataset(parameters_table([model]).drop(columns="model"), "parameter")
+    return _described(parameters, {"current": int(model.current), **errors, **model_attributes(model)})
+
+
+def _table_dataset(table: pd.DataFrame, index: str) -> xr.Dataset:
+    """Return a table over the texts of one of its columns."""
+    import xarray as xr  # noqa: PLC0415
+
+    variables = {str(name): (index, _values(table[name])) for name in table if name != index}
+    return xr.Dataset(variables, coords={index: table[index].to_numpy(dtype=str)})
+
+
+def _described(dataset: xr.Dataset, attributes: dict[str, Any]) -> xr.Dataset:
+    """Return a dataset with attributes; a long text becomes a variable without dimension."""
+    long = {k: v for k, v in attributes.items() if isinstance(v, str) and len(v) > MAX_ATTRIBUTE_CHARACTERS}
+    return dataset.assign_attrs({k: v for k, v in attributes.items() if k not in long}).assign(long)
+
+
+def _values(cells: pd.Series[Any]) -> Any:
+    """Return cells as an array of one type: truth values, numbers with NaN, or texts with "" for what is unknown."""
+    if cells.dtype == bool:
+        return cells.to_numpy()
+    is_number = cells.dropna().map(lambda cell: isinstance(cell, int | float)).all()
+    if is_number and cells.notna().any():
+        return cells.to_numpy(dtype=np.float64, na_value=np.nan)
+    return cells.fillna("").astype(str).to_numpy(dtype=str)

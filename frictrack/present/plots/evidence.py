@@ -1,0 +1,508 @@
+"""Draw the evidence of a diagnosis: candidates, scans, detection limits, and the force that the model misses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from frictrack import effects
+from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_change, format_number, format_unit, join_words
+from frictrack.present.plots import style
+from frictrack.present.plots.inputs import AnySummary, as_summary
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
+from frictrack.records import Array, Mask
+from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.motion_axes import AXES
+
+MAX_CANDIDATES = 12  # drawn; the table of the report has all
+LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
+FAILS: tuple[str, dict[str, Any]] = ("does not pass", {"fc": "white", "ec": "#777777", "hatch": "////"})
+LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
+    "named": ("found", {"color": style.BLUE}),
+    "lead": ("explains a part", {"color": style.SKY}),
+    "rival": ("predicts the same data", {"color": style.ORANGE}),
+    "weaker": ("passes, with less evidence", {"color": "#B5BCC2"}),
+    "fails": FAILS,
+    "implausible": FAILS,
+}  # kind of a candidate -> its name in the legend, and the look of its bar
+
+
+@styled
+def candidates(diagnosis: AnySummary) -> Figure:
+    """Draw delta BIC of the candidates as bars, in the order of the list of candidates.
+
+    The colour says what a candidate means: found, not distinguishable from what was found, passing with less evidence,
+    or failing (hatched). At most `MAX_CANDIDATES` are drawn.
+
+    Parameters
+    ----------
+    diagnosis : mapping or Diagnosis
+        A diagnosis with its `candidates`.
+
+    """
+    rows = candidate_rows(as_summary(diagnosis))
+    shown = rows[:MAX_CANDIDATES]
+    figure = new_figure(0.36 * max(len(shown), 2) + 1.5, _candidates_title(rows))
+    ax = figure.subplots()
+    gains = np.array([max(row.delta_bic, 0.0) for row in shown])
+    logarithmic = _needs_log_axis(gains)
+    floor = 1.0 if logarithmic else 0.0
+    same_p = len({row.p for row in shown}) == 1
+    for y, (row, gain) in enumerate(zip(shown, gains, strict=True)):
+        ax.barh(y, max(gain, floor) - floor, left=floor, height=0.62, **LOOKS[row.kind][1])
+        ax.text(max(gain, floor), y, _candidate_label(row, with_p=not same_p), va="center", fontsize=9)
+    if logarithmic:
+        ax.set_xscale("log")
+    top = max(float(gains.max(initial=0.0)), 1.0)
+    ax.set_xlim(floor, top**1.45 if logarithmic else 1.45 * top)
+    ax.set_yticks(range(len(shown)), [row.effect for row in shown])
+    ax.set_ylim(len(shown) - 0.4, -0.6)
+    ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
+    handles = [Patch(label=name, **look) for name, look in dict(LOOKS[row.kind] for row in shown).items()]
+    if same_p:
+        handles.append(Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search"))
+    if handles:
+        style.legend_below(figure, handles)
+    return figure
+
+
+def _candidate_label(row: CandidateRow, *, with_p: bool) -> str:
+    p = f", p {row.p}" if with_p else ""
+    held = "" if row.after is None else f", held-out error {format_number(row.after)} {row.unit}"
+    return f" {format_change(row.delta_bic)}{p}{held}"
+
+
+def _needs_log_axis(gains: Array) -> bool:
+    positive = gains[gains > 1]
+    return len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
+
+
+def _candidates_title(rows: Sequence[CandidateRow]) -> str:
+    good = [row for row in rows if row.passes]
+    if not good:
+        return "No candidate is significant for the whole search"
+    rivals = good[0].source.get("indistinguishable_from") or []
+    if rivals:
+        return f"{good[0].effect} explains most, but {join_words(rivals)} cannot be distinguished from it"
+    return f"{good[0].effect} explains most" + (f"; {len(good) - 1} more pass" if len(good) > 1 else "")
+
+
+RESULT_CURVES = ("limit", "rise")  # curves of a candidate; the other curves are its settings
+MIN_SETTINGS = 5  # over fewer values of a setting nothing is drawn
+
+
+def has_scan(curves: Mapping[str, Array]) -> str | None:
+    """Select the setting over which `scan` draws.
+
+    Parameters
+    ----------
+    curves : mapping
+        Settings of a candidate and the fall of chi-squared, `rise`, all (n,).
+
+    Returns
+    -------
+    str or None
+        Name of the scanned setting with the most values; None if there is nothing to draw.
+
+    """
+    name = _widest_setting(curves) if "rise" in curves else ""
+    return name if name and len(np.unique(curves[name])) >= MIN_SETTINGS else None
+
+
+def _widest_setting(curves: Mapping[str, Array]) -> str:
+    """The setting with the most values; "" if there is none."""
+    settings = [name for name in curves if name not in RESULT_CURVES]
+    return max(settings, key=lambda name: len(np.unique(curves[name])), default="")
+
+
+@styled
+def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WIDTH_IN) -> Figure:
+    """Draw how far chi-squared falls with an effect, over the setting that was scanned.
+
+    Other settings have their best values.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    curves : mapping
+        Its settings and the fall of chi-squared, `rise`, all (n,).
+    width : float
+        Width of the figure, inches.
+
+    Raises
+    ------
+    ValueError
+        If no setting of the effect was scanned.
+
+    """
+    name = has_scan(curves)
+    if name is None:
+        raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
+    at, rise = _largest(curves[name], curves["rise"])
+    best = float(at[np.argmax(rise)])
+    written = _unit(effect, name)
+    factor, shown = style.axis_scale(at, written)
+    where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
+    title = f"{effect} fits best at a {_setting_name(name)} near {where}"
+    figure = new_figure(3.2, title if width == style.PAGE_WIDTH_IN else f"{_setting_name(name)} near {where}", width)
+    ax = figure.subplots()
+    ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
+    ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)
+    ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILION, markersize=8)
+    _set_x_axis(ax, name, shown)
+    ax.set(ylabel="fall of chi-squared", ylim=(0, None))
+    return figure
+
+
+def _largest(at: Array, values: Array) -> tuple[Array, Array]:
+    """Distinct settings (k,), sorted, and the largest of the values (n,) at each of them."""
+    places, which = np.unique(at, return_inverse=True)
+    out = np.full(len(places), -np.inf)
+    np.maximum.at(out, which, values)
+    return places, out
+
+
+def _setting_name(name: str) -> str:
+    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
+
+
+def _unit(effect: str, name: str) -> str:
+    try:
+        return effects.get(effect).parameter(name).unit
+    except (FrictrackError, StopIteration):  # an effect that a study defines itself
+        return ""
+
+
+def _set_x_axis(ax: Axes, name: str, written: str) -> None:
+    """Set up the axis of a setting; frequencies and periods are logarithmic, with plain numbers at the ticks."""
+    if name in ("frequency", "period"):
+        style.log_axis(ax, "x")
+    ax.set_xlabel(axis_label(_setting_name(name), written))
+    ax.margins(x=0.01)
+
+
+def has_limits(diagnosis: Mapping[str, Any], figures: Mapping[str, Mapping[str, Array]]) -> list[str]:
+    """Select the effects whose detection limit can be drawn over a setting.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        A diagnosis with its `detection_limits`.
+    figures : mapping
+        Curves of the stored diagnosis by effect.
+
+    Returns
+    -------
+    list of str
+        Names of the effects.
+
+    """
+    return [e for e in diagnosis["detection_limits"] if e in figures and len(_scan_axis(figures[e])[1]) >= MIN_SETTINGS]
+
+
+def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
+    """Setting with the most values, these values (n,), and the worst detection limit (n,) at each of them.
+
+    Values at which no size is detectable are left out.
+    """
+    name = _widest_setting(curves)
+    at, limit = _largest(curves[name], curves["limit"]) if name else np.empty((2, 0))
+    good = np.isfinite(limit) & (limit > 0)
+    return name, at[good], limit[good]
+
+
+@styled
+def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | None = None) -> Figure:
+    """Draw the detection limit of each effect over the setting on which it depends, one panel per effect.
+
+    Parameters
+    ----------
+    diagnosis : mapping or Diagnosis
+        A diagnosis with its `detection_limits`.
+    figures : mapping, optional
+        Curves of the stored diagnosis by effect; a Diagnosis has its own.
+
+    Raises
+    ------
+    ValueError
+        If no limit depends on a setting.
+
+    """
+    figures = getattr(diagnosis, "figures", {}) if figures is None else figures
+    diagnosis = as_summary(diagnosis)
+    shown = has_limits(diagnosis, figures)
+    if not shown:
+        raise ValueError("expected the curve of a detection limit but got none")
+    title = "Detection limits: 95 of 100 repeats detect an amplitude above the line"
+    figure, cells = style.panel_grid(len(shown), (1.9, 0.6), title, ("", ""))
+    for (ax,), effect in zip(cells, shown, strict=True):
+        _draw_limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])
+    return figure
+
+
+def _draw_limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
+    name, at, limit = _scan_axis(curves)
+    factor, shown = style.axis_scale(at, _unit(effect, name))
+    size, size_unit = style.axis_scale(limit, written)
+    ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)
+    ax.fill_between(factor * at, size * limit, 1.3 * size * limit.max(), color=style.SKY, alpha=0.25, lw=0)
+    if limit.max() / limit.min() >= 10:
+        style.log_axis(ax, "y")
+    ax.set_title(effect, fontweight="normal")
+    ax.set_ylabel(axis_label("amplitude", size_unit))
+    _set_x_axis(ax, name, shown)
+
+
+MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the step is longer
+MAX_RUNS = 12  # drawn one by one; of more runs, those with the largest missing force
+MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
+FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
+
+
+@styled
+def missing_force(
+    figures: Mapping[str, Mapping[str, Array]],
+    spans: Sequence[Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
+    repeats: Sequence[Mapping[str, Any]] = (),
+) -> Figure:
+    """Draw the missing force over time, place, speed, acceleration and phase: of at most 12 runs, and of all together.
+
+    A black line shows the part that is common to all runs. Bands are two standard deviations wide on each side.
+
+    Parameters
+    ----------
+    figures : mapping
+        Curves of the stored diagnosis. `residual_force` has one row per sample of all runs: `run` (index), `F` and
+        `sigma_F` in N, one column per axis, and the load if forces are drawn at the reference load; `common_<axis>` has
+        `at`, `F` and `sigma_F`.
+    spans : sequence of mappings
+        Where the model fails; marked at the foot of every panel.
+    styles : mapping
+        Line styles of the fitted runs by name, in order.
+    repeats : sequence of mappings
+        Results of the repeatability tests, the clearest axis first.
+
+    Raises
+    ------
+    KeyError
+        If the diagnosis has no missing force; see `has_missing_force`.
+
+    """
+    whole = at_reference_load(figures["residual_force"])
+    shown = [name for name in AXES if name in whole]
+    drawn, styles = _strongest_runs(whole, styles)
+    n = len(np.unique(whole["run"]))
+    figure = new_figure(5.4, _title(repeats) + (f" ({len(styles)} runs of {n})" if len(styles) < n else ""))
+    panels = figure.subplots(2, 3)
+    factor, unit = style.axis_scale(whole["F"], "N")
+    low, high = force_limits(whole)
+    shares = {r["axis"]: r for r in repeats}
+    for ax, name in zip(np.ravel(panels), shown, strict=False):
+        draw_runs(ax, drawn, name, factor, list(styles.values()))
+        draw_common(ax, figures.get(f"common_{name}"), factor)
+        _mark_spans(ax, drawn, name, spans, styles)
+        ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+        foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
+        ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
+        ax.locator_params(axis="x", nbins=6)
+        ax.set_xlabel(_label(name, whole))
+        ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
+    for ax in panels[:, 0]:
+        ax.set_ylabel(axis_label(force_label(whole), unit))
+    for ax in np.ravel(panels)[len(shown) :]:
+        ax.set_axis_off()
+    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
+    return figure
+
+
+def _strongest_runs(
+    whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
+) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
+    """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
+    run = whole["run"]
+    known, mean = mean_per_run(run, (whole["F"] / whole["sigma_F"]) ** 2)
+    kept = np.sort(known[np.argsort(-mean, kind="stable")[:MAX_RUNS]])
+    rows = np.isin(run, kept)
+    drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
+    names = list(styles)
+    looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
+    return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
+
+
+def mean_per_run(run: Array, values: Array) -> tuple[Array, Array]:
+    """Runs (R,) of some rows, and the mean of a column (R,) over the rows of each."""
+    names, row = np.unique(run, return_inverse=True)
+    return names, np.bincount(row, values) / np.bincount(row)
+
+
+def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
+    if not repeats or not repeats[0]["holds"]:
+        return "The force that the model misses"
+    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].name}"
+
+
+def _repeat_note(found: Mapping[str, Any] | None) -> str:
+    """How much of a run's misfit the other runs predict over this axis."""
+    if found is None:
+        return ""
+    return f"other runs predict {100 * found['share']:.0f} % of the misfit"
+
+
+def _label(name: str, whole: Mapping[str, Array]) -> str:
+    axis = AXES[name]
+    if name == "phase" and "frequency" in whole:
+        return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
+    return axis_label(axis.label, axis.unit)
+
+
+def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
+    """Divide the missing force by the load, if that is stored: runs then agree better."""
+    load = whole.get("load", np.ones(1))
+    return dict(whole) | {name: whole[name] / load for name in ("F", "sigma_F")}
+
+
+def force_label(whole: Mapping[str, Array]) -> str:
+    """Name of the missing force on an axis."""
+    return "missing force\nat reference load" if "load" in whole else "missing force"
+
+
+def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
+    """Limits of the force axis, N; a band wider than the force itself does not set them."""
+    usual = float(np.median(whole["sigma_F"]))
+    room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
+    low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
+    margin = 0.05 * max(high - low, 1e-12)
+    return min(low, 0.0) - margin, max(high, 0.0) + margin
+
+
+def draw_runs(
+    ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]
+) -> None:
+    """Draw one thin line with its band per run, with gaps where the axis jumps."""
+    for k in np.unique(whole["run"]).astype(int):
+        mine = whole["run"] == k
+        x, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+        steps = np.abs(np.diff(x, prepend=x[0]))
+        usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
+        force = style.masked(force, steps <= usual)
+        look = styles[k]
+        draw_band(ax, x, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
+
+
+def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
+    """Draw the part that is common to all runs as a black line with its band."""
+    if curve is None:
+        return
+    known = np.isfinite(curve["F"])
+    at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
+    draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4)
+
+
+def _mark_spans(
+    ax: Axes,
+    whole: Mapping[str, Array],
+    name: str,
+    spans: Sequence[Mapping[str, Any]],
+    styles: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Draw a bar for every span at the foot of the panel, in its run's colour."""
+    if name == "phase":
+        return
+    foot = ax.get_xaxis_transform()
+    names = list(styles)
+    for s in (s for s in spans if s["run"] in styles):
+        k = names.index(s["run"])
+        inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
+        if inside.any():
+            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
+            ends = [float(reach.min()), float(reach.max())]
+            ax.plot(
+                ends, [y, y], transform=foot, color=styles[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
+            )
+
+
+def _within(values: Array, reach: Sequence[float]) -> Mask:
+    room = 1e-6 + 1e-3 * (reach[1] - reach[0])
+    return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
+
+
+def _legend(figure: Figure, ax: Axes | None, styles: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
+    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in styles.items()]
+    handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
+    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.BAND_SIGMAS:g} std"))
+    if spans:
+        handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
+    if ax is None:
+        style.legend_below(figure, handles)
+    else:
+        ax.legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)
+
+
+SIDES = {"L * s": "resisting motion, with the load", "s": "resisting motion", "": "independent of the direction"}
+SIGNAL_NAMES = {"vertical": "vertical motion", "accelerometer": "the accelerometer"}
+
+
+@styled
+def unexplained(found: Mapping[str, Any]) -> Figure:
+    """Draw the force that no effect explains over the axis along which it repeats best, with two standard deviations.
+
+    Parameters
+    ----------
+    found : mapping
+        The `unexplained` part of a diagnosis: `axis`, `curve` (n, 2) of axis and force in N, and `band` (n,), the
+        standard deviation of the force.
+
+    """
+    motion_axis = AXES[found["axis"]]
+    curve = np.asarray(found["curve"], dtype=float)
+    figure = new_figure(3.4, f"Unexplained force over {motion_axis.name}, {SIDES[found.get('factor', '')]}")
+    ax = figure.subplots()
+    ax.axhline(0, color="#666666", lw=0.7)
+    if found.get("band"):
+        band = 2 * np.asarray(found["band"], dtype=float)
+        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILION, alpha=0.2, lw=0)
+    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILION, lw=1.8)
+    label = (
+        axis_label("phase of the motion", "rad")
+        if found["axis"] == "phase"
+        else axis_label(motion_axis.label, motion_axis.unit)
+    )
+    ax.set(xlabel=label, ylabel="unexplained force / N")
+    ax.margins(x=0)
+    return figure
+
+
+@styled
+def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -> Figure:
+    """Draw the residual of one run and the part that another measured signal predicts.
+
+    Parameters
+    ----------
+    evidence : mapping
+        One entry of the diagnosis' `evidence`: `shown` (name of the run), `kind` and `name` of the signal.
+    curve : mapping
+        `t` in s, `left` (residual) and `told` (predicted part) in m, all (n,).
+
+    """
+    source = evidence["name"] or SIGNAL_NAMES[evidence["kind"]]
+    figure = new_figure(3.0, f"{evidence['shown']}: residual, and the part that {source} predicts")
+    ax = figure.subplots()
+    factor, unit = style.axis_scale(np.asarray(curve["left"]), "m")
+    ax.axhline(0, color="#666666", lw=0.7)
+    ax.plot(curve["t"], factor * curve["left"], color="#777777", lw=1.0, label="residual")
+    ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
+    ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
+    ax.margins(x=0)
+    style.legend_below(figure, ax.get_legend_handles_labels()[0])
+    return figure

@@ -1,0 +1,147 @@
+"""Read the displacements of image correlation: solutions of DICe, arrays of pyidi.
+
+DICe (Digital Image Correlation Engine, Sandia) writes one file per frame, or one per subset. Lines that begin with
+*** stand above the names of the columns. A file per frame has a row for each subset, and the number of the frame in
+its name, ``DICe_solution_012.txt``; a file per subset has a row for each frame, and its own number in its name. The
+position, px (y down), is the reference COORDINATE plus the DISPLACEMENT. SIGMA is the standard deviation of the
+displacement, px. DICe sets it to -1 where the correlation failed (``Schema::record_failed_step``); STATUS_FLAG then
+says why, as a number above 0. Source: ``Output_Spec::write_frame`` of github.com/dicengine/dice.
+
+Displacements of pyidi are read from a NumPy array: (points, frames, 2) in px, rows (y) before columns (x).
+
+pyidi itself saves ``results.pkl`` (``IDIMethod.save`` of github.com/ladisk/pyidi). A pickle can run any code when it is
+opened, so it is refused; ``numpy.save`` writes what ``get_displacements`` returns without that risk.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile
+from frictrack.study.track_formats.track_table import FRAMES, TargetPositions, table_of_tracks
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NAME = "DICe_solution_*.txt"
+FRAME, SUBSET = "FRAME", "SUBSET_ID"  # first column of a file per subset, and per frame
+COLUMNS_READ = ("COORDINATE_X", "COORDINATE_Y", "DISPLACEMENT_X", "DISPLACEMENT_Y")
+MAX_HEAD_LINES, MAX_LINE = 200, 1 << 16
+_NUMBER = re.compile(r"\d+")
+
+
+def is_dice_folder(path: Path) -> bool:
+    """Return whether a folder holds solutions of DICe."""
+    return any(path.glob(NAME))
+
+
+def is_dice_file(path: Path) -> bool:
+    """Return whether a text is a solution of DICe."""
+    return bool(_header(path).names)
+
+
+def read_dice(path: Path) -> TableFile:
+    """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
+    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
+
+    files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
+    if (size := sum(one.stat().st_size for one in files)) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB of solutions")
+    parts = [_solution(one) for one in files]
+    if len({part.columns[0] for part in parts}) != 1:
+        raise ValueError("expected solutions of one kind, by frame or by subset, but got both")
+    if parts[0].columns[0] == SUBSET and not path.is_dir():
+        raise ValueError("it is the solution of one frame; name the folder of all frames instead")
+    cells = pd.concat(parts, ignore_index=True)
+    return table_of_tracks("DICe", [_track(rows) for _, rows in cells.groupby(SUBSET)], FRAMES)
+
+
+def _solution(path: Path) -> pd.DataFrame:
+    """Return the rows of one file, with the number of the frame and of the subset."""
+    import pandas as pd  # noqa: PLC0415
+
+    header = _header(path)
+    if not (names := header.names):
+        raise ValueError(f"{path.name} has no column {FRAME} or {SUBSET}")
+    if missing := [name for name in COLUMNS_READ if name not in names]:
+        raise ValueError(f"{path.name} lacks {', '.join(missing)}; add them to the output_spec of DICe")
+    how: dict[str, Any] = {"sep": header.separator, "skiprows": header.lines_above + 1, "header": None}
+    rows = pd.read_csv(path, names=names, index_col=False, encoding_errors="replace", **how)
+    rows = rows.apply(pd.to_numeric, errors="raise")
+    if names[0] == SUBSET:
+        return rows.assign(**{FRAME: _number_in(path)})
+    return rows.assign(**{SUBSET: _number_in(path)})
+
+
+class _Header(NamedTuple):
+    """The names of the columns of a solution, none if DICe did not write it, and how they stand in the file."""
+
+    names: list[str]
+    lines_above: int = 0
+    separator: str = ","
+
+
+def _header(path: Path) -> _Header:
+    """Find the names of the columns."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for i in range(MAX_HEAD_LINES):
+            line = file.readline(MAX_LINE)
+            if not line.startswith("***"):
+                names = line.replace(",", " ").split()
+                known = names[:1] in ([FRAME], [SUBSET]) and "COORDINATE_X" in names
+                return _Header(names if known else [], i, "," if "," in line else r"\s+")
+    return _Header([])
+
+
+def _number_in(path: Path) -> int:
+    """Return the last number in the name of a file."""
+    return int((_NUMBER.findall(path.stem) or ["0"])[-1])
+
+
+def _track(rows: pd.DataFrame) -> TargetPositions:
+    """Return the positions of one subset; where the correlation failed there is none."""
+    rows = rows.sort_values(FRAME).drop_duplicates(FRAME)
+    sigma = rows["SIGMA"].to_numpy(dtype=float) if "SIGMA" in rows else None
+    failed = np.zeros(len(rows), dtype=bool) if sigma is None else sigma < 0
+    x, y = (
+        np.where(failed, np.nan, (rows[f"COORDINATE_{axis}"] + rows[f"DISPLACEMENT_{axis}"]).to_numpy(dtype=float))
+        for axis in "XY"
+    )
+    note = f"DICe could not match {np.sum(failed)} of {len(failed)} frames; they are missing" if np.any(failed) else ""
+    if sigma is not None:
+        sigma = np.where(failed, np.nan, sigma)
+        if np.any(sigma[np.isfinite(x)] <= 0):  # pictures without noise
+            sigma = None
+    return TargetPositions(
+        f"subset {rows[SUBSET].iloc[0]:.0f}", rows[FRAME].to_numpy(dtype=float), x, y, sigma=sigma, note=note
+    )
+
+
+SAVE = 'numpy.save("displacements.npy", displacements)'
+
+
+def read_pyidi_displacements(path: Path) -> TableFile:
+    """Read the displacements of points, by frame."""
+    if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB; save fewer points")
+    try:
+        found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
+    except Exception as e:  # damaged headers make NumPy fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
+    if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind != "f":
+        raise ValueError(f"expected displacements (points, frames, 2) but got {found.dtype} {found.shape}")
+    frames = np.arange(found.shape[1], dtype=float)
+    tracks = [
+        TargetPositions(f"point {i}", frames, np.array(point[:, 1], dtype=float), np.array(point[:, 0], dtype=float))
+        for i, point in enumerate(found)
+    ]
+    return table_of_tracks("pyidi", tracks, FRAMES)
+
+
+def refuse_pickle(path: Path) -> TableFile:
+    """Raise `ValueError`: opening a pickle could run any code."""
+    raise ValueError(f"a pickle, which can run any code when it is opened, is never read; save with {SAVE}")

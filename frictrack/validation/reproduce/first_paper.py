@@ -1,0 +1,409 @@
+"""First paper, section 3: time units, the Tustin model, ATM1 and ATM2 (Tables 1-4, Figs. 4-16), readings of Eq. 4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from frictrack.base.errors import FrictrackError
+from frictrack.fit import fit
+from frictrack.records import Array
+from frictrack.validation.reproduce import figures, laws
+from frictrack.validation.reproduce import papers_method as method
+from frictrack.validation.reproduce.sections import (
+    FULL,
+    OPEN,
+    Claim,
+    Effort,
+    ResultTable,
+    Section,
+    claim,
+    figure,
+    section,
+    table,
+    verdict,
+)
+
+SPEEDS = {"low": (4.0, 4.5, 5.0), "high": (7.0, 7.5, 8.0)}  # m/s, section 3.1
+DITHER_SHARE = 0.1  # of the printed sines, which are several times the friction that they would dither about
+MIN_STRAIGHTNESS = 0.99  # share of a law's variation that a straight line in v explains: then it is one
+
+
+def time_units() -> Section:
+    """Test which time unit behind the printed "rad/s" gives curves as the papers describe them.
+
+    Returns
+    -------
+    Section
+        Table and claims.
+
+    """
+    rows: list[list[Any]] = []
+    fits: dict[str, list[str]] = {}
+    for source in (*laws.ATM1.values(), *laws.ATM2.values(), laws.WITH_FILTER):
+        bench = method.STRUCK if source is laws.WITH_FILTER else method.BEAM
+        for unit in laws.UNITS:
+            curve = method.describe_curve(source, unit, bench)
+            numbers = [float(curve[key]) for key in ("lowest_Hz", "highest_Hz", "cycles", "duration_ms")]
+            motion = [100 * float(curve["braked"]), float(curve["mean_force_N"])]
+            rows.append([source.where, unit, *numbers, *motion, "yes" if curve["described"] else "no"])
+            if curve["described"]:
+                fits.setdefault(source.where, []).append(unit)
+    without = [s.where for s in laws.ATM2.values() if s.where not in fits]
+    units = "; ".join(f"{where}: per {' or '.join(units)}" for where, units in fits.items()) + "; others: none"
+    never = f"no time unit gives a dither and a brake together for {' and '.join(without) or 'any'}"
+    limits = {"slowest": method.MIN_SPEED, "longest": method.MAX_DURATION_S}
+    claims = (
+        claim("time_units", verdict(False), units),
+        claim("atm2_brakes", verdict(not without), never),
+    )
+    return section("time_units", [table("time_units", rows, **limits)], [], *claims)
+
+
+def tustin_groups(effort: Effort = FULL, seed: int = 0) -> Section:
+    """Reproduce Figs. 4-8: identify the Tustin model on the low-speed and on the high-speed group.
+
+    Parameters
+    ----------
+    effort
+        Seeds and evaluations.
+    seed
+        Seed of the recordings.
+
+    Returns
+    -------
+    Section
+        Table, figures and claims.
+
+    """
+    rng, law = np.random.default_rng([seed, 31]), laws.tustin()
+    synthetic: dict[str, list[method.SyntheticRecording]] = {}
+    results: dict[str, method.Identification] = {}
+    for group, speeds in SPEEDS.items():
+        laid = laws.TM[group], laws.ATM1[group]
+        synthetic[group] = [method.record_with_dither(*laid, DITHER_SHARE, v, rng) for v in speeds]
+        results[group] = method.identify(law, method.measure_series([r.run for r in synthetic[group]]), effort, rng)
+    runs = [run for group, made in synthetic.items() for run in method.group_runs(made, group)]
+    try:
+        ours, reason = dict(fit("tustin", runs, per="group").fits), ""
+    except FrictrackError as e:
+        ours, reason = {}, str(e)
+    single = {g: method.measure_series([made[-1].run]) for g, made in synthetic.items()}
+    own = {g: method.Identification(law, single[g], (results[g].chosen,), results[g].chosen) for g in results}
+    moved = {f"{group} speed": made for group, made in synthetic.items()}
+    traced = {method.GROUPS[g]: (single[g], [("Tustin, MGA", d.acceleration(d.chosen))]) for g, d in own.items()}
+    over_speed = {method.GROUPS[g]: (found.data, _force_curves(law, found, g)) for g, found in results.items()}
+    rows = [
+        [g, name, said, found.chosen[i], method.range_over_seeds(found, i), method.estimate_text(ours.get(g), name)]
+        for g, found in results.items()
+        for i, (name, said) in enumerate(zip(law.names, laws.TM[g].values, strict=True))
+    ]
+    return section(
+        "tustin_groups",
+        [table("tustin_groups", rows, reason=reason and f" Ours: {reason}.")],
+        [
+            figure("fig08_accelerations", figures.motions, moved),
+            figure("fig06_07_tustin", figures.traces, traced),
+            figure("tustin_over_speed", figures.forces, over_speed),
+        ],
+        *_claims_tustin(law, results, ours, reason),
+    )
+
+
+def _force_curves(law: laws.PaperLaw, found: method.Identification, group: str) -> list[tuple[str, Array, Array]]:
+    v = np.linspace(found.data.v.min(), found.data.v.max(), 200)
+    both = {"Tustin, MGA": found.chosen, "rendered, without sines": np.array(laws.TM[group].values)}
+    return [(label, v, law.force(p[None], v, v)[0]) for label, p in both.items()]
+
+
+def straightness(law: laws.PaperLaw, p: Array, v: Array) -> float:
+    """Share of a law's variation over measured speeds that a straight line in v explains."""
+    force = law.force(p[None], v, v)[0]
+    rest = force - np.polyval(np.polyfit(v, force, 1), v)
+    return float(1 - rest.var() / max(force.var(), 1e-30))
+
+
+def _claims_tustin(
+    law: laws.PaperLaw, results: Mapping[str, method.Identification], ours: Mapping[str, Any], reason: str
+) -> tuple[Claim, ...]:
+    straight = {g: straightness(law, d.chosen, d.data.v) for g, d in results.items()}
+    left = {g: d.lowest / float(np.sum((d.data.a - d.data.a.mean()) ** 2)) for g, d in results.items()}
+    undetermined = [g for g in results if g in ours and ours[g].parameters["stribeck.v_s"].value is None]
+    dithers = "; ".join(
+        f"{100 * share:.0f} % of the acceleration's variance is left ({g})" for g, share in left.items()
+    )
+    lines = "; ".join(
+        f"{g}: {100 * s:.2f} % straight, slowest {results[g].data.v.min():.1f} m/s" for g, s in straight.items()
+    )
+    stated = ", ".join(f"{d.chosen[1]:.3g} N ({g}, rendered {laws.TM[g].values[1]:.3g})" for g, d in results.items())
+    known = f"not determined in {' and '.join(undetermined)}" if undetermined else "determined"
+    return (
+        claim("tustin_unsuitable", verdict(min(left.values()) > 0.1), dithers),
+        claim("tustin_straight", verdict(straight["high"] > MIN_STRAIGHTNESS), lines),
+        claim(
+            "tustin_groups",
+            verdict("high" not in undetermined and not reason, False),
+            f"MGA puts F_s at {stated}; ours: {known}",
+            change=100 * (laws.TM["high"].values[1] / laws.TM["low"].values[1] - 1),
+        ),
+    )
+
+
+Key = tuple[str, str, str]  # group, source of the recording, law
+SOURCE_TITLES = {
+    "ATM1 tables": "from the ATM1 tables",
+    "ATM2 tables": "from the ATM2 tables",
+    "neither": "from neither model",
+}
+ORDERS = ("atm1:2", "atm1:3", "atm1:4", "atm2:2", "atm2:3")
+
+
+def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
+    """Reproduce Tables 1-4 and Figs. 9-12: both models with n = 2 on recordings of either model, and of neither.
+
+    Parameters
+    ----------
+    effort
+        Seeds and evaluations.
+    seed
+        Seed of the recordings.
+
+    Returns
+    -------
+    Section
+        Tables, figures and claims.
+
+    """
+    rng = np.random.default_rng([seed, 32])
+    synthetic = {(g, w): r for g in method.GROUPS for w, r in method.simulate_sources(g, rng).items()}
+    results = _identify_all(synthetic, ("atm1:2", "atm2:2"), effort, rng)
+    bars = {
+        f"{name.upper()}, {what}": [
+            float(r.errors.min()) if what == "MGA" else r.lowest
+            for (*_, law), r in results.items()
+            if law == f"{name}:2"
+        ]
+        for name in ("atm1", "atm2")
+        for what in ("MGA", "lowest")
+    }
+    places = [f"{g} speed,\n{SOURCE_TITLES[w]}" for g, w in synthetic]
+    return section(
+        "two_models",
+        [_table_errors("errors", results), *_tables_parameters(results, synthetic)],
+        [
+            *(
+                figure(name, figures.traces, {method.GROUPS[g]: _panel(results[g, source, law]) for g in method.GROUPS})
+                for name, source, law in (
+                    ("fig09_10_atm1", "ATM1 tables", "atm1:2"),
+                    ("fig11_12_atm2", "ATM2 tables", "atm2:2"),
+                )
+            ),
+            figure("errors_two_models", figures.bars, "sum of squared residuals / (m²/s⁴)", places, bars),
+        ],
+        *_claims_models(results, effort),
+    )
+
+
+def orders(effort: Effort = FULL, seed: int = 0) -> Section:
+    """Reproduce Figs. 13-16: two and three sines at low speed, and ATM1 with four, as many as ATM2 with n = 2.
+
+    Parameters
+    ----------
+    effort, seed
+        As in `two_models`.
+
+    Returns
+    -------
+    Section
+        Table, figures and claims.
+
+    """
+    rng = np.random.default_rng([seed, 33])
+    synthetic = {("low", w): r for w, r in method.simulate_sources("low", rng).items()}
+    results = _identify_all(synthetic, ORDERS, effort, rng)
+    return section(
+        "orders",
+        [_table_orders(results)],
+        [
+            figure(name, figures.traces, {SOURCE_TITLES[w]: _panel(results["low", w, law]) for w in SOURCE_TITLES})
+            for name, law in (
+                ("fig13_atm1_2", "atm1:2"),
+                ("fig14_atm1_3", "atm1:3"),
+                ("fig15_atm2_2", "atm2:2"),
+                ("fig16_atm2_3", "atm2:3"),
+            )
+        ],
+        *_claims_orders(results),
+    )
+
+
+def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
+    """Compare Eq. 4 as printed with Eq. 4 with t in every sum, on recordings of either.
+
+    Parameters
+    ----------
+    effort, seed
+        As in `two_models`.
+
+    Returns
+    -------
+    Section
+        Tables, figure and claim.
+
+    """
+    rng = np.random.default_rng([seed, 4])
+    synthetic = {}
+    for group, source in laws.ATM2.items():
+        model, values = laws.to_effects(laws.atm2_printed(2), laws.read_as_printed(source))
+        speed = method.start_speed(source, method.BEAM)
+        synthetic[group, "as printed"] = method.record_law(model, values, method.BEAM, speed, rng)
+        synthetic[group, "with t"] = method.record_printed(source, method.TIME_UNITS["ATM2"], method.BEAM, rng)
+    results = _identify_all(synthetic, ("atm2_printed:2", "atm2:2"), effort, rng)
+    kept = {key: float(1 - r.truth.v[-1] / r.truth.v[0]) for key, r in synthetic.items()}
+    rows, told = list[list[Any]](), []
+    for group, source in laws.ATM2.items():
+        sliding, viscous = (np.sin(half[::2] + half[1::2]).sum() for half in np.split(np.array(source.values[4:]), 2))
+        f_c, f_s, f_v, _ = source.values[:4]
+        braked = [100 * kept[group, reading] for reading in ("as printed", "with t")]
+        rows.append([group, sliding, viscous, f_s - sliding * f_c, f_v * viscous, *braked])
+        told.append(
+            f"{group}: sums {sliding:.2f} and {viscous:.2f}, speed lost {braked[0]:.0f} % (with t {braked[1]:.0f} %)"
+        )
+    readings = {"as printed": "atm2_printed:2", "with t": "atm2:2"}
+    panels = {}
+    for group, title in method.GROUPS.items():
+        found = {label: results[group, "as printed", law] for label, law in readings.items()}
+        panels[title] = found["with t"].data, [(label, d.acceleration(d.chosen)) for label, d in found.items()]
+    return section(
+        "equation_4",
+        [table("equation_4", rows), _table_errors("equation_4_errors", results)],
+        [figure("equation_4", figures.traces, panels)],
+        claim("equation_4", OPEN, "; ".join(told)),
+    )
+
+
+def _identify_all(
+    synthetic: Mapping[tuple[str, str], method.SyntheticRecording],
+    names: tuple[str, ...],
+    effort: Effort,
+    rng: np.random.Generator,
+) -> dict[Key, method.Identification]:
+    """Identify laws on recordings, each by the papers' method."""
+    results = {}
+    for (group, source), recording in synthetic.items():
+        data = method.measure_series([recording.run])
+        for name in names:
+            results[group, source, name] = method.identify(laws.law_by_name(name), data, effort, rng)
+    return results
+
+
+def _panel(found: method.Identification) -> tuple[Any, list[tuple[str, Array]]]:
+    curves = [("MGA", found.acceleration(found.chosen)), ("lowest known", found.acceleration(found.best))]
+    return found.data, curves
+
+
+def _table_errors(name: str, results: Mapping[Key, method.Identification]) -> ResultTable:
+    rows: list[list[Any]] = []
+    for (group, source, law), found in results.items():
+        said = (laws.ATM1 if law == "atm1:2" else laws.ATM2)[group].error
+        errors = float(found.errors.min()), float(np.median(found.errors)), found.lowest
+        model = {"atm1:2": "ATM1", "atm2:2": "ATM2"}.get(law, "ATM2 as printed")
+        rms = float(np.sqrt(found.lowest / len(found.data.t)))
+        rows.append([group, SOURCE_TITLES.get(source, source), model, said, *errors, rms])
+    return table(name, rows)
+
+
+def _tables_parameters(
+    results: Mapping[Key, method.Identification], synthetic: Mapping[tuple[str, str], method.SyntheticRecording]
+) -> tuple[ResultTable, ...]:
+    """Tables 1-4: printed (and simulated) parameters, those of MGA, and those of frictrack."""
+    out = []
+    for name, kind, sources in (("atm1:2", "ATM1", laws.ATM1), ("atm2:2", "ATM2", laws.ATM2)):
+        for group, source in sources.items():
+            found, unit = results[group, f"{kind} tables", name], method.TIME_UNITS[kind]
+            truth = laws.read_printed(source, unit)
+            ours = _own_estimates(name, synthetic[group, f"{kind} tables"], truth)
+            columns = found.law.names, source.values, truth, _match_sines(found.chosen, truth, name), ours
+            out.append(table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
+    return tuple(out)
+
+
+def _match_sines(p: Array, truth: Array, name: str) -> Array:
+    """Order the sines of an ATM1 law as in the truth; leave other laws unchanged."""
+    if not name.startswith("atm1"):
+        return p
+    lines, wanted = p[4:].reshape(-1, 3), truth[4:].reshape(-1, 3)
+    order = np.argsort(np.argsort(wanted[:, 1]))
+    return np.concatenate([p[:4], lines[np.argsort(lines[:, 1])][order].ravel()])
+
+
+def _own_estimates(name: str, recording: method.SyntheticRecording, truth: Array) -> list[str]:
+    """Estimates of frictrack in the order of the papers' parameters, as text with standard deviations."""
+    fitted = method.fit_with_frictrack(name, recording.run)
+    if fitted is None:
+        return ["no fit"] * len(truth)
+    if name.startswith("atm1"):
+        lines = [e for e in fitted.model.names if e.startswith("vibration")]
+        lines.sort(key=lambda e: fitted.parameters[f"{e}.frequency"].value or 0.0)
+        order = np.argsort(np.argsort(truth[5::3]))
+        sines = [f"{lines[i]}.{part}" for i in order for part in ("amplitude", "frequency", "phase[r]")]
+        addresses = ["F_c", "F_s", "F_v", "v_s", *sines]
+    else:
+        effect = fitted.model.effects[0]
+        addresses = [f"{effect.name}.{p.name}{'[r]' if p.per_run else ''}" for p in effect.parameters]
+    return [method.estimate_text(fitted, address, ".4g") for address in addresses]
+
+
+def _claims_models(results: Mapping[Key, method.Identification], effort: Effort) -> tuple[Claim, ...]:
+    pairs = [(g, w) for g in method.GROUPS for w in SOURCE_TITLES]
+    ratios = {(g, w): results[g, w, "atm2:2"].lowest / results[g, w, "atm1:2"].lowest for g, w in pairs}
+    missed = {
+        f"{name[:4].upper()} {g}": int(np.sum(found.errors > 1.2 * found.lowest))
+        for (g, w, name), found in results.items()
+        if w == ("ATM1 tables" if name == "atm1:2" else "ATM2 tables")
+    }
+    better = [k for k, r in ratios.items() if r < 1]
+    told = "; ".join(f"{g}, {SOURCE_TITLES[w]} {r:.2f}" for (g, w), r in ratios.items())
+    said = {g: (laws.ATM2[g].error or 0) / (laws.ATM1[g].error or 1) for g in method.GROUPS}
+    counts = "; ".join(f"{name}: {n} of {effort.identified}" for name, n in missed.items())
+    found = OPEN if effort.identified < 5 else verdict(not any(missed.values()))
+    return (
+        claim("atm2_better", verdict(len(better) == len(ratios), not better), told, **said),
+        claim("mga_identifies", found, f"error above 1.2 times the lowest known: {counts}"),
+    )
+
+
+def _table_orders(results: Mapping[Key, method.Identification]) -> ResultTable:
+    rows: list[list[Any]] = []
+    for (group, source, name), found in results.items():
+        kind, _, n = name.partition(":")
+        base = results[group, source, f"{kind}:2"]
+        gain = 100 * (base.lowest / found.lowest - 1)
+        by_search = 100 * float(np.median(base.errors) / np.median(found.errors) - 1)
+        said = {"atm1:3": 100 * laws.GAIN_ATM1, "atm2:3": 100 * laws.GAIN_ATM2}.get(name)
+        gains = [None] * 3 if n == "2" else [said, gain, by_search]
+        size = float(n), float(len(found.law.names))
+        rows.append([SOURCE_TITLES[source], kind.upper(), *size, found.lowest, *gains])
+    return table("orders", rows)
+
+
+def _claims_orders(results: Mapping[Key, method.Identification]) -> tuple[Claim, ...]:
+    gains = {
+        kind: {
+            w: 100 * (results["low", w, f"{kind}:2"].lowest / results["low", w, f"{kind}:3"].lowest - 1)
+            for w in SOURCE_TITLES
+        }
+        for kind in ("atm1", "atm2")
+    }
+    told = {k: "; ".join(f"{SOURCE_TITLES[w]} {g:+.0f} %" for w, g in each.items()) for k, each in gains.items()}
+    more = [gains["atm2"][w] > gains["atm1"][w] for w in SOURCE_TITLES]
+    near = [4 < g < 20 for g in gains["atm1"].values()]
+    large = [g >= 300 for g in gains["atm2"].values()]
+    share = f"so on {sum(more)} of {len(more)} kinds of recording"
+    return (
+        claim("third_sine", verdict(all(near), not any(near)), told["atm1"]),
+        claim("third_order", verdict(all(large), not any(large)), told["atm2"]),
+        claim("atm2_gains_more", verdict(all(more), not any(more)), share),
+    )
