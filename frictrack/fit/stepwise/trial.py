@@ -492,7 +492,8 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
     for _ in range(MAX_SCATTER_ESTIMATES):
         problem, p = _projected_problem(linearised, best.layout, tau), np.array(best.p)
         p[best.layout.levels] = 1.0  # from the trial's own levels, a curved valley leads to this in tiny steps
-        state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL)
+        groups = () if tau == solution.tau else None  # the levels alone, at the scatter of the trial
+        state = problem.refine(problem.at(p), groups, steps=SET_STEPS, enough=SET_MIN_FALL)
         fall = trial.misfit - state.misfit + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau)
         if fall < gain - MAX_START_LOSS:
             break
