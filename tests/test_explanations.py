@@ -325,6 +325,61 @@ def test_effects_are_named_if_the_model_with_all_of_them_predicts_better(
     assert conclusion.verdict.verdict == verdict
 
 
+PLACE, WIDTH = 0.357, 0.014  # of a worn place, m; the fastest mass stops 9 mm before its middle
+
+
+def slide_to_rest(
+    speed: float, force: Callable[[float, float], float], *, fps: float = 4000, sigma: float = 1e-6
+) -> Run:
+    """A slide of 0.4 kg that ends as the mass comes to rest; SciPy's integrator."""
+
+    def rests(_: float, state: np.ndarray) -> float:
+        return abs(float(state[1])) - 0.05
+
+    rests.terminal = True  # type: ignore[attr-defined]
+    slide = solve_ivp(
+        lambda _, state: [state[1], -force(*state) / 0.4],
+        (0.0, 1.0),
+        [0.0, speed],
+        rtol=1e-10,
+        atol=1e-12,
+        events=rests,
+        dense_output=True,
+    )
+    t = np.arange(0, slide.t[-1], 1 / fps)
+    noise = np.random.default_rng(int(10 * abs(speed)))
+    return measured(t, slide.sol(t)[0], sigma=sigma, mass=0.4, name=f"{speed}", rng=noise)
+
+
+def test_a_worn_place_that_the_mass_stops_before_is_found_beyond_what_it_passed() -> None:
+    """Its middle was clipped to one step of the scan beyond the course; a second patch took what was left."""
+
+    def worn(x: float, v: float) -> float:
+        return float(5.0 + 0.9 * v + 1.9 * np.exp(-(((x - PLACE) / WIDTH) ** 2) / 2))
+
+    runs = [slide_to_rest(speed, worn) for speed in (3.5, 2.8, 2.2)]
+    assert max(run.displacement.x.max() for run in runs) < PLACE - 0.5 * WIDTH
+    found = fit([*LAW, "patch"], runs)
+    for name, truth in (("F", 1.9), ("x_c", PLACE), ("w", WIDTH)):
+        estimate = found.parameters[f"patch.{name}"]
+        assert abs(estimate.value - truth) < 4 * estimate.std
+    assert diagnose(fit(LAW, runs), quick=True, rng=0).missing == ["patch"]
+
+
+@pytest.mark.usefixtures("few")
+def test_a_constant_force_that_friction_levels_imitate_is_found() -> None:
+    """Two runs forth and two back: another level of friction each way is a constant force."""
+
+    def tilted(x: float, v: float) -> float:
+        return float(1.4 * np.sign(v) + 0.2 * v + 0.08)
+
+    bare = fit(LAW, [slide_to_rest(speed, tilted, fps=1000, sigma=5e-6) for speed in (3.0, 2.0, -3.0, -2.0)])
+    assert bare.solution.tau > 0.03
+    found = diagnose(bare, quick=True, rng=0)
+    assert found.missing == ["slope"]
+    assert found.candidates[0].indistinguishable_from == ("asymmetry",)
+
+
 # whole studies with the whole library; the motions come from SciPy's integrator
 
 PLAN = ((2.5, 1), (4.0, 1), (6.0, 1), (4.0, 2), (-2.5, 1), (-5.5, 1))  # start speed m/s, mass over the reference

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import takewhile
 from typing import Any
 
 from frictrack.base.distributions import RNG, accepts_seed
@@ -44,6 +43,8 @@ from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.records import Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
+
+UNNAMED = "{} passes its test too, but with it the error of what was held out rises: it is not named"
 
 
 @accepts_seed
@@ -184,11 +185,13 @@ class Conclusion:
         remarks = [*_describe_excluded(first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
             remarks += held_remarks(self.search.start, self._named[-1].law)
+            plausible = [t.effect.title for t in self._named if not t.objection]
+            remarks += [UNNAMED.format(name) for name in plausible if named and name not in named]
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
-            leads=self._leads if verdict == "unexplained" and not is_formula else [],
+            leads=named if verdict == "unexplained" else [],
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
@@ -258,15 +261,13 @@ class Conclusion:
 
     @property
     def _plausible_names(self) -> list[str]:
-        return [t.effect.title for t in self._named if not t.objection]
-
-    @property
-    def _leads(self) -> list[str]:
-        """The plausible effects found, up to the first that does not lower the error of what was held out."""
-        errors = [self._heldout(t.law)[1] for t in self._named]
-        lowest = [self._heldout(self._named[0].law)[0], *errors] if errors else []
-        lowering = takewhile(lambda t: t[1] < MAX_ERROR_RATIO * t[2], zip(self._named, errors, lowest, strict=False))
-        return [found.effect.title for found, _, _ in lowering if not found.objection]
+        """The plausible effects found, up to the last that does not raise the error of what was held out."""
+        lowest, last = 1.0, 0
+        for i, t in enumerate(self._named, start=1):
+            bare, error, _ = self._heldout(t.law)
+            if error < MAX_ERROR_RATIO * lowest * bare:
+                lowest, last = min(error / bare, lowest), i
+        return [t.effect.title for t in self._named[:last] if not t.objection]
 
     @cached_property
     def _formulas(self) -> UnexplainedForce | None:

@@ -33,6 +33,7 @@ Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; n
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
 MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
 MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
+PLACE_MARGIN = 0.1  # of the scanned places, by which a place may lie beyond them: most widths are below an eighth
 
 
 @dataclass(frozen=True)
@@ -448,15 +449,19 @@ def known_value(p: Parameter, span: Span) -> float | None:
 
 
 def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
-    """Compute the bounds of a parameter for these runs: its own, or one step beyond its scan where it has none."""
+    """Compute the bounds of a parameter for these runs: its own, or just beyond its scan where it has none.
+
+    That is one step of the scan; a place may lie farther off, for a run may stop in the flank of what acts there.
+    """
     low, high = p.bounds
     if p.scan is None:
         return low, high
     grid = np.sort(p.scan(span))
+    margin = PLACE_MARGIN * np.ptp(grid) if p.unit == "m" else 0.0
     if not np.isfinite(low):
-        low = float(grid[0] - (grid[1] - grid[0]) if p.signed else grid[0] ** 2 / grid[1])
+        low = float(grid[0] - max(grid[1] - grid[0], margin) if p.signed else grid[0] ** 2 / grid[1])
     if not np.isfinite(high):
-        high = float(grid[-1] + (grid[-1] - grid[-2]) if p.signed else grid[-1] ** 2 / grid[-2])
+        high = float(grid[-1] + max(grid[-1] - grid[-2], margin) if p.signed else grid[-1] ** 2 / grid[-2])
     return low, high
 
 
