@@ -7,20 +7,21 @@ makes one from a text, `EffectSettings` holds what a study file changes of one.
 from frictrack.effects.atm2 import PRINTED_TIME_UNIT_S, atm2, atm2_printed
 from frictrack.effects.definition import (
     ACCELEROMETER_CHECK,
-    PLANNED_SHARE,
     DirectCheck,
     Effect,
     EffectInStudy,
     EffectRecord,
+    Nonlinear,
     Parameter,
+    Path,
     RelaxedPart,
     TestDraw,
     carries_over,
+    joined_earlier,
     scales_with_load,
 )
 from frictrack.effects.memory import direction_of_motion
-from frictrack.effects.path import Nonlinear, Path, joined_earlier
-from frictrack.effects.ranges import Span, Within, frequencies, spatial_periods
+from frictrack.effects.ranges import PLANNED_SHARE, Span, Within, frequencies, spatial_periods
 from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, laws_in_place_of, order
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
 from frictrack.effects.user import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, effect, formula

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.effects.path import Path
+from frictrack.effects.definition import Path
 from frictrack.records import Array, Mask
 
 Complexes = NDArray[np.complex128]

@@ -31,14 +31,12 @@ from simpleeval import SimpleEval
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.units import is_coherent
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.definition import CONSTANTS, Effect, Nonlinear, Parameter, Path
 from frictrack.effects.ranges import Span, frequencies
 from frictrack.effects.registry import DECLARED, is_library
-from frictrack.records import GRAVITY, Array
+from frictrack.records import Array
 
 VARIABLES = ("t", "x", "v", "s", "L", "mass")  # of a `Path`; L is the load, s the direction of motion
-CONSTANTS = {"g": GRAVITY, "pi": np.pi}
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "tanh")},
     "atan": np.arctan,
