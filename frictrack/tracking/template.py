@@ -344,7 +344,7 @@ def pattern_sums(
     return total.astype(np.float64)
 
 
-def fit_fixed_pattern(sums: Array, noise: float) -> FixedPattern | None:
+def fit_pattern(sums: Array, noise: float) -> FixedPattern | None:
     """Fit the fixed pattern to sums over frames.
 
     Parameters

@@ -11,9 +11,7 @@ from scipy.ndimage import shift
 from frictrack.base.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track, stretches
-from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips, frame_numbers
-
-__all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
+from frictrack.sampling import SampledPath, Slip, describe_frames, find_slips, frame_numbers
 
 MIN_JUMP_PX = 0.1  # errors of the tracker may be as large
 MIN_SIGMA_PX = 1e-4  # no track is more accurate
