@@ -11,7 +11,7 @@ import pytest
 
 from frictrack.base.errors import FrictrackError
 from frictrack.tracking import track
-from frictrack.tracking.detection.targets import resolve_target
+from frictrack.tracking.detection import resolve_target
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 

@@ -11,7 +11,7 @@ from film import Film, expose, moved, speckle
 from frictrack.records import Array
 from frictrack.tracking import find_reference, track
 from frictrack.tracking.checks import moves_with
-from frictrack.tracking.detection.targets import resolve_target
+from frictrack.tracking.detection import resolve_target
 
 SHAPE, N = (96, 144), 60
 K = np.arange(N)

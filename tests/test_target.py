@@ -10,7 +10,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import Areas, driver, find_reference, track
-from frictrack.tracking.detection.targets import resolve_target, rests_while_others_move
+from frictrack.tracking.detection import resolve_target, rests_while_others_move
 
 
 def a_track(x, y=31.5, size=SIZE):

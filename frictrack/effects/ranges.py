@@ -13,14 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from frictrack.records import Array, EarlierRuns
-
-if TYPE_CHECKING:
-    from frictrack.effects.definition import Path
 
 USUAL_TOP_SPEED = 6.0  # m/s; where runs are faster, or a scale is wrong, the range of Stribeck velocities grows along
 MIN_SCAN_VALUES = 9  # of a scan between bounds
@@ -236,7 +233,7 @@ class ScanWave:
     """
 
     parameter: str
-    coordinate: Callable[[Path, Any], Array]
+    coordinate: Callable[[Any, Any], Array]
     is_period: bool = False
 
     def frequency(self, values: Array) -> Array:
@@ -244,12 +241,12 @@ class ScanWave:
         return 1.0 / values if self.is_period else values
 
 
-def over_time(path: Path, nonlinear: Any) -> Array:
+def over_time(path: Any, nonlinear: Any) -> Array:
     """Return the coordinate u of a wave in time, s."""
     return path.t
 
 
-def over_position(path: Path, nonlinear: Any) -> Array:
+def over_position(path: Any, nonlinear: Any) -> Array:
     """Return the coordinate u of a wave in space, m."""
     return path.x
 

@@ -51,7 +51,7 @@ def make_recording(pipeline: RunPipeline) -> RecordingInfo:
 def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """Track the target; what is learnt of it stays in the pipeline, for the tracks stage and for other films."""
     from frictrack import tracking  # noqa: PLC0415 - loads OpenCV; tables do without
-    from frictrack.tracking.detection.targets import resolve_areas, rests_while_others_move  # noqa: PLC0415
+    from frictrack.tracking.detection import resolve_areas, rests_while_others_move  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:

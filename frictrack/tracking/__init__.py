@@ -13,8 +13,7 @@ checks              self-checks of a track
 """
 
 from frictrack.tracking.areas import Areas, is_polygon
-from frictrack.tracking.detection.patches import find_reference
-from frictrack.tracking.detection.targets import find_target
+from frictrack.tracking.detection import find_reference, find_target
 from frictrack.tracking.driver import (
     align_track,
     learn_target,

@@ -461,7 +461,7 @@ def _deviations(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -
 
     The deviations of positions and harmonics (k, 5) are those of the rows in which there is a path.
     """
-    series = np.column_stack([at, _pixel_harmonics(at)])
+    series = np.column_stack([at, pixel_harmonics(at)])
     path = _parabolas(frames, at, series, rows)
     known = np.isfinite(path[:, 0])
     return series, path[:, 0], (series[rows] - path)[known]
@@ -569,7 +569,7 @@ def _fit_parabolas(
     return series[middle] + parabolas[:, 0], np.sqrt(np.maximum(variance, 0.0))
 
 
-def _pixel_harmonics(at: Array) -> Array:
+def pixel_harmonics(at: Array) -> Array:
     """Sine and cosine of one and two cycles per pixel, (n, 4)."""
     turns = [2 * np.pi * k * at for k in (1, 2)]
     return np.column_stack([f(u) for u in turns for f in (np.sin, np.cos)])
