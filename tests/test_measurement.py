@@ -15,8 +15,8 @@ from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, film_stages, open_study
 from frictrack.flow.track_quality import correct_times
 from frictrack.records import Track
+from frictrack.sampling import Slip
 from frictrack.simulate.scene import film_scene, read_scene
-from frictrack.tracking.checks import Slip
 
 SCENE = """
 name = "one slide"

@@ -46,7 +46,7 @@ from frictrack.diagnose.experiments.virtual_runs import (
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.effects import models
-from frictrack.effects.definition import ACCELEROMETER_STD, LEVEL_STD_RAD
+from frictrack.effects.ranges import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.present import plots

@@ -15,8 +15,8 @@ from frictrack.measure.calibration import calibrate
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track
-from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.subpixel_fit import SubpixelFit
+from frictrack.tracking.template import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.template_learning import (
     learn_template,
     peak_locking_correction,

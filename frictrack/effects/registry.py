@@ -9,9 +9,8 @@ from typing import Any
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects.atm2 import atm2, atm2_printed
-from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.definition import NEEDS, Effect, Parameter
 from frictrack.effects.library import load_library
-from frictrack.effects.path import NEEDS
 
 MAX_INSTANCES = 99  # of one effect in a model
 MAX_ORDER = 20  # sines of ATM1 and ATM2: 60 parameters and more; the papers stop at 4
