@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import noise_level
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
@@ -76,7 +76,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
         t = run.motion.t
         mask = valid & (t >= run.free[0]) & (t <= run.free[1])
         reason = f"{run.free[0]:g} s to {run.free[1]:g} s as given"
-    elif _has_measured_force(run):
+    elif has_measured_force(run):
         mask = valid & moving
         measured = "drive" if run.friction_N is None else "friction"
         stuck = int(np.sum(valid & ~moving))
@@ -95,7 +95,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
 def release_time(run: Run) -> float:
     """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
-    if run.free is None and not _has_measured_force(run):
+    if run.free is None and not has_measured_force(run):
         return float(run.motion.t[_section(run).release])
     return float(run.motion.t[np.argmax(free_section(run)[0])])
 
@@ -116,7 +116,7 @@ def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
     None if the mass rests in between, an impact reverses it, or one of the spans is too short to be distinguished from
     the end of the smoothed motion at a stop.
     """
-    if _has_measured_force(run):
+    if has_measured_force(run):
         return None
     v, a = run.motion.v, np.abs(run.motion.a)
     shorter = min(before.stop - before.start, after.stop - after.start)
@@ -176,7 +176,7 @@ def impact(run: Run) -> str:
     'the mass hits something at 0.59 s, which turns its velocity from 1.3 to -0.802 m/s'
 
     """
-    if run.free is not None or _has_measured_force(run):
+    if run.free is not None or has_measured_force(run):
         return ""
     section, (start, stop) = _section(run), _main_motion(run)
     bounces = [one for one in section.bounces if start < one.before]
@@ -251,12 +251,7 @@ def friction(run: Run) -> Friction:
     return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
 
 
-def white_noise(series: Array) -> float:
-    """Estimate the white noise of a measured force (n,), N, from its differences; 0 if that is not possible."""
-    return float(np.nan_to_num(noise_level(series, np.isfinite(series))[0]))
-
-
-def _has_measured_force(run: Run) -> bool:
+def has_measured_force(run: Run) -> bool:
     """Whether drive or friction was measured."""
     return run.drive is not None or run.friction_N is not None
 
@@ -277,7 +272,7 @@ def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
 
 def count_flights(run: Run) -> int:
     """Number of free flights of a run: one more with every bounce that is followed; 1 with a measured force."""
-    return 1 if run.free is not None or _has_measured_force(run) else len(_section(run).flights)
+    return 1 if run.free is not None or has_measured_force(run) else len(_section(run).flights)
 
 
 @dataclass(frozen=True)
@@ -410,13 +405,9 @@ def _event(run: Run, row: int) -> tuple[int, int] | None:
 
 def _events_at_ends(run: Run) -> Mask:
     """Frames (n,) of events at the ends of the record, where a push cannot be distinguished from a wrong sample."""
-    n = len(run.motion)
-    rows = np.arange(n)
-    out = np.zeros(n, dtype=bool)
-    for first, last in run.motion.events:
-        if first <= EVENT_REACH_FRAMES or last >= n - 1 - EVENT_REACH_FRAMES:
-            out |= (rows >= first - EVENT_REACH_FRAMES) & (rows <= last + EVENT_REACH_FRAMES)
-    return out
+    reach, n = EVENT_REACH_FRAMES, len(run.motion)
+    at_ends = [(first, last) for first, last in run.motion.events if first <= reach or last >= n - 1 - reach]
+    return _within([(max(first - reach, 0), last + reach) for first, last in at_ends], n)
 
 
 def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
@@ -618,7 +609,7 @@ def find_events(run: Run) -> RunEvents:
 
 def _release(run: Run) -> float | None:
     """Time of the release of a run without a measured force, s, if it lies after the first frame."""
-    if run.free is not None or _has_measured_force(run):
+    if run.free is not None or has_measured_force(run):
         return None
     try:
         at = release_time(run)
@@ -639,12 +630,9 @@ def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, in
 
 def _rests(run: Run, motions: list[slice]) -> list[slice]:
     """Stretches between the motions that are long enough to show the noise."""
-    edges = [0, *[k for s in motions for k in (s.start, s.stop)], len(run.motion)]
-    between = [
-        slice(i + EDGE_FRAMES, max(j - EDGE_FRAMES, i + EDGE_FRAMES))
-        for i, j in zip(edges[::2], edges[1::2], strict=True)
-    ]
-    return [s for s in between if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
+    still = ~_within([(s.start, s.stop - 1) for s in motions], len(run.motion))
+    rests = [slice(s.start + EDGE_FRAMES, s.stop - EDGE_FRAMES) for s in stretches(still) if s.stop > 2 * EDGE_FRAMES]
+    return [s for s in rests if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
 
 
 def _noise(run: Run, rests: list[slice]) -> float:

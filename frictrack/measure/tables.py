@@ -15,7 +15,7 @@ from frictrack import sampling
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
-from frictrack.measure.motion import differentiate, low_pass, noise_level
+from frictrack.measure.motion import differentiate, low_pass, noise_level, white_noise
 from frictrack.measure.plausibility import (
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
@@ -378,8 +378,7 @@ def _sampled_path(data: TableData) -> sampling.SampledPath:
     assert data.x is not None
     x = data.x
     own = x[np.concatenate(([True], np.diff(x) != 0))]
-    noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
-    noise = max(noise, sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
+    noise = max(white_noise(own), sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
     ticks = sampling.frame_numbers(data.t).astype(np.int64)
     every = np.ones(len(x), dtype=bool)
     return sampling.SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)

@@ -30,6 +30,7 @@ from frictrack.measure.motion.noise import (
     difference_variance,
     noise_level,
     slow_spectrum,
+    white_noise,
 )
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.settings.filters import METHOD_NAMES

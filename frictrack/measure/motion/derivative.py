@@ -9,7 +9,7 @@ noise and A^3 (1 - A) is signal.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from weakref import WeakKeyDictionary
@@ -24,7 +24,6 @@ from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData,
 from frictrack.measure.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
 from frictrack.measure.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.measure.motion.grid import (
-    STENCIL_FRAMES,
     STENCIL_REACH,
     FrameGrid,
     frame_grid,
@@ -32,7 +31,6 @@ from frictrack.measure.motion.grid import (
     stencil_derivatives,
     stencil_start,
     stencil_weights,
-    stencils,
 )
 from frictrack.measure.motion.place_forces import Course, place_force_errors
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
@@ -41,6 +39,7 @@ from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES
 from frictrack.records import Array, Displacement, Filtered, Motion
 
 QUANTITIES = ("x", "v", "a")
+FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
 _BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
 
 
@@ -196,7 +195,9 @@ def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = Non
     if of not in QUANTITIES:
         raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
     chosen = np.arange(len(filtered)) if rows is None else np.asarray(rows, dtype=np.int64)
-    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), chosen)
+    unit = np.zeros((len(filtered), len(chosen)))
+    unit[chosen, np.arange(len(chosen))] = 1.0
+    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,74 +319,50 @@ class Derivatives:
         return self._course.x - self._course.displacement(self.smoother.forces)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
-        """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
-
-        Parameters
-        ----------
-        frequency
-            Frequency, Hz.
-        size
-            Rms displacement, m.
-
-        Returns
-        -------
-        Array
-            Rms errors, (3, n).
-
-        """
-        angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
-        apparent_motion = self.apparent_motion(
-            size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
-        )
-        return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
+        """Rms errors (3, n) of x, v and a by a sinusoidal displacement (Hz; rms, m) of any phase."""
+        angle = 2 * np.pi * frequency * self.grid.interval * self.grid.frames
+        waves = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(np.sqrt(np.sum(self.apparent_motion(waves) ** 2, axis=2)))
 
     def apparent_motion(self, ghosts: Array) -> Array:
-        """Compute the response of x, v and a to apparent displacements.
+        """Response (3, n, k) of x, v and a to displacements (n, k), m, that the measurement adds."""
+        return np.asarray(self._respond(self.grid.to_frames(ghosts))[:, self.grid.frames])
 
-        Parameters
-        ----------
-        ghosts
-            Displacements that the measurement adds, m, (n, k).
-
-        Returns
-        -------
-        Array
-            Their contribution to x, v and a, (3, n, k).
-
-        """
-        whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
-        return np.asarray(self._respond(whole)[:, self.grid.frames])
-
-    def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
-        """Compute the covariance of one derivative among rows.
-
-        Parameters
-        ----------
-        order
-            0 for x, 1 for v, 2 for a.
-        rows
-            Rows of the record, (m,).
-
-        Returns
-        -------
-        Array
-            Covariance, (m, m).
-
-        """
+    def covariance(self, order: int, weights: Array) -> Array:
+        """Covariance (m, m) of sums of one derivative over the rows, with weights (n, m)."""
         if self.best is not None:
-            away = (self.values() - self.best.values())[order, rows]
-            return self.best.covariance(order, rows) + np.outer(away, away)
-        start, table = stencils(self.grid.n, self.grid.interval)
-        frames = self.grid.frames[rows]
-        nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
-        use, place = np.unique(nodes, return_inverse=True)
-        pick = np.zeros((len(rows), len(use)))
-        np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
-        found = pick @ self.factor.covariance(use)[use] @ pick.T
+            away = weights.T @ (self.values() - self.best.values())[order]
+            return self.best.covariance(order, weights) + np.outer(away, away)
+        variance = self.unit_variances(self.factor, order)
+        scale = self.deviations()[order] / np.sqrt(variance)
+        return self.unit_covariance(self.factor, order, weights * scale[:, None])
+
+    def unit_covariance(self, factor: FactoredSmoother, order: int, weights: Array) -> Array:
+        """Covariance of weighted sums, as `covariance`, that equations of the smoother give for unit noise."""
+        positions = self.position_weights(order, weights)
+        found = positions.T @ factor.posterior_covariance_times(positions)
         for error in self.parameter_errors:
-            found += np.outer(error[order, frames], error[order, frames])
-        scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
-        out: Array = found * np.outer(scale, scale)
+            change = weights.T @ self.grid.to_rows(error[order])
+            found += np.outer(change, change)
+        return np.asarray(found)
+
+    def unit_variances(self, factor: FactoredSmoother, order: int) -> Array:
+        """Variances (n,) of one derivative of the rows that equations of the smoother give for unit noise."""
+        found = factor.variances(stencil_start(self.grid.n), self.stencil(order))
+        return self.grid.to_rows(found + sum(error[order] ** 2 for error in self.parameter_errors))
+
+    def stencil(self, order: int) -> Callable[[slice], Array]:
+        """Weights (m, 6) of one derivative in m frames of the grid, as a function of these frames."""
+        return lambda frames: stencil_weights(self.grid.n, self.grid.interval, frames)[order]
+
+    def position_weights(self, order: int, weights: Array) -> Array:
+        """Weights (N, m) on positions of the grid that give weighted sums of one derivative over the rows."""
+        on_grid, start, stencil = self.grid.to_frames(weights), stencil_start(self.grid.n), self.stencil(order)
+        out = np.zeros(on_grid.shape)
+        for first in range(0, self.grid.n, FRAMES_AT_ONCE):
+            rows = slice(first, first + FRAMES_AT_ONCE)
+            for k, of_frame in enumerate(stencil(rows).T):
+                np.add.at(out, start[rows] + k, of_frame[:, None] * on_grid[rows])
         return out
 
     @cached_property

@@ -119,6 +119,11 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
 
 
+def white_noise(x: Array, valid: Mask | None = None) -> float:
+    """Estimate the white noise of a series (n,), as `noise_level`, by default of its finite values; 0 if that fails."""
+    return float(np.nan_to_num(noise_level(x, np.isfinite(x) if valid is None else valid)[0]))
+
+
 def difference_order(many: int, few: int) -> int:
     """Choose the order of differences.
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from frictrack.measure.friction import is_moving
+from frictrack.measure.friction import has_measured_force, is_moving
 from frictrack.measure.plausibility.slide import (
     CORRELATION_FACTOR,
     ERROR,
@@ -142,7 +142,7 @@ def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, f
 
 def different_origins(runs: Mapping[str, Run]) -> tuple[Finding, ...]:
     """Find runs without a drive whose swing is centred elsewhere than that of the first run."""
-    free = {name: run.displacement.x for name, run in runs.items() if run.drive is None and run.friction_N is None}
+    free = {name: run.displacement.x for name, run in runs.items() if not has_measured_force(run)}
     found = []
     for name, first, shift in shifted_swings(free):
         line = f'x_offset = "{-1e3 * shift:.4g} mm"'
@@ -248,7 +248,7 @@ def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
     run, with the value that would agree; an error if the motion shows the power of ten.
     """
     found = [_check_against_drive(run, run.mass) for run in runs if run.drive is not None and run.mass is not None]
-    bare = [run for run in runs if run.drive is None and run.friction_N is None and run.mass is not None]
+    bare = [run for run in runs if run.mass is not None and not has_measured_force(run)]
     slides = [(run, slide.friction) for run in bare if (slide := estimate_slide(run)) and slide.friction is not None]
     for i, (run, friction) in enumerate(slides if len(slides) >= MIN_RUNS else []):
         others = [*slides[:i], *slides[i + 1 :]]

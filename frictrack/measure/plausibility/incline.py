@@ -13,6 +13,7 @@ from math import asin, degrees
 
 import numpy as np
 
+from frictrack.measure.friction import has_measured_force
 from frictrack.measure.plausibility.slide import (
     ERROR,
     MIN_SHARE_EACH_WAY,
@@ -44,7 +45,7 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
     in the picture to the horizontal, rad; None without a film. Returns a warning; its `correction` is the line for the
     study file.
     """
-    strokes = () if run.has_incline or _is_driven(run) else find_strokes(run)
+    strokes = () if run.has_incline or has_measured_force(run) else find_strokes(run)
     if not _accelerates_by_itself(strokes):
         return None
     pull, both = _gravity_pull(strokes)
@@ -76,7 +77,7 @@ def wrong_incline(run: Run) -> Finding | None:
     `run`: a run with an incline; driven runs give None. Returns an error if the opposite sign agrees with the motion; a
     warning if the incline is too small or too large.
     """
-    if not run.has_incline or _is_driven(run) or run.incline == 0.0:
+    if not run.has_incline or has_measured_force(run) or run.incline == 0.0:
         return None
     every = find_strokes(run)
     strokes = tuple(stroke for stroke in every if stroke.is_significant and stroke.is_free)
@@ -115,7 +116,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     ()
 
     """
-    free = [run for run in runs if not _is_driven(run) and run.mass]
+    free = [run for run in runs if not has_measured_force(run) and run.mass]
     stated = {run.incline for run in free}
     found = _fit_pull(free) if len(stated) == 1 else None
     if found is None:
@@ -161,10 +162,6 @@ def _fit_pull(runs: Sequence[Run]) -> tuple[float, float, float] | None:
         return None
     forth, back = (np.mean([-one.speed_gain for _, one in strokes if one.direction == way]) for way in (1.0, -1.0))
     return float(pull), float(forth), float(back)
-
-
-def _is_driven(run: Run) -> bool:
-    return run.drive is not None or run.friction_N is not None
 
 
 def _accelerates_by_itself(strokes: tuple[Stroke, ...]) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.measure.friction import is_moving, split_by_direction
+from frictrack.measure.friction import has_measured_force, is_moving, split_by_direction
 from frictrack.records import Array, Run, stretches
 
 WARNING, ERROR = "warning", "error"
@@ -362,7 +362,7 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
 
     It is taken from the decelerating part of a struck run, or from a slide on an incline, in one direction of motion.
     """
-    if run.drive is not None or run.friction_N is not None:
+    if has_measured_force(run):
         return None
     direction = max(strokes, key=lambda stroke: stroke.distance).direction
     one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)

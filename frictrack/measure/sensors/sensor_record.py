@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import noise_level
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Displacement, Mask, stretches
 
 MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running
@@ -99,7 +99,7 @@ class SensorRecord:
         v = self.values[self.known]
         steps = np.abs(np.diff(v))
         rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
-        sigma = float(np.nan_to_num(noise_level(self.values, self.known)[0]))
+        sigma = white_noise(self.values, self.known)
         return max(sigma, rounding) if np.isfinite(rounding) and np.mean(steps == 0.0) > MAX_HELD_SHARE else sigma
 
     @cached_property
@@ -293,9 +293,9 @@ def _frame_noise(displacement: Displacement, known: Mask) -> Array:
     """White noise of every frame (n,), m."""
     stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
     typical = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
-    level = noise_level(np.where(known, displacement.x, 0.0), known)[0]
+    level = white_noise(np.where(known, displacement.x, 0.0), known)
     relative = np.where(stated, displacement.sigma_x, typical) / typical
-    return np.asarray(relative * (level if level > 0 and np.isfinite(level) else typical))
+    return np.asarray(relative * (level or typical))
 
 
 class Whitener:
