@@ -195,17 +195,9 @@ def _rounding(data: TableData) -> float:
     if not sampling.is_even(data.t):
         return rounding
     intervals = np.diff(sampling.frame_numbers(data.t))
-    as_rows, as_gaps = (
-        np.abs(_second_differences(moved)),
-        intervals[1:-1] * np.abs(_second_differences(moved / intervals)),
-    )
+    as_rows, as_gaps = np.abs(np.diff(moved, 2)), intervals[1:-1] * np.abs(np.diff(moved / intervals, 2))
     wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
     return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
-
-
-def _second_differences(steps: Array) -> Array:
-    """Return by how much every step differs from the mean of its neighbours, (n - 2,)."""
-    return steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
 
 
 def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
@@ -269,10 +261,13 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
 
 
 def _doubled_note(rows: Rows) -> tuple[str, ...]:
-    if not len(rows):
-        return ()
-    count = "1 row has" if len(rows) == 1 else f"{len(rows)} rows have"
-    return (f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out",)
+    count = _count(len(rows), "row has", "rows have")
+    note = f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out"
+    return (note,) if len(rows) else ()
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"1 {one}" if n == 1 else f"{n} {many}"
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
@@ -378,7 +373,9 @@ def _sampled_path(data: TableData) -> sampling.SampledPath:
     assert data.x is not None
     x = data.x
     own = x[np.concatenate(([True], np.diff(x) != 0))]
-    noise = max(white_noise(own), sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
+    noise = max(
+        white_noise(own), sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x)))
+    )
     ticks = sampling.frame_numbers(data.t).astype(np.int64)
     every = np.ones(len(x), dtype=bool)
     return sampling.SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
@@ -387,15 +384,13 @@ def _sampled_path(data: TableData) -> sampling.SampledPath:
 def _slip_notes(found: tuple[sampling.Slip, ...], numbers: Rows) -> tuple[str, ...]:
     """Return notes on repeated and missing samples."""
     again = [int(numbers[s.frame]) for s in found if s.doubled]
-    lost = [s for s in found if not s.doubled]
+    lost = {int(numbers[s.frame]): s.frames for s in found if not s.doubled}
     notes = []
     if again:
-        count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
+        count = _count(len(again), "sample repeats", "samples repeat")
         notes.append(f"{count} the one before: {sampling.describe_frames(again)}; left out")
     if lost:
-        total = sum(s.frames for s in lost)
-        count = "1 sample is" if total == 1 else f"{total} samples are"
-        places = sampling.describe_frames([int(numbers[s.frame]) for s in lost])
+        count, places = _count(sum(lost.values()), "sample is", "samples are"), sampling.describe_frames([*lost])
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
 

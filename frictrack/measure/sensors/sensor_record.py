@@ -138,8 +138,7 @@ class SensorRecord:
         covered = self.covers(at - width / 2.0, at + width / 2.0)
         if self.interval >= width:
             return np.where(covered, self.integral(at, 0), np.nan)
-        last = np.clip(at + width / 2.0, self.t[0], self.t[-1])
-        first = np.clip(at - width / 2.0, self.t[0], self.t[-1])
+        first, last = (np.clip(at + half, self.t[0], self.t[-1]) for half in (-width / 2.0, width / 2.0))
         span = np.where(last > first, last - first, 1.0)
         mean = (self.integral(last, 1) - self.integral(first, 1)) / span
         return np.where(covered & (last > first), mean, np.nan)
@@ -309,11 +308,10 @@ class Whitener:
     """
 
     def __init__(self, covariance: scipy.sparse.csr_array) -> None:
-        entries = covariance.tocoo()
-        width = int(np.max(np.abs(entries.row - entries.col), initial=0))
-        band = np.zeros((width + 1, covariance.shape[0]))
-        for k in range(width + 1):
-            band[k, : covariance.shape[0] - k] = covariance.diagonal(-k)
+        entries = scipy.sparse.tril(covariance).tocoo()
+        below = entries.row - entries.col
+        band = np.zeros((int(np.max(below, initial=0)) + 1, covariance.shape[0]))
+        band[below, entries.col] = entries.data
         self._factor = scipy.linalg.cholesky_banded(band, lower=True)
 
     @property
