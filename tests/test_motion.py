@@ -89,7 +89,7 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
     solved, expected = np.linalg.solve(normal, right), every @ np.linalg.inv(normal) @ every.T
 
     assert made.signal(made.unknowns()) == pytest.approx(every @ solved, abs=1e-6)
-    assert made.covariance(np.arange(n)) == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert made.posterior_covariance_times(np.eye(n)) == pytest.approx(expected, rel=1e-5, abs=1e-6)
     start = np.minimum(np.arange(n), n - 4)
     stencils = rng.normal(size=(2, n, 4))
     near = [expected[s : s + 4, s : s + 4] for s in start]
@@ -433,7 +433,7 @@ def test_deviations_of_any_length(n):
     )
     start = np.arange(n - 1)
     found = made.variances(start, np.tile([1.0, 0.0], (n - 1, 1)))
-    assert found == pytest.approx(np.diag(made.covariance(np.arange(n)))[:-1], rel=1e-4)
+    assert found == pytest.approx(np.diag(made.posterior_covariance_times(np.eye(n)))[:-1], rel=1e-4)
 
 
 def test_covariance_of_what():

@@ -264,7 +264,7 @@ class FilterResponse:
         if derived.smoother.method is not None:
             return self._transmitted_by_method(derived.smoother.method)
         factor, grid = derived.factor, derived.grid
-        passed = factor.noise_variances(stencil_start(grid.n), derived.stencil(2))
+        _, passed = factor.posterior_and_noise_variance(stencil_start(grid.n), derived.stencil(2))
         smoothed = factor.posterior_covariance_times(derived.position_weights(2, self.weights[:, None])[:, 0])
         variance = float(np.sum(factor.data.apply_inverse_covariance(smoothed) * smoothed))
         if derived.sensor_weights is not None:

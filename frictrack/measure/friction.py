@@ -464,18 +464,6 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     return int(begins), int(hardest + after[0]) if len(after) else len(a) - 1
 
 
-def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
-    """Return whether two parabolas describe positions better than one polynomial of degree 5, by five deviations."""
-    both = np.concatenate([rows[0][:-1], rows[1]])
-    both = both[usable[both]]
-    turn = t[rows[1][0]]
-    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
-        smooth = np.polyval(np.polyfit(t[both] - turn, x[both], 5), t[both] - turn)
-    parabolas = np.where(t[both] < turn, *(np.polyval(side.c, t[both] - turn) for side in sides))
-    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
-    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
-
-
 @dataclass(frozen=True)
 class _Bounce:
     """A reversal at which something hits the mass: velocities before and after, m/s, and the frames around it.
@@ -510,53 +498,63 @@ def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> _Side | No
     return _Side(c, float(covariance[1, 1]) * variance, float(np.sqrt(variance)))
 
 
-def _crossing(before: _Side, after: _Side) -> tuple[float, float, float, float] | None:
-    """Time at which two parabolas cross, s, their velocities there, and the standard deviation of their difference."""
-    roots = np.roots(after.c - before.c)
-    roots = roots[np.isreal(roots)].real
-    if not len(roots):
-        return None
-    t = float(roots[np.argmin(np.abs(roots))])
-    v_before, v_after = (float(np.polyval(np.polyder(side.c), t)) for side in (before, after))
-    return t, v_before, v_after, float(np.sqrt(before.slope_variance + after.slope_variance))
-
-
 def _bounces(run: Run) -> list[_Bounce]:
-    """Find the bounces of a run: reversals at which its way has a kink.
+    """Find the bounces of a run: reversals at which its way has a kink."""
+    v = run.motion.v
+    spans = split_by_direction(run, stretches(is_moving(run) | ~_is_measured(run)))
+    moves = [part for part in spans if is_motion(run, part)]
+    turns = []
+    for before, after in pairwise(moves):
+        sign = np.sign(v[before.stop - 1])
+        if sign != np.sign(v[after.start]):
+            between = slice(before.stop - 1, after.start + 1)
+            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
+    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
+    ends = [edge - _filter_frames(run) for edge in [*edges[3:], *edges[-1:]]]
+    found = [_bounce(run, *around) for around in zip(edges, edges[1:], edges[2:], ends, strict=False)]
+    return [bounce for bounce in found if bounce is not None]
+
+
+def _bounce(run: Run, low: int, turn: int, high: int, following: int) -> _Bounce | None:
+    """The bounce at a reversal `turn` between two others, if there is one.
 
     A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
     cross, their slopes differ by the blow. No smooth curve of as many parameters describes the way as well, as it does
     that of a swing. Smoothed velocities do not tell it in coarse records.
     """
-    x, t = run.displacement.x, run.motion.t
-    usable = run.displacement.valid & np.isfinite(x)
-    moves = [part for part in split_by_direction(run, stretches(is_moving(run) | ~usable)) if is_motion(run, part)]
-    turns = []
-    for before, after in pairwise(moves):
-        sign = np.sign(run.motion.v[before.stop - 1])
-        if sign != np.sign(run.motion.v[after.start]):
-            between = slice(before.stop - 1, after.start + 1)
-            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
-    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
-    out = []
-    for i, (low, turn, high) in enumerate(zip(edges, edges[1:], edges[2:], strict=False)):
-        rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
-        sides = [_parabola(t[r] - t[turn], x[r], usable[r], run.displacement.resolution) for r in rows]
-        known = [side for side in sides if side is not None]
-        crossing = _crossing(*known) if len(known) == len(sides) else None
-        if crossing is None:
-            continue
-        tau, v_before, v_after, sigma = crossing
-        least = min(t[turn] - t[rows[0][0]], t[rows[1][-1]] - t[turn]) / 4
-        is_kink = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and _is_kinked(t, x, known, rows, usable)
-        if v_before * v_after < 0 and is_kink and abs(tau) < least:
-            last, first = (
-                r[np.abs(x[r] - np.polyval(side.c, t[r] - t[turn])) < MIN_MOVING_SIGMAS * side.noise]
-                for r, side in zip(rows, known, strict=True)
-            )
-            ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
-            out.append(_Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
-    return out
+    x, t, usable = run.displacement.x, run.motion.t - run.motion.t[turn], _is_measured(run)
+    rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
+    sides = [side for r in rows if (side := _parabola(t[r], x[r], usable[r], run.displacement.resolution)) is not None]
+    roots = np.roots(sides[1].c - sides[0].c) if len(sides) == len(rows) else np.zeros(0)
+    roots = roots[np.isreal(roots)].real
+    if not len(roots):
+        return None
+    crossing = roots[np.argmin(np.abs(roots))]
+    v_before, v_after = (float(np.polyval(np.polyder(side.c), crossing)) for side in sides)
+    is_blow = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * np.sqrt(sum(side.slope_variance for side in sides))
+    is_near = abs(crossing) < min(-t[rows[0][0]], t[rows[1][-1]]) / 4
+    if not (v_before * v_after < 0 and is_blow and is_near and _is_kinked(t, x, sides, rows, usable)):
+        return None
+    last, first = (
+        r[np.abs(x[r] - np.polyval(side.c, t[r])) < MIN_MOVING_SIGMAS * side.noise]
+        for r, side in zip(rows, sides, strict=True)
+    )
+    return _Bounce(v_before, v_after, int(last[-1]), int(first[0]), following)
+
+
+def _is_measured(run: Run) -> Mask:
+    return np.asarray(run.displacement.valid & np.isfinite(run.displacement.x))
+
+
+def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
+    """Whether two parabolas describe positions, of a reversal at 0, better than one polynomial of degree 5 does."""
+    both = np.concatenate([rows[0][:-1], rows[1]])
+    both = both[usable[both]]
+    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
+        smooth = np.polyval(np.polyfit(t[both], x[both], 5), t[both])
+    parabolas = np.where(t[both] < 0, *(np.polyval(side.c, t[both]) for side in sides))
+    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
+    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
 
 
 def find_events(run: Run) -> RunEvents:

@@ -47,15 +47,13 @@ from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod, Su
 from frictrack.simulate.trajectory import Conditions, Trajectory, push_force, simulate
 from frictrack.study import read_toml
 
-KEYS = {
-    "": [
-        *("name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"),
-        *("clamp_x", "beam_length", "lift"),
-    ],
-    " in a run": ["name", "v", "frames", "push", "mass", "width", "level", "incline", "pause"],
-    " in [camera]": [f.name for f in fields(Camera)],
-    " in [target]": ["width", "height", "speckle", "rotation"],
-}  # by the place in the file
+SCENE_KEYS = {
+    *("name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"),
+    *("clamp_x", "beam_length", "lift"),
+}
+RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline", "pause"}
+CAMERA_KEYS = {f.name for f in fields(Camera)}
+TARGET_KEYS = {"width", "height", "speckle", "rotation"}
 OSCILLATION_KEYS = ("flicker", "shake_x", "shake_y")
 MAX_NUMBER, MAX_SIDE_PX, MAX_FRAMES = 1e12, 16_384, 1_000_000  # any number; side of a picture; frames of a run
 
@@ -166,10 +164,12 @@ def _is_number(value: Any, low: float = -MAX_NUMBER, high: float = MAX_NUMBER) -
 
 def _key_faults(raw: dict[str, Any]) -> list[str]:
     """Name unknown keys and pictures that are too large."""
-    tables = zip(KEYS, ([raw], raw["run"], [raw.get("camera", {})], [raw.get("target", {})]), strict=True)
-    faults = [
-        f'unknown key "{k}"{place}' for place, some in tables for table in some for k in table if k not in KEYS[place]
+    tables = [("", SCENE_KEYS, raw), *((" in a run", RUN_KEYS, run) for run in raw["run"])]
+    tables += [
+        (" in [camera]", CAMERA_KEYS, raw.get("camera", {})),
+        (" in [target]", TARGET_KEYS, raw.get("target", {})),
     ]
+    faults = [f'unknown key "{k}"{place}' for place, known, given in tables for k in given if k not in known]
     for key in ("width", "height"):
         value = raw.get("camera", {}).get(key, 8)
         if not isinstance(value, int) or not _is_number(value, 8, MAX_SIDE_PX):

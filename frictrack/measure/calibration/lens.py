@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.calibration.board import Board, BoardView
+from frictrack.measure.calibration.pictures import Board, BoardView
 from frictrack.measure.calibration.scale import (
     MAX_RADIAL_COEFFICIENT,
     Homography,
@@ -366,21 +366,21 @@ def _calibrated(views: list[BoardView]) -> tuple[Lens, Array, float] | None:
     return Lens(np.asarray(matrix, np.float64), np.ravel(distortion).astype(np.float64)[:5]), poses, float(rms)
 
 
-def _covariance(views: list[BoardView], lens: Lens, poses: Array) -> Array | None:
-    """Covariance (15, 15) of camera, lens and first pose, which were fitted together with all other poses."""
+def _covariance(views: list[BoardView], lens: Lens, poses: Array, intrinsics: int = N_INTRINSICS) -> Array | None:
+    """Covariance of the fitted numbers of camera and lens and of the first pose, fitted with all other poses."""
     rows, misfits = [], []
     for k, view in enumerate(views):
         slopes, misfit = _corner_slopes(view, lens, poses[k])
         of_poses = np.zeros((len(misfit), 6 * len(views)))
         of_poses[:, 6 * k : 6 * k + 6] = slopes[:, :6]
-        rows.append(np.hstack([slopes[:, 6 : 6 + N_INTRINSICS], of_poses]))
+        rows.append(np.hstack([slopes[:, 6 : 6 + intrinsics], of_poses]))
         misfits.append(misfit)
     every, misfit = np.vstack(rows), np.concatenate(misfits)
     size, count = np.linalg.norm(every, axis=0), len(misfit) - every.shape[1]
     if count < 1 or not np.all(size > 0):
         return None
     inverse = np.linalg.pinv((every / size).T @ (every / size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    kept = N_INTRINSICS + 6
+    kept = intrinsics + 6
     return np.asarray(inverse[:kept, :kept] * max(float(misfit @ misfit) / count, MIN_CORNER_SIGMA_PX**2))
 
 
@@ -418,11 +418,9 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
         raise FrictrackError(f"the board in {first.name} does not fit the lens file; check the file")
     turn, shift = cv2.solvePnPRefineLM(_solid(first), first.points, lens.matrix, lens.distortion, turn, shift)
     pose = np.array([*np.ravel(turn), *np.ravel(shift)], dtype=np.float64)
-    slopes, misfit = _corner_slopes(first, lens, pose)
-    normal = slopes[:, :6].T @ slopes[:, :6]
-    variance = max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
-    covariance = np.asarray(np.linalg.inv(normal) * variance, dtype=np.float64)
-    rms = float(np.sqrt(2 * np.mean(misfit**2)))
+    covariance = _covariance([first], lens, pose[None], intrinsics=0)
+    assert covariance is not None  # a view has more corners than its pose has numbers
+    rms = float(np.sqrt(2 * np.mean(_corner_slopes(first, lens, pose)[1] ** 2)))
     used = (
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"

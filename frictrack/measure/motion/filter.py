@@ -20,8 +20,14 @@ from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivat
 from frictrack.measure.motion.noise import CorrelatedNoise, suspected_noise
 from frictrack.measure.motion.place_forces import Course, PlaceForce, find_place_forces
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.structure_average import alternatives, mean_shift
-from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
+from frictrack.measure.motion.structure_search import (
+    MAX_WHOLE_FRAMES,
+    StructureSearch,
+    alternatives,
+    find_structure,
+    mean_shift,
+    window_data,
+)
 from frictrack.records import Array, Displacement, Filtered, Mask, stretches
 from frictrack.settings.filters import KALMAN, STRUCTURAL, FilterChoice
 
@@ -249,7 +255,7 @@ class _Coordinate:
         candidates = [replace(part, colour=c) for c in (None, colour)]
         best_pair = min(
             ((_select_by_likelihood(kind, method), kind) for kind in candidates),
-            key=lambda m: StructureSearch(m[1]).penalised_loss(m[0]),
+            key=lambda m: StructureSearch(m[1]).scored(m[0]).penalised,
         )
         best_pair = best_pair[0], replace(part, colour=_fit_colour(best_pair[1], best_pair[0]))
         if len(part.w) == len(data.w):
