@@ -264,7 +264,7 @@ class FilterResponse:
         if derived.smoother.method is not None:
             return self._transmitted_by_method(derived.smoother.method)
         factor, grid = derived.factor, derived.grid
-        _, passed = factor.posterior_and_noise_variance(stencil_start(grid.n), derived.stencil(2))
+        passed = factor.noise_variances(stencil_start(grid.n), derived.stencil(2))
         smoothed = factor.posterior_covariance_times(derived.position_weights(2, self.weights[:, None])[:, 0])
         variance = float(np.sum(factor.data.apply_inverse_covariance(smoothed) * smoothed))
         if derived.sensor_weights is not None:
@@ -309,11 +309,8 @@ class FilterResponse:
 
 def _with_less_noise(s: Structure, by: float) -> Structure:
     """The structure of the same signal with the logarithm of the noise variance lower by `by`."""
-    return replace(
-        s,
-        stiffness=tuple(v - by for v in s.stiffness),
-        lines=tuple((omega, mu - by) for omega, mu in s.lines),
-    )
+    lines = tuple((omega, mu - by) for omega, mu in s.lines)
+    return replace(s, stiffness=tuple(v - by for v in s.stiffness), lines=lines)
 
 
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found

@@ -415,9 +415,8 @@ def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
     speed, window = np.abs(run.motion.v), _impact_frames(run)
     i = np.arange(len(speed))
     neighbour_speed = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
-    return np.asarray(
-        (neighbour_speed < PUSH_SPEED_SHARE * speed) & (speed - neighbour_speed > _sudden_speed_loss(run, start, stop))
-    )
+    is_sudden = speed - neighbour_speed > _sudden_speed_loss(run, start, stop)
+    return np.asarray((neighbour_speed < PUSH_SPEED_SHARE * speed) & is_sudden)
 
 
 def _interval(run: Run) -> float:

@@ -76,14 +76,13 @@ def displacement_of_table(
 def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_offset: float = 0.0) -> Displacement:
     """Compute the displacement of a table whose clock is even; see `displacement_of_table`."""
     data = table.data
-    assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     nan.setflags(write=False)  # so that the records share it
     pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
     displacement = sampling.screened(
         Displacement(
             t=data.t,
-            x=data.x + x_offset,
+            x=np.asarray(data.x) + x_offset,
             y=nan if data.y is None or not np.any(data.y) else data.y,  # a column of zeros was not measured
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,
@@ -111,9 +110,8 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
     if not jitter:
         return displacement
     stated = np.isfinite(displacement.sigma_x)
-    at_rest = np.where(
-        stated, displacement.sigma_x, max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
-    )
+    level = max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
+    at_rest = np.where(stated, displacement.sigma_x, level)
     moved = jitter * np.abs(sampling.robust_speed(displacement.t, displacement.x))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return displacement
@@ -149,9 +147,8 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(
-        noise_level(x, displacement.valid, t=displacement.t)[0], sampling.rounding_noise(displacement.resolution)
-    )
+    level, _ = noise_level(x, displacement.valid, t=displacement.t)
+    sigma = max(level, sampling.rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
@@ -185,8 +182,7 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
 
 def _rounding(data: TableData) -> float:
     """Return to what the time stamps are rounded, s; 0 where that leaves them even, or the motion confirms all gaps."""
-    assert data.x is not None
-    steps, moved = np.diff(data.t), np.diff(data.x)
+    steps, moved = np.diff(data.t), np.diff(np.asarray(data.x))
     twice = (steps == 0) & (moved == 0)  # rows that were written twice
     own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
     rounding = sampling.stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
@@ -232,9 +228,9 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
 
 def _can_find_slips(data: TableData) -> bool:
     """Return whether the rows lie on an even clock without long gaps, and the target moves."""
-    assert data.x is not None
-    gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
-    return sampling.is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
+    steps, travel = np.diff(data.t), float(np.ptp(np.asarray(data.x)))
+    longest = float(np.max(steps) / np.median(steps))
+    return sampling.is_even(data.t) and longest < MAX_GAP_FRAMES and travel > MIN_TRAVEL_M
 
 
 def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
@@ -255,8 +251,7 @@ def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, 
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {sampling.describe_frames(read.corrupt)}; the row stays in its place",)
-    assert taken.x is not None
-    clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, taken.x)
+    clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, np.asarray(taken.x))
     return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
 
 
@@ -323,9 +318,8 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
 
 def _lost_moving_rows(data: TableData, rows: Rows) -> bool:
     """Whether rows that are left out for their stamps have positions of their own."""
-    assert data.x is not None
-    lost = np.setdiff1d(np.arange(1, len(data.t)), rows)
-    return bool(np.any(data.x[lost] != data.x[lost - 1]))
+    x, lost = np.asarray(data.x), np.setdiff1d(np.arange(1, len(data.t)), rows)
+    return bool(np.any(x[lost] != x[lost - 1]))
 
 
 def _counted_at_rate(data: TableData, fps: float) -> TableData:
@@ -370,12 +364,10 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
 
 def _sampled_path(data: TableData) -> sampling.SampledPath:
     """Return the positions of a table as a path; only identical positions can repeat each other."""
-    assert data.x is not None
-    x = data.x
+    x = np.asarray(data.x)
     own = x[np.concatenate(([True], np.diff(x) != 0))]
-    noise = max(
-        white_noise(own), sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x)))
-    )
+    digits = DOUBLE_RESOLUTION * float(np.max(np.abs(x)))
+    noise = max(white_noise(own), sampling.rounding_noise(sampling.quantum(x)), digits)
     ticks = sampling.frame_numbers(data.t).astype(np.int64)
     every = np.ones(len(x), dtype=bool)
     return sampling.SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
@@ -427,10 +419,8 @@ def run_of_dataframe(
 def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
-        number = (
-            parse_quantity(values, (COLUMNS | POINT_COLUMNS)[name][1], name)[0] if isinstance(values, str) else values
-        )
-        array = np.asarray(number, dtype=np.float64)
+        unit = (COLUMNS | POINT_COLUMNS)[name][1]
+        array = np.asarray(parse_quantity(values, unit, name)[0] if isinstance(values, str) else values, np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
     if array.ndim == 0 and name not in ("t", "x", "v"):

@@ -394,12 +394,7 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
 
 
 def simulate_displacement(
-    model: Model,
-    values: Values,
-    conditions: Conditions,
-    t: Array,
-    start: Start,
-    tolerance: float,
+    model: Model, values: Values, conditions: Conditions, t: Array, start: Start, tolerance: float
 ) -> Array:
     """Simulate the recorded displacement of a long motion to a given accuracy.
 
@@ -539,9 +534,8 @@ def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, fl
         return solve_motion(law, some, start, guess[: 3 * count], memory=state.model.memory)[0]
     while count:
         some = Panels(panels.edges[: count + 1])
-        motion = solve_simplified_newton(
-            state.acceleration_at_nodes(some, s), some, start, guess[: 3 * count], state.tolerance
-        )
+        law_at_nodes = state.acceleration_at_nodes(some, s)
+        motion = solve_simplified_newton(law_at_nodes, some, start, guess[: 3 * count], state.tolerance)
         if motion is not None:
             return motion
         count //= 2

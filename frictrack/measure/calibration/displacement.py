@@ -390,9 +390,8 @@ def plane_map(
     """
     kind = scale_input.scale_kind(scale)
     if kind == "several":
-        return _compare_maps(
-            [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track
-        )
+        several = [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)]
+        return _compare_maps(several, track)
     shape = film.shape if film is not None else None
     known_lens = _lens(lens, shape)
     straight = known_lens.undistorted if known_lens else as_seen

@@ -150,9 +150,8 @@ def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
 
 
 def _is_camera(matrix: Array) -> bool:
-    return bool(
-        np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.all(matrix[2] == [0, 0, 1])
-    )
+    has_focus = np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0
+    return bool(has_focus and np.all(matrix[2] == [0, 0, 1]))
 
 
 def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:

@@ -325,11 +325,9 @@ def _differs(view: BoardView, other: BoardView) -> bool:
 
 
 def _is_film(paths: tuple[Path, ...]) -> bool:
-    return (
-        len(paths) == 1
-        and not paths[0].is_dir()
-        and (paths[0].suffix.lower() not in PICTURE_SUFFIXES or _pages(paths[0]) > 1)
-    )
+    path = paths[0]
+    is_picture = path.suffix.lower() in PICTURE_SUFFIXES and _pages(path) == 1
+    return len(paths) == 1 and not path.is_dir() and not is_picture
 
 
 def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int, str, Grey]]:

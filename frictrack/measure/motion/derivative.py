@@ -391,9 +391,8 @@ class Derivatives:
 
     def factor_smoother(self, structure: Structure) -> FactoredSmoother:
         """Equations of another structure with the same weights."""
-        return structure.factor_smoother(
-            SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
-        )
+        data = SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
+        return structure.factor_smoother(data)
 
     def _on_grid(self) -> Array:
         """Low-passed rows on the grid (N,); missing frames are interpolated as smoothly as possible."""
@@ -402,9 +401,8 @@ class Derivatives:
         w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so large that the rows, which are smooth, do not move
         y = self.grid.to_frames(self.x)
         cubic = weighted_cubic(y, w)
-        return cubic + Structure((0.0,)).factor_smoother(SmootherData(y - cubic, w)).smooth(
-            np.where(w > 0, y - cubic, 0.0)
-        )
+        rest = np.where(w > 0, y - cubic, 0.0)
+        return cubic + Structure((0.0,)).factor_smoother(SmootherData(rest, w)).smooth(rest)
 
 
 def best_smoothing(filtered: Filtered) -> Filtered:

@@ -146,22 +146,10 @@ def low_pass(
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
         y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(displacement.t, choice, None)
-        found = replace(
-            found,
-            y=y.x,
-            sigma_y=y.sigma_x,
-            cutoff_y=y.cutoff,
-            y_measured=y.x_measured,
-            smoother_y=y.smoother,
-        )
-    sigma_sensor = None if acceleration is None else _sensor_sigma(acceleration)
-    return replace(
-        found,
-        sigma_sensor=sigma_sensor,
-        asked=not choice.is_default,
-        repaired=displacement.repaired,
-        shake=displacement.shake,
-    )
+        found = replace(found, y=y.x, sigma_y=y.sigma_x, cutoff_y=y.cutoff)
+        found = replace(found, y_measured=y.x_measured, smoother_y=y.smoother)
+    found = replace(found, asked=not choice.is_default, repaired=displacement.repaired, shake=displacement.shake)
+    return found if acceleration is None else replace(found, sigma_sensor=_sensor_sigma(acceleration))
 
 
 def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
@@ -313,9 +301,8 @@ class _Coordinate:
         square = self.grid.interval**2
         second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.to_frames(_sensor_sigma(acceleration), MISSING_SIGMA)[1:-1]
-        return SmootherData(
-            self.y, self.w, np.nan_to_num(second_differences), sensor_weights(sigma, square, level), self.colour
-        )
+        weights = sensor_weights(sigma, square, level)
+        return SmootherData(self.y, self.w, np.nan_to_num(second_differences), weights, self.colour)
 
 
 def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
@@ -331,10 +318,8 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
         return StructureSearch(replace(data, colour=colour(odds))).loss(structure)
 
     start = scipy.special.logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
-    found = scipy.optimize.minimize(
-        loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
-    )
-    return colour(found.x)
+    options = {"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
+    return colour(scipy.optimize.minimize(loss, start, method="Nelder-Mead", options=options).x)
 
 
 def _smoothed(structure: Structure, data: SmootherData) -> tuple[float, Array]:

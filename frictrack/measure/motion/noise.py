@@ -270,9 +270,8 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
     """
     own = [NoiseStretch(stretch)]
     n_shapes = _n_resolved(own)
-    return (
-        _best_shape(own, n_shapes) if n_shapes and _is_consistent(NoiseStretch.evidence(own, n_shapes, 0.0)) else None
-    )
+    is_suspected = n_shapes and _is_consistent(NoiseStretch.evidence(own, n_shapes, 0.0))
+    return _best_shape(own, n_shapes) if is_suspected else None
 
 
 def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:

@@ -297,6 +297,10 @@ class FactoredSmoother:
         """
         return np.asarray(variances_of([self], start, stencils)[0])
 
+    def noise_variances(self, start: Index, stencils: Stencils) -> Array:
+        """The part of those variances that is noise let through, not signal removed; arguments as in `variances`."""
+        return self.posterior_and_noise_variance(start, stencils)[1]
+
     def posterior_and_noise_variance(
         self, start: Index, stencils: Stencils, combine: Callable[[Array, slice], Array] = lambda both, _: both
     ) -> Array:

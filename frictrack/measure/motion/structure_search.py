@@ -231,9 +231,8 @@ class StructureSearch:
         def scaled_loss(step: Array) -> float:
             return loss(start + step * scale)
 
-        found = scipy.optimize.minimize(
-            scaled_loss, np.zeros(len(start)), method="L-BFGS-B", bounds=bounds, options=options
-        )
+        none = np.zeros(len(start))
+        found = scipy.optimize.minimize(scaled_loss, none, method="L-BFGS-B", bounds=bounds, options=options)
         return self.scored(self.bounded(start + found.x * scale, s), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:

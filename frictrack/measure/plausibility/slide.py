@@ -136,9 +136,8 @@ def implausible_entries(entered: EnteredValues) -> tuple[Finding, ...]:
 def _implausible(entered: EnteredValues) -> Iterator[tuple[str, str, str]]:
     """Kind, sentence and correction of every implausible value."""
     if entered.mass is not None:
-        yield from _misread(
-            "mass", entered.mass, ("kg", "g", "grams"), MASS, BARE_MASS if "mass" in entered.bare else None
-        )
+        bare = BARE_MASS if "mass" in entered.bare else None
+        yield from _misread("mass", entered.mass, ("kg", "g", "grams"), MASS, bare)
     if entered.pitch is not None:
         bare = BARE_PITCH if "scale" in entered.bare else None
         yield from _misread("scale", entered.pitch, ("m/px", "mm/px", "mm"), PITCH, bare)
@@ -327,9 +326,8 @@ class SlideEstimate:
 
     def scaled(self, length: float, time: float) -> SlideEstimate:
         """Return the estimate for lengths and times multiplied by factors; gravity is not changed."""
-        friction, deceleration = (
-            None if one is None else one * length / time**2 for one in (self.friction, self.deceleration)
-        )
+        both = self.friction, self.deceleration
+        friction, deceleration = (None if one is None else one * length / time**2 for one in both)
         return SlideEstimate(self.speed * length / time, self.travel * length, friction, deceleration)
 
     @property

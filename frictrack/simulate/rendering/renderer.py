@@ -537,10 +537,7 @@ class _Renderer:
         if self.rotates:
             sin = np.abs(np.sin(moments.angle)).max()
             half_x, half_y = half_x + sin * half_y, half_y + sin * half_x
-        return (
-            _inside(moments.x, half_x, self.camera.width),
-            _inside(moments.y, half_y, self.camera.height),
-        )
+        return _inside(moments.x, half_x, self.camera.width), _inside(moments.y, half_y, self.camera.height)
 
     def _upright_block(self, moments: _ExposureSamples, x: Pixels, y: Pixels) -> tuple[Array, Array]:
         """Light of an upright block and area that it covers per pixel, summed over the exposure: two (ny, nx)."""
