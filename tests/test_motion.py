@@ -21,7 +21,7 @@ from frictrack.measure.motion import (
 from frictrack.measure.motion.banded_equations import LineParameters, SmootherData, cutoff_of, penalty
 from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.structure_search import ScoredStructure, StructureSearch
+from frictrack.measure.motion.structure_search import StructureSearch
 from frictrack.records import Displacement
 
 FPS = 4000.0
@@ -392,7 +392,7 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
     swelling = np.linspace(-4.0, 4.0, n) * np.sin(peak * np.arange(n)) + rng.normal(size=n)
     search = StructureSearch(SmootherData(swelling, np.ones(n)))
     tied = Structure((search.highest,), ((peak, 30.0), (peak + 1e-4, 30.0)))
-    refined = search.refine(ScoredStructure(tied, search.loss(tied))).structure
+    refined = search.refine(search.scored(tied)).structure
     (first, _), (second, _) = refined.lines
     assert abs(second - first) * n / (2 * np.pi) > 0.1
     found = deviations(refined.factor_smoother(search.data), swelling, 1.0, 1 / FPS)

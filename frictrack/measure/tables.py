@@ -55,6 +55,16 @@ class EvenTable:
     numbers: Rows  # of each row in the file, counted from 0
     notes: tuple[str, ...] = ()  # what was corrected
 
+    @classmethod
+    def of(cls, data: TableData, numbers: Rows | None = None, notes: tuple[str, ...] = ()) -> EvenTable:
+        """Make a table of which every row holds a sample, by default all rows of the file."""
+        n = len(data.t)
+        return cls(data, np.ones(n, dtype=bool), np.arange(n) if numbers is None else numbers, notes)
+
+    def changed(self, data: TableData, *notes: str) -> EvenTable:
+        """The same rows with other values, and further notes."""
+        return replace(self, data=data, notes=(*self.notes, *notes))
+
 
 def displacement_of_table(
     data: TableData, *, fps: float | None = None, scale: str | None = None, x_offset: float = 0.0
@@ -155,29 +165,25 @@ def _table_sigma(displacement: Displacement) -> Array:
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
     n = len(data.t)
-    rows = np.arange(n)
     if data.x is not None:
         x, turned = sampling.unwrapped(data.x)
         data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
     if data.x is None or (n < MIN_ROWS and not (fps and not sampling.is_even(data.t))):
-        return EvenTable(data, np.ones(n, dtype=bool), rows)
+        return EvenTable.of(data)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
     clocked = not sampling.is_even(data.t)
-    stamped = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else (data, rows, ())
-    if fps and (not sampling.is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
+    table = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else EvenTable.of(data)
+    if fps and (not sampling.is_even(table.data.t) or _lost_moving_rows(data, table.numbers)):
         words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
-        stamped, clocked = (_counted_at_rate(data, fps), rows, (words,)), False
-    data, rows, notes = stamped
-    if np.any(np.diff(data.t) <= 0):
+        table, clocked = EvenTable.of(_counted_at_rate(data, fps), notes=(words,)), False
+    if repeated := int(np.sum(np.diff(table.data.t) <= 0)):
         raise FrictrackError(
-            f"time: {int(np.sum(np.diff(data.t) <= 0))} stamps repeat the one before, which rounding of an even clock "
-            "does not explain: the rate changes or rows are missing; give stamps with more digits"
+            f"time: {repeated} stamps repeat the one before, which rounding of an even clock does not explain: "
+            "the rate changes or rows are missing; give stamps with more digits"
         )
-    data, more = _at_rate(data, fps)
-    data, moved = _on_grid(data)
-    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
-    return _without_slips(table, clocked=clocked) if _can_find_slips(data) else table  # else the smoother reports it
+    table = _on_grid(_at_rate(table, fps))
+    return _without_slips(table, clocked=clocked) if _can_find_slips(table.data) else table  # else the smoother reports
 
 
 def _rounding(data: TableData) -> float:
@@ -208,7 +214,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
             continue
         moving = replace(select_rows(data, rows), t=ticks[rows].astype(float))
-        table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
+        table = EvenTable.of(moving, rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
         if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
@@ -216,8 +222,8 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         clock = sampling.rounded_clock(stamps, counted, rounding, interval)
         clock = clock or sampling.jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
-            found, notes = _at_rate(_at_clock(select_rows(data, table.numbers), clock), fps, rounding)
-            return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
+            clocked = replace(table, data=_at_clock(select_rows(data, table.numbers), clock))
+            return _at_rate(replace(clocked, notes=(*clock.notes, *table.notes)), fps, rounding)
     if sampling.is_even(data.t):
         raise FrictrackError(
             f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
@@ -233,26 +239,26 @@ def _can_find_slips(data: TableData) -> bool:
     return sampling.is_even(data.t) and longest < MAX_GAP_FRAMES and travel > MIN_TRAVEL_M
 
 
-def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
-    """Return a table with uneven time stamps on an even clock, its row numbers, and notes."""
+def _with_clock_of_stamps(data: TableData) -> EvenTable:
+    """Return a table with uneven time stamps on an even clock, where these show one."""
     from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
-    rows = np.arange(len(data.t))
     read = read_stamps(data.t)
     if read is None:
-        return data, rows, ()
-    rows = np.setdiff1d(rows, read.doubled)
+        return EvenTable.of(data)
+    rows = np.setdiff1d(np.arange(len(data.t)), read.doubled)
     ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
     taken = replace(select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
-        return data, np.arange(len(data.t)), ()
+        return EvenTable.of(data)
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {sampling.describe_frames(read.corrupt)}; the row stays in its place",)
     clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, np.asarray(taken.x))
-    return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
+    table = EvenTable.of(taken, rows, notes)
+    return table if clock is None else table.changed(_at_clock(taken, clock), *clock.notes)
 
 
 def _doubled_note(rows: Rows) -> tuple[str, ...]:
@@ -281,15 +287,16 @@ def _at_clock(data: TableData, clock: sampling.EvenClock) -> TableData:
     return replace(data, t=clock.t, clock_error=clock.error, **moved)
 
 
-def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
-    """Return a table with uneven times at the nearest times of an even grid, and a note."""
+def _on_grid(table: EvenTable) -> EvenTable:
+    """Return a table with uneven times at the nearest times of an even grid."""
+    data = table.data
     columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
     moved = None if sampling.is_even(data.t) else sampling.moved_to_grid(data.t, list(columns.values()))
     if moved is None:
-        return data, ()
+        return table
     found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
     note = "the times are uneven; the columns are moved along their course to the nearest times of an even grid"
-    return replace(data, t=moved[0], **found), (note,)
+    return table.changed(replace(data, t=moved[0], **found), note)
 
 
 def select_rows(data: TableData, rows: Rows) -> TableData:
@@ -299,10 +306,11 @@ def select_rows(data: TableData, rows: Rows) -> TableData:
     return replace(data, **taken)
 
 
-def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple[TableData, tuple[str, ...]]:
+def _at_rate(table: EvenTable, fps: float | None, rounding: float = 0.0) -> EvenTable:
     """Return a table with the given frame rate, and a note if its stamps contradict it."""
+    data = table.data
     if fps is None:
-        return data, ()
+        return table
     span = float(data.t[-1] - data.t[0])
     frames = (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
     frames = sampling.frame_numbers(data.t) if sampling.is_even(data.t) else frames
@@ -310,10 +318,11 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
     note = f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; fps is used"
     differs = abs(rate / fps - 1) - rounding / span
     if time_unit(fps / rate):  # the times are in another unit; the check of the clocks says which
-        return data, ()
+        return table
     if differs > MAX_RELATIVE_DIFFERENCE:
         note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
-    return replace(data, t=data.t[0] + frames / fps, clock_error=0.0), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+    notes = [note] if differs > MIN_RATE_DIFFERENCE else []
+    return table.changed(replace(data, t=data.t[0] + frames / fps, clock_error=0.0), *notes)
 
 
 def _lost_moving_rows(data: TableData, rows: Rows) -> bool:

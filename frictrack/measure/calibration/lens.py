@@ -189,27 +189,15 @@ def _fields(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
     try:
-        if _nesting(text) > MAX_NESTING:
-            raise ValueError("brackets without end")
-        fields = _json(text) if text.lstrip().startswith("{") else _yaml_or_xml(text)
+        return _parsed(text.lstrip())
     except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
-    return fields
 
 
 def _nesting(text: str) -> int:
     """Largest depth of nested brackets: the time of a parser grows with its square."""
     steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
     return max(accumulate(steps), default=0)
-
-
-def _json(text: str) -> dict[str, Any]:
-    return _plain_matrices(json.loads(text))
-
-
-def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
-    """Replace matrices by their numbers."""
-    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
@@ -227,15 +215,20 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_matrix)
 
 
-def _yaml_or_xml(text: str) -> dict[str, Any]:
-    """Parse OpenCV's format, or YAML without its first line as ROS writes it. OpenCV's own parser may hang."""
-    if text.lstrip().startswith("<?xml"):
+def _parsed(text: str) -> dict[str, Any]:
+    """Parse XML, JSON or YAML, without its first line as ROS writes it, to names and their values.
+
+    OpenCV's own parser may hang.
+    """
+    if _nesting(text) > MAX_NESTING:
+        raise ValueError("brackets without end")
+    if text.startswith("<?xml"):
         return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
-    found = yaml.load("\n".join(lines), _Loader)
+    found = json.loads(text) if text.startswith("{") else yaml.load("\n".join(lines), _Loader)
     if not isinstance(found, dict):
         raise ValueError("no names at the top")
-    return _plain_matrices(found)
+    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 def _element(element: ElementTree.Element) -> Any:
