@@ -11,8 +11,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import white_noise
@@ -545,7 +547,7 @@ def _is_measured(run: Run) -> Mask:
     return np.asarray(run.displacement.valid & np.isfinite(run.displacement.x))
 
 
-def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
+def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[NDArray[Any]], usable: Mask) -> bool:
     """Whether two parabolas describe positions, of a reversal at 0, better than one polynomial of degree 5 does."""
     both = np.concatenate([rows[0][:-1], rows[1]])
     both = both[usable[both]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -318,7 +319,7 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
         return StructureSearch(replace(data, colour=colour(odds))).loss(structure)
 
     start = scipy.special.logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
-    options = {"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
+    options: Any = {"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
     return colour(scipy.optimize.minimize(loss, start, method="Nelder-Mead", options=options).x)
 
 

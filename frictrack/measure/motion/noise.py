@@ -220,7 +220,7 @@ class NoiseStretch:
         return _Spectrum.of(self.smooth)
 
     @staticmethod
-    def evidence(stretches: Sequence[NoiseStretch], n_shapes: int, lowest: float) -> Array:
+    def evidence(stretches: Sequence[NoiseStretch], lowest: float, n_shapes: int | None = None) -> Array:
         """Evidence (k, R) for the first `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
         new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
         for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
@@ -270,14 +270,14 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
     """
     own = [NoiseStretch(stretch)]
     n_shapes = _n_resolved(own)
-    is_suspected = n_shapes and _is_consistent(NoiseStretch.evidence(own, n_shapes, 0.0))
+    is_suspected = n_shapes and _is_consistent(NoiseStretch.evidence(own, 0.0, n_shapes))
     return _best_shape(own, n_shapes) if is_suspected else None
 
 
 def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
     """Best-fitting noise: best of the first shapes, then refined."""
     spectra = [s.spectrum for s in stretches]
-    best = SHAPES[int(np.argmax(np.sum(NoiseStretch.evidence(stretches, n_shapes, 0.0), axis=0)))]
+    best = SHAPES[int(np.argmax(np.sum(NoiseStretch.evidence(stretches, 0.0, n_shapes), axis=0)))]
     for width in SEARCH_WIDTHS:
         near = _shapes_near(best, width)
         best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
@@ -292,7 +292,7 @@ def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
     that frequency on, too.
     """
     lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
-    return any(_is_consistent(NoiseStretch.evidence(stretches, n_shapes, f)) for f in lowest)
+    return any(_is_consistent(NoiseStretch.evidence(stretches, f, n_shapes)) for f in lowest)
 
 
 def _is_consistent(evidence: Array) -> bool:

@@ -225,7 +225,7 @@ class StructureSearch:
             return self.loss(self.bounded(numbers, s))
 
         start, scale = self._scaled(loss, s, g.loss)
-        bounds = scipy.optimize.Bounds(*((limit - start) / scale for limit in limits))
+        bounds = list(zip(*((limit - start) / scale for limit in limits), strict=True))
         options: Any = {"eps": PARAMETER_STEP, "ftol": 3e-6, "maxiter": steps}
 
         def scaled_loss(step: Array) -> float:
