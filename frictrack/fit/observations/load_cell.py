@@ -33,7 +33,8 @@ from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
-from frictrack.measure.friction import free_section, is_moving, white_noise
+from frictrack.measure.friction import free_section, is_moving
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 

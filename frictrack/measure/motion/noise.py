@@ -119,6 +119,11 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
 
 
+def white_noise(x: Array, valid: Mask | None = None) -> float:
+    """Estimate the white noise of a series (n,), as `noise_level`, by default of its finite values; 0 if that fails."""
+    return float(np.nan_to_num(noise_level(x, np.isfinite(x) if valid is None else valid)[0]))
+
+
 def difference_order(many: int, few: int) -> int:
     """Choose the order of differences.
 
@@ -215,12 +220,12 @@ class NoiseStretch:
         return _Spectrum.of(self.smooth)
 
     @staticmethod
-    def evidence(stretches: Sequence[NoiseStretch], lowest: float) -> Array:
-        """Evidence (k, R) for all `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
+    def evidence(stretches: Sequence[NoiseStretch], lowest: float, n_shapes: int | None = None) -> Array:
+        """Evidence (k, R) for the first `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
         new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
         for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
             stretch._evidence[lowest] = row
-        return np.array([s._evidence[lowest] for s in stretches])
+        return np.array([s._evidence[lowest][:n_shapes] for s in stretches])
 
 
 def correlated_noise(stretches: Sequence[NoiseStretch]) -> CorrelatedNoise | None:
@@ -265,13 +270,14 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
     """
     own = [NoiseStretch(stretch)]
     n_shapes = _n_resolved(own)
-    return _best_shape(own, n_shapes) if n_shapes and _is_consistent(_evidence_of(own, n_shapes, 0.0)) else None
+    is_suspected = n_shapes and _is_consistent(NoiseStretch.evidence(own, 0.0, n_shapes))
+    return _best_shape(own, n_shapes) if is_suspected else None
 
 
 def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
     """Best-fitting noise: best of the first shapes, then refined."""
     spectra = [s.spectrum for s in stretches]
-    best = SHAPES[int(np.argmax(np.sum(_evidence_of(stretches, n_shapes, 0.0), axis=0)))]
+    best = SHAPES[int(np.argmax(np.sum(NoiseStretch.evidence(stretches, 0.0, n_shapes), axis=0)))]
     for width in SEARCH_WIDTHS:
         near = _shapes_near(best, width)
         best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
@@ -286,7 +292,7 @@ def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
     that frequency on, too.
     """
     lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
-    return any(_is_consistent(_evidence_of(stretches, n_shapes, f)) for f in lowest)
+    return any(_is_consistent(NoiseStretch.evidence(stretches, f, n_shapes)) for f in lowest)
 
 
 def _is_consistent(evidence: Array) -> bool:
@@ -318,11 +324,6 @@ def _shapes_near(shape: Array, width: float) -> Array:
     factors = np.exp(width * np.array([-1.0, 0.0, 1.0]))
     odds_near = np.array([(odds[0] * a, odds[1] * b) for a in factors for b in factors])
     return np.asarray(odds_near / (1 + odds_near))
-
-
-def _evidence_of(stretches: Sequence[NoiseStretch], n_shapes: int, lowest: float) -> Array:
-    """Evidence (k, R) for the first shapes in the spectra from a frequency on, cycles per frame."""
-    return NoiseStretch.evidence(stretches, lowest)[:, :n_shapes]
 
 
 def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
