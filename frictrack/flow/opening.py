@@ -178,7 +178,7 @@ class MeasuredRuns:
 
     def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
         """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
-        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
+        from frictrack.flow.stages import write_overlay  # noqa: PLC0415
         from frictrack.flow.stored_results import run_summaries  # noqa: PLC0415
 
         for pipeline in self.pipelines if overlay else ():

@@ -18,9 +18,15 @@ from typing import Any
 from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
 from frictrack.flow import Progress, no_progress
-from frictrack.validation.reproduce.first_paper import equation_4, orders, time_units, tustin_groups, two_models
+from frictrack.validation.reproduce.identification import (
+    equation_4,
+    orders,
+    sine_filter,
+    time_units,
+    tustin_groups,
+    two_models,
+)
 from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
-from frictrack.validation.reproduce.second_paper import sine_filter
 from frictrack.validation.reproduce.sections import (
     FULL,
     QUICK,
