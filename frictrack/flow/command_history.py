@@ -30,9 +30,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypedDict, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import AfterValidator, TypeAdapter
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, append_line, lock_folder, make_internal_folder, replace_text
@@ -75,8 +75,10 @@ class Change:
     @classmethod
     def from_json(cls, line: bytes) -> Change:
         """Read a line of the log."""
-        named = {_KEYS[key]: value for key, value in json.loads(line).items()}
-        return TypeAdapter(cls).validate_python(named, strict=True)
+        return _CHANGE.validate_python({_KEYS[key]: value for key, value in json.loads(line).items()})
+
+
+_CHANGE = TypeAdapter(Change)
 
 
 def undo_stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
@@ -304,18 +306,17 @@ class SignificanceBudget(KeptRows[CompletenessTest]):
         return {"tests": lists, "alpha_spent": alpha_spent(tests)}
 
 
-class _Prediction(TypedDict):
-    """What every row of `Predictions` has, besides the JSON of the run that was named."""
-
-    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
-    runs: list[str]
-    model: list[str]
+def _prediction(row: dict[str, Any]) -> dict[str, Any]:
+    if not {"runs", "model", "realised", "predictions"} <= row.keys():
+        raise ValueError("expected the keys of a prediction")
+    return row
 
 
 class Predictions(KeptRows[dict[str, Any]]):
     """The runs that were named, in a file of the results; its rows are JSON `predictions` of `frictrack history`."""
 
-    file_name, kind, after_loss = "predictions.json", _Prediction, "predictions are kept from now on"
+    file_name, after_loss = "predictions.json", "predictions are kept from now on"
+    kind = Annotated[dict[str, Any], AfterValidator(_prediction)]
 
     def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
         """Keep the prediction of a named run; another one for the same model and runs replaces it."""
