@@ -497,7 +497,7 @@ def test_comparison_by_the_largest_magnitude() -> None:
     for old, new in (([np.nan], [1.0]), ([np.inf], [-np.inf]), ([1.0], [1.0, 2.0]), (["a"], ["b"]), ([0.0], [1e-300])):
         assert differ(old, new, exact=False) == 1, (old, new)
     groups = compare_files({"a.h5": {"old": {}}}, {"a.h5": {"new": {}}}, exact=True)
-    assert [(one.group, one.differences[0].stored, one.differences[0].computed) for one in groups] == [
+    assert [(one["group"], *(one["differences"][0][key] for key in ("stored", "computed"))) for one in groups] == [
         ("old", "there", "missing"),
         ("new", "missing", "there"),
     ]

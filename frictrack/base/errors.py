@@ -36,6 +36,13 @@ class FrictrackError(ValueError):
         self.usage = usage
 
 
+class UsageError(FrictrackError):
+    """The command or the study file is wrong; the command line exits with 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, usage=True)
+
+
 class DiskFullError(FrictrackError):
     """A file cannot be written because the disk is full: another machine may have space."""
 

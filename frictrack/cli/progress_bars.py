@@ -11,19 +11,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
-    from rich.table import Table
 
     from frictrack.flow.batch import BatchState
 
 MAX_SILENCE_S = 5.0  # between two lines, if the work reports progress
 MAX_SILENCE_OF_BATCH_S = 15.0  # between two lines in a log file: a study takes minutes
-MAX_LINES = 8  # of current tasks, and of failures
 OWN_BAR = ("studies", "runs")  # each has its own bar; one more bar shows the current work
-
-
-def _write(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
 
 
 class ProgressDisplay:
@@ -35,10 +28,19 @@ class ProgressDisplay:
     def clear(self) -> None:
         """Remove what is drawn, before something is printed; the next call draws it again."""
 
+    def write(self, line: str) -> None:
+        """Write one line."""
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+    def draw(self, done: int, total: int, what: str) -> bool:
+        """Draw the bar of a step, if there are bars; return whether there are."""
+        return False
+
     def __call__(self, done: int, total: int, what: str) -> None:
         """Write one line for a new step, for example into a log file; within a long step one every few seconds."""
         if not total or time.monotonic() - self._last_line >= MAX_SILENCE_S:
-            _write(f"{what}: {done} of {total}" if total else what)
+            self.write(f"{what}: {done} of {total}" if total else what)
             self._last_line = time.monotonic()
 
 
@@ -54,7 +56,15 @@ class ProgressBars(ProgressDisplay):
         """Remove the bars until the next call."""
         self._drawn.stop()
 
+    def write(self, line: str) -> None:
+        """Write one line above the bars."""
+        self._drawn.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
     def __call__(self, done: int, total: int, what: str) -> None:
+        """Draw the bar of a step."""
+        self.draw(done, total, what)
+
+    def draw(self, done: int, total: int, what: str) -> bool:
         """Draw the bar of a step; one of unknown length moves to and fro."""
         self._drawn.start()
         bar = what if what in OWN_BAR else "now"
@@ -65,6 +75,7 @@ class ProgressBars(ProgressDisplay):
             self._drawn.reset(now, total=None, description=what)
         visible = done < total or not total
         self._drawn.update(now, description=what, completed=done, total=total or None, visible=visible)
+        return True
 
 
 @contextmanager
@@ -76,7 +87,7 @@ def progress_bars() -> Iterator[ProgressDisplay]:
     from rich import progress as bars  # noqa: PLC0415 - `--help` does without
     from rich.console import Console  # noqa: PLC0415
 
-    columns = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.MofNCompleteColumn())
+    columns = (bars.TextColumn("{task.description}", markup=False), bars.BarColumn(), bars.MofNCompleteColumn())
     console = Console(stderr=True)
     with bars.Progress(*columns, bars.TimeRemainingColumn(), console=console, transient=True) as drawn:
         yield ProgressBars(drawn)
@@ -84,21 +95,16 @@ def progress_bars() -> Iterator[ProgressDisplay]:
 
 @contextmanager
 def watch_batch() -> Iterator[Callable[[BatchState], None]]:
-    """Yield a callable that shows the state of a batch: a table on a terminal, else one line per study."""
-    if not sys.stderr.isatty():
-        yield LinePrinter()
-        return
-    from rich.console import Console  # noqa: PLC0415
-    from rich.live import Live  # noqa: PLC0415
-
-    with Live(console=Console(stderr=True), transient=True, auto_refresh=False) as live:
-        yield lambda state: live.update(progress_table(state), refresh=True)
+    """Yield a callable that shows the state of a batch: a line per study that has ended, and bars on a terminal."""
+    with progress_bars() as progress:
+        yield BatchPrinter(progress)
 
 
-class LinePrinter:
-    """Print a line for every study that has ended, and in between one on the current tasks every few seconds."""
+class BatchPrinter:
+    """Print a line for every study that has ended; what is being worked on as a bar, or a line every few seconds."""
 
-    def __init__(self) -> None:
+    def __init__(self, progress: ProgressDisplay) -> None:
+        self._progress = progress
         self._told = self._failed = 0
         self._last_line: float | None = None
 
@@ -111,35 +117,16 @@ class LinePrinter:
             new.append(f"{state.kept + self._told} of {state.studies}: {relative_path(study)}")
         new += [f"failed: {_where(one)}: {one['reason']}" for one in state.failures[self._failed :]]
         self._failed = len(state.failures)
-        is_silent = not new and self._last_line is not None and now - self._last_line > MAX_SILENCE_OF_BATCH_S
-        if is_silent and state.under_way:
-            (first, since), *others = state.under_way.items()
-            more = f" and {len(others)} more" if others else ""
-            new.append(f"working on {relative_path(first)}{more}, {_clock(now - since)}")
+        working = [f"{relative_path(task)}, {_clock(now - since)}" for task, since in state.under_way.items()]
+        words = f"working on {working[0]}{f' and {len(working) - 1} more' * (len(working) > 1)}" if working else ""
+        has_bars = self._progress.draw(state.kept + len(state.done), state.studies, "studies")
+        if words and has_bars:
+            self._progress.draw(0, 0, words)
+        elif words and not new and self._last_line is not None and now - self._last_line > MAX_SILENCE_OF_BATCH_S:
+            new.append(words)
         for line in new:
-            _write(line)
+            self._progress.write(line)
             self._last_line = now
-
-
-def progress_table(state: BatchState) -> Table:
-    """Return the table of one state of a batch."""
-    from rich.markup import escape  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    ended = state.kept + len(state.done)
-    pace = 60.0 * state.runs / max(state.seconds, 1e-9)
-    table.add_row("studies", f"{ended} of {state.studies}" + f", {state.kept} of them before" * bool(state.kept))
-    table.add_row("runs", f"{state.runs}, {pace:.3g} a minute" if state.runs else "0")
-    table.add_row("time", _clock(state.seconds) + (f", {_clock(state.left)} left" if state.left is not None else ""))
-    now = time.monotonic()
-    for name, since in list(state.under_way.items())[:MAX_LINES]:
-        table.add_row("working on", f"{escape(relative_path(name))}, {_clock(now - since)}")
-    if state.failures:
-        table.add_row("[bold]failed[/bold]", f"{len(state.failures)}")
-    for one in state.failures[-MAX_LINES:]:
-        table.add_row("", escape(f"{_where(one)}: {one['reason']}"))
-    return table
 
 
 def relative_path(path: str) -> str:

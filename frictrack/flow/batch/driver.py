@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.base.distributions import student_sf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
@@ -337,7 +337,7 @@ def find_studies(patterns: Sequence[str]) -> list[Path]:
         matches = glob.glob(pattern, recursive=True) or [pattern]
         studies = [study for match in matches for study in _studies(Path(match))]
         if not studies:
-            raise FrictrackError(f"expected study files in {pattern} but found none", usage=True)
+            raise UsageError(f"expected study files in {pattern} but found none")
         found |= dict.fromkeys(sorted(studies, key=_natural))
     return list(found)
 

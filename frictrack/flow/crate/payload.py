@@ -15,7 +15,7 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
@@ -349,7 +349,10 @@ def _processor() -> str:
 
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
 TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
-TOTALS = {"combined standard uncertainty": 1, f"expanded uncertainty, k = {COVERAGE_FACTOR}": COVERAGE_FACTOR}
+TOTALS = (
+    ("combined standard uncertainty", 1),
+    (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR),
+)
 BUDGET_COLUMNS = {  # of the table -> of a row of an error budget
     "source": "source",
     "input_standard_uncertainty": "size",
@@ -390,15 +393,13 @@ def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
     """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
     for run in results.runs:
         for row in run.budget.get("rows", ()):
-            known = row | {"ucum": unit_code(row["unit"]).ucum}
-            if row["source"] == TOTAL:
-                sizes = {key: np.array(row[key], dtype=np.float64) for key in ("mean_N", "frame_N")}
-                rows = [{"source": name} | {k: factor * v for k, v in sizes.items()} for name, factor in TOTALS.items()]
-            else:
-                rows = [known]
-            for one in rows:
-                head = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
-                yield head | {column: one.get(key) for column, key in BUDGET_COLUMNS.items()}
+            parts = [row | {"ucum": unit_code(row["unit"]).ucum}]
+            if row["source"] == TOTAL:  # None is unknown
+                sizes = {key: row[key] for key in ("mean_N", "frame_N")}
+                parts = [{"source": name} | {k: v and factor * v for k, v in sizes.items()} for name, factor in TOTALS]
+            head = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
+            for part in parts:
+                yield head | {column: part.get(key) for column, key in BUDGET_COLUMNS.items()}
 
 
 def table_files(results: Results) -> dict[str, bytes]:

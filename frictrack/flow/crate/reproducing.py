@@ -20,7 +20,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack import flow
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
 from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
@@ -66,7 +66,7 @@ def read_crate(folder: Path) -> Crate:
     except FrictrackError:
         raise
     except FileNotFoundError as e:
-        raise FrictrackError(f"expected an RO-Crate but {folder} has no {METADATA}", usage=True) from e
+        raise UsageError(f"expected an RO-Crate but {folder} has no {METADATA}") from e
     except (OSError, ValueError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
     try:
@@ -190,7 +190,7 @@ def _files_by_name(folder: Path | None) -> dict[str, list[Path]]:
     if folder is None:
         return {}
     if not folder.is_dir():
-        raise FrictrackError(f"expected a folder of recordings but got {folder}", usage=True)
+        raise UsageError(f"expected a folder of recordings but got {folder}")
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.rglob("*")):
         found.setdefault(path.name, []).append(path)
@@ -437,6 +437,7 @@ def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> l
 
 def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, Any]]) -> dict[str, Any]:
     same = [row.pop("same_conclusions") for row in rows]
+    largest = [row["largest_difference"] for row in rows if row["numbers"]]  # None is infinite
     return {
         "equal": all(row["equal"] for row in rows),
         "same_conclusions": all(same),
@@ -445,7 +446,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, 
         "versions": versions,
         "tolerance": RELATIVE_TOLERANCE if versions else 0.0,
         "numbers": sum(row["numbers"] for row in rows),
-        "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
+        "largest_difference": None if None in largest else max(largest, default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
         "excluded": [{"names": list(names), "reason": reason} for names, reason in flow.EXCLUDED.items()],
@@ -467,11 +468,9 @@ def _stored_files(crate: Crate) -> dict[str, Path]:
 def _check_paths(path: Path, out: Path) -> None:
     """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
     if not path.exists():
-        raise FrictrackError(f"expected a crate but there is no {path}; check the path", usage=True)
+        raise UsageError(f"expected a crate but there is no {path}; check the path")
     if out.exists():
-        raise FrictrackError(
-            f"expected the name of a new folder but {out} exists; choose another one with -o", usage=True
-        )
+        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
 
 
 def _made(folder: Path) -> Path:

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
@@ -77,9 +77,8 @@ def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> 
 def _person(text: str, number: int) -> Entity:
     found = _AUTHOR.fullmatch(text)
     if found is None or not found[1] or (found[2] is not None and not is_orcid(found[2])):
-        raise FrictrackError(
-            f'expected an author as "Name" or "Name <0000-0002-1825-0097>" with a valid ORCID but got "{text}"',
-            usage=True,
+        raise UsageError(
+            f'expected an author as "Name" or "Name <0000-0002-1825-0097>" with a valid ORCID but got "{text}"'
         )
     address = f"{ORCID}{found[2]}" if found[2] else f"#author-{number}"
     return {"@id": address, "@type": "Person", "name": found[1]}
@@ -107,9 +106,8 @@ def _licence(text: str) -> Entity:
     if _ADDRESS.fullmatch(text):
         return {"@id": text, "@type": "CreativeWork", "name": text}
     if not _SPDX.fullmatch(text):
-        raise FrictrackError(
-            f'expected a licence as an SPDX identifier such as CC-BY-4.0, or as an address, but got "{text}"',
-            usage=True,
+        raise UsageError(
+            f'expected a licence as an SPDX identifier such as CC-BY-4.0, or as an address, but got "{text}"'
         )
     return {"@id": f"{SPDX}{text}", "@type": "CreativeWork", "name": text}
 
@@ -354,15 +352,12 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
 def _check_target(target: Path) -> None:
     """Raise FrictrackError (usage) if a folder exists that would be overwritten, before any work."""
     if target.suffix != ".zip" and target.exists():
-        raise FrictrackError(
+        raise UsageError(
             f"expected the name of a new folder, or of a file that ends in .zip, but {target} exists; "
-            "choose another name",
-            usage=True,
+            "choose another name"
         )
     if target.is_dir():
-        raise FrictrackError(
-            f"expected the name of a zip file but {target} is a folder; choose another name", usage=True
-        )
+        raise UsageError(f"expected the name of a zip file but {target} is a folder; choose another name")
 
 
 def _write(target: Path, parts: Sequence[Part]) -> None:

@@ -22,7 +22,7 @@ import pandas as pd
 from pydantic import TypeAdapter
 from scipy.interpolate import CubicSpline
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 from frictrack.base.workers import run_parallel
 from frictrack.flow import Progress, no_progress
@@ -161,9 +161,7 @@ def open_seal(folder: Path) -> dict[str, Truth]:
     """
     path = folder / SEAL_FILE
     if not path.is_file():
-        raise FrictrackError(
-            f"expected the folder of `frictrack blind make` but found no {SEAL_FILE} in {folder}", usage=True
-        )
+        raise UsageError(f"expected the folder of `frictrack blind make` but found no {SEAL_FILE} in {folder}")
     body = json.loads(path.read_text(encoding="utf-8"))
     now = file_hashes(folder)
     changed = [name for name, digest in body["files"].items() if now.get(name) != digest]
@@ -228,17 +226,15 @@ def make(  # noqa: PLR0913 - named settings
 
     """
     if kind is not None and kind not in KINDS:
-        raise FrictrackError(f'expected one of the kinds {", ".join(KINDS)} but got "{kind}"', usage=True)
+        raise UsageError(f'expected one of the kinds {", ".join(KINDS)} but got "{kind}"')
     mixture = STUDIES_PER_KIND_FILMS if film else STUDIES_PER_KIND_TABLES
     of = mixture if kind is None else {kind: STUDIES_OF_ONE_KIND}
     n = sum(of.values()) if n is None else n
     folder = Path(folder)
     if n < 1:
-        raise FrictrackError(f"expected at least one study but got --n {n}", usage=True)
+        raise UsageError(f"expected at least one study but got --n {n}")
     if folder.exists() and any(folder.iterdir()):
-        raise FrictrackError(
-            f"expected a new or empty folder but {folder} contains files; give another folder", usage=True
-        )
+        raise UsageError(f"expected a new or empty folder but {folder} contains files; give another folder")
     folder.mkdir(parents=True, exist_ok=True)
     jobs = _plan_studies(n, of, seed)
     names = [f"study_{i + 1:0{len(str(n))}d}" for i in range(n)]
