@@ -282,7 +282,8 @@ def _compare_group(
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
         found.append({**where, "value": "", "stored": stored, "computed": computed, "relative": None})
-    for name in dict.fromkeys([*old, *new]) if old is not None and new is not None else ():
+        old = new = {}
+    for name in dict.fromkeys([*old, *new]):
         tolerance = 0.0 if exact else tolerance_of(name)
         count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)
         numbers, largest = numbers + count, max(largest, relative)
