@@ -26,7 +26,7 @@ from scipy import stats
 
 from frictrack.base import workers
 from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.cli.progress_bars import BatchPrinter, ProgressBars
+from frictrack.cli.common import BatchPrinter, ProgressBars
 from frictrack.flow import Session
 from frictrack.flow.batch import BatchState, batch, cluster, find_studies
 from frictrack.flow.batch.driver import Journal, find_trends, fit_slope, write_table

@@ -17,8 +17,7 @@ import tifffile
 from film import block_film
 
 from frictrack.cli import main, study_commands, utility_commands  # noqa: F401 - registers the commands
-from frictrack.cli.common import app
-from frictrack.cli.progress_bars import BatchPrinter, ProgressDisplay
+from frictrack.cli.common import BatchPrinter, ProgressDisplay, app
 from frictrack.flow import stages
 from frictrack.flow.batch import BatchState
 from frictrack.study import read_table

@@ -21,12 +21,16 @@ from frictrack.cli.common import (
     Seed,
     Study,
     VerdictPrinter,
+    after_diagnosis,
+    after_edit,
+    after_fit,
+    after_run,
     command,
+    look_at,
     open_session,
     print_result,
+    progress_bars,
 )
-from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
-from frictrack.cli.progress_bars import progress_bars
 from frictrack.present.export import FORMATS, export_results
 
 PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study

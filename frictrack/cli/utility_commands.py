@@ -12,9 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
-from frictrack.cli.look_at import look_at
-from frictrack.cli.progress_bars import progress_bars, watch_batch
+from frictrack.cli.common import Json, Seed, Workers, app, command, look_at, print_result, progress_bars, watch_batch
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
