@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
@@ -235,7 +235,7 @@ def expand_folders(paths: Sequence[Path]) -> list[Path]:
         f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]
     ]
     if missing or twice:
-        raise FrictrackError("; ".join(missing + twice), usage=True)
+        raise UsageError("; ".join(missing + twice))
     return found
 
 
@@ -262,7 +262,7 @@ def check_entered(keys: Mapping[str, Any]) -> None:
     in_file = f"{checked} in a study file, which `frictrack init` writes"
     found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible_entries(read_keys(keys))]
     if found:
-        raise FrictrackError("; ".join(found), usage=True)
+        raise UsageError("; ".join(found))
 
 
 def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
@@ -273,7 +273,7 @@ def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
         kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
         return EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except FrictrackError as e:
-        raise FrictrackError(str(e), usage=True) from e
+        raise UsageError(str(e)) from e
 
 
 def _kilograms(mass: Any) -> tuple[float, float]:
@@ -404,7 +404,7 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
 
     """
     if not folder.is_dir():
-        raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
+        raise UsageError(f"expected a folder with recordings but got {folder}")
     refuse_existing(folder / "study.toml")
     seen = [survey_recording(path) for path in list_files(folder)]
     found = [one for one in seen if not one.problem]

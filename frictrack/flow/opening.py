@@ -7,7 +7,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.flow.pipeline import Progress, RunPipeline
 from frictrack.flow.stages import run_pipelines
 from frictrack.flow.tried_models import FitRequest
@@ -50,7 +50,7 @@ def check_study(study: Study) -> Study:
     checks.append(("model", lambda: FitRequest(study.model).model(study.effects)))
     faults = [f"{what}: {error}" for what, check in checks for error in _errors(check)]
     if faults:
-        raise FrictrackError(f"{study.path.name}: {'; '.join(faults)}", usage=True)
+        raise UsageError(f"{study.path.name}: {'; '.join(faults)}")
     return study
 
 
@@ -92,11 +92,10 @@ def table_needs_mass(run: RunTable) -> bool:
 def _check_mass(pipeline: RunPipeline) -> None:
     """Raise an error if the run of a table needs a mass; films are checked when the study file is read."""
     if table_needs_mass(pipeline.run):
-        raise FrictrackError(
+        raise UsageError(
             f'run "{pipeline.run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its '
             "[[run]], or --mass 0.35kg; only runs with measured friction (columns = {friction = ...}), or with a "
-            'measured drive and mass = "fit", do without',
-            usage=True,
+            'measured drive and mass = "fit", do without'
         )
 
 
@@ -140,7 +139,7 @@ class MeasuredRuns:
     def bring_up_to(self, stage: str) -> list[RunPipeline]:
         """Bring every run up to date; see `frictrack.flow.session.Session.bring_up_to`."""
         if self._study.incomplete:
-            raise FrictrackError(f"{self._study.path.name}: {'; '.join(self._study.incomplete)}", usage=True)
+            raise UsageError(f"{self._study.path.name}: {'; '.join(self._study.incomplete)}")
         self.findings.check_study_file()
         if not self._inputs_checked:
             check_inputs(self.pipelines)
@@ -178,7 +177,7 @@ class MeasuredRuns:
 
     def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
         """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
-        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
+        from frictrack.flow.stages import write_overlay  # noqa: PLC0415
         from frictrack.flow.stored_results import run_summaries  # noqa: PLC0415
 
         for pipeline in self.pipelines if overlay else ():
