@@ -7,17 +7,23 @@ import shutil
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
+from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import upper_first
+from frictrack.cli import tables as cli_tables
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
 from frictrack.present.report import markup, tables, verdict_text
 from frictrack.present.report import measurement_quality as of_measurement
 from frictrack.present.report.fit_text import next_steps
+from frictrack.workbench.summaries.runs import _measured_part
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -350,3 +356,16 @@ def test_nothing_fixed_in_the_picture_is_said():
     found = measured()
     runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
     assert "no fixed reference was found" in of_measurement.measurement(runs)[0]
+
+
+def test_lost_frames_have_one_wording_on_terminal_page_and_report():
+    words = "the target was lost in 12 of 200 frames"
+    found = measured(found=188)
+    run = found.runs[0]
+    track = replace(run.track, x_px=np.where(np.arange(200) < 12, np.nan, run.track.x_px))
+    assert report.render(found).count(words) == 2  # the line of the section, and in it
+    assert _measured_part(replace(run, track=track))["lost_words"] == f"{upper_first(words)}."
+    out = Console(file=StringIO(), width=200)
+    row = run.quality | {"run": "v1", "target": "found", "lost": {"low score": 12}, "notes": []}
+    cli_tables.track(out, {"runs": [row | {"contact_sheet": "", "overlay": ""}]})
+    assert f"{words}: 12 x low score" in out.file.getvalue()

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from frictrack.base.number_format import describe_change, format_number, format_share
@@ -73,17 +71,12 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1), sharex="cell")
     by_name = {run.name: run for run in runs}
     for (above, left), name in zip(cells, shown, strict=True):
-        _draw_force(above, model, by_name[name])
+        _draw_measured_force(above, by_name[name])
+        _draw_modelled_force(above, model, by_name[name])
         _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
     _share_y([left for _, left in cells])
-    handles: list[Any] = [
-        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
-        Line2D([], [], color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)), label="model"),
-        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
-        Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
-    ]
-    style.legend_below(figure, [*handles, *_repaired_handles(model)])
+    style.legend_below(figure)
     return figure
 
 
@@ -117,17 +110,12 @@ def failing(
     figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
     for (ax,), name in zip(cells, shown, strict=True):
         if better is not None:
-            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
-        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
+            look = BETTER_MODEL_STYLE | {"label": plain_name(better.name)}
+            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **look)
+        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3, label=plain_name(model.name))
         ax.set_title(_panel_title(model, name), fontweight="normal")
         _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name], "v" if _of_points(runs) else "t")
-    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
-    if better is not None:
-        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
-    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
-    if spans:
-        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
-    style.legend_below(figure, [*handles, *_repaired_handles(model)])
+    style.legend_below(figure)
     return figure
 
 
@@ -147,16 +135,10 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
     figure = new_figure(3.4, f"{run.name}: measured force and both fits")
     ax = figure.subplots()
     _draw_measured_force(ax, run)
-    for model, look in (
-        (default, {"color": style.MODEL_COLOUR, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
-        (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
-    ):
-        for k, curve in enumerate(c for c in model.curves if c.run == run.name):
-            ax.plot(
-                1e3 * curve.t, modelled_force(model, curve, run), lw=2.0, **(look if k == 0 else look | {"label": None})
-            )
-    ax.set(xlabel=axis_label("time t", "ms"), ylabel="friction force F / N")
-    style.legend_below(figure, ax.get_legend_handles_labels()[0])
+    _draw_modelled_force(ax, default, run, label="displacement domain")
+    _draw_modelled_force(ax, papers, run, label="papers' route", color=style.BLUE, linestyle=(0, (1, 1)))
+    ax.set(xlabel=_axis_words([run]), ylabel="friction force F / N")
+    style.legend_below(figure)
     return figure
 
 
@@ -296,26 +278,19 @@ def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = Tru
     many = sum(len(part.t) for part in parts) > 4 * style.MAX_POINTS
     for part in parts:
         if with_band:
-            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE_COLOUR, zorder=0)
-        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOT_STYLE | look
-        ax.plot(part.t, part.values, **dots)
+            noise: dict[str, Any] = {"color": style.NOISE_COLOUR, "zorder": 0, "label": f"noise, {style.BAND_LABEL}"}
+            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, **noise)
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many, "label": "measured minus modelled"}
+        ax.plot(part.t, part.values, **(dots | style.DOT_STYLE | look))
         if with_band:
             style.mark_repaired(ax, part.t, part.repaired)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 
 
-def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
-    _draw_measured_force(ax, run)
+def _draw_modelled_force(ax: Axes, model: ModelResults, run: RunResults, **look: Any) -> None:
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(
-                _abscissa(run, c.t), modelled_force(model, c, run), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2))
-            )
-
-
-def _repaired_handles(model: ModelResults) -> list[Line2D]:
-    """Entry of the legend for repaired frames, if a fitted run has any."""
-    return next((found for c in model.curves if (found := style.repaired_handles(c.repaired))), [])
+            ax.plot(_abscissa(run, c.t), modelled_force(model, c, run), **(style.MODEL_STYLE | {"lw": 2.0} | look))
 
 
 def modelled_force(model: ModelResults, curve: Curve, run: RunResults | None = None) -> Array:
@@ -373,7 +348,7 @@ def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str, axis: str
     labelled: list[float] = []
     for s in spans:
         a, b = (1e3 * end for end in s[axis])
-        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
+        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25, label="misfit here; share of the whole misfit")
         if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue
         labelled.append((a + b) / 2)

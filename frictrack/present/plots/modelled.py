@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
@@ -20,15 +18,17 @@ from frictrack.records import Array, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 
 MAX_PANELS = 6  # runs drawn; of more runs, those that fit worst
-SMOOTHED_STYLE: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7}
+SMOOTHED_STYLE: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7, "label": f"smoothed, {style.BAND_LABEL}"}
 MODEL_BAND_STYLE: dict[str, Any] = {
     "facecolor": style.ORANGE,
     "edgecolor": style.MODEL_COLOUR,
     "alpha": 0.4,
     "hatch": "////",
+    "label": f"model, {style.BAND_LABEL}",
 }
-BLOW_STYLE: dict[str, Any] = {"fill": False, "hatch": "xx", "lw": 0, "ec": "#999999", "zorder": 0.5}
-MODEL_STYLE: dict[str, Any] = {"color": style.MODEL_COLOUR, "lw": 1.6, "ls": (0, (4, 1.2))}
+BLOW_STYLE: dict[str, Any] = {
+    "fill": False, "hatch": "xx", "lw": 0, "ec": "#999999", "zorder": 0.5, "label": "blow too short to resolve"
+}  # fmt: skip
 
 
 @styled
@@ -61,7 +61,7 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
     for cell, name in zip(cells, shown, strict=True):
         _draw_run(cell, own[name], by_name[name], _impulses(model, name))
-    style.legend_below(figure, _handles(any(np.any(motion.blow) for motion in own.values())))
+    style.legend_below(figure)
     return figure
 
 
@@ -95,7 +95,7 @@ def _draw_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, imp
     for ax, (smooth, sigma, own, own_sigma) in zip(cell, panels, strict=True):
         shown = style.masked(smooth, clean)
         draw_band(ax, at, shown, sigma, **SMOOTHED_STYLE)
-        ax.plot(at, shown, color=style.MEASURED_COLOUR, lw=1.0)
+        ax.plot(at, shown, color=style.MEASURED_COLOUR, lw=1.0, label="smoothed")
         _draw_model(ax, motion, own, own_sigma)
         # most of the smoothed line: a smeared blow must not set the scale
         reach = np.quantile(smooth[clean & seen], [0.02, 0.98])
@@ -118,7 +118,7 @@ def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -
         at = motion.segment == k
         shown = style.masked(values, ~motion.blow)[at]
         draw_band(ax, 1e3 * motion.t[at], shown, sigma[at], **MODEL_BAND_STYLE, zorder=2.5)
-        ax.plot(1e3 * motion.t[at], shown, zorder=3, **MODEL_STYLE)
+        ax.plot(1e3 * motion.t[at], shown, zorder=3, lw=1.6, **style.MODEL_STYLE)
 
 
 def _impulses(model: ModelResults, run: str) -> str:
@@ -127,15 +127,3 @@ def _impulses(model: ModelResults, run: str) -> str:
     return ", ".join(
         f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
     )
-
-
-def _handles(blow: bool) -> list[Any]:
-    handles: list[Any] = [
-        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="smoothed"),
-        Patch(label=f"smoothed, ± {style.BAND_SIGMAS:g} std", **SMOOTHED_STYLE),
-        Line2D([], [], label="model", **MODEL_STYLE),
-        Patch(label=f"model, ± {style.BAND_SIGMAS:g} std", **MODEL_BAND_STYLE),
-    ]
-    if blow:
-        handles.append(Patch(label="blow too short to resolve", **BLOW_STYLE))
-    return handles

@@ -14,6 +14,7 @@ from frictrack.base.number_format import format_number, format_quantity
 from frictrack.present.report.markup import sentences
 from frictrack.present.report.tables import Cell, TextTable, make_table
 from frictrack.results import Results, RunResults
+from frictrack.results.verdicts import describe_lost
 
 MIN_LOCKING_SIGMAS = 0.2  # peak locking over the noise of a frame; less is not reported
 MIN_BACKWARD_SIGMAS = 0.5  # difference of backward tracking over the noise of a frame; less is not reported
@@ -49,7 +50,7 @@ def failed_checks(run: RunResults) -> list[str]:
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
     checks = (
-        (lost, f"the target was lost in {lost} of {q['frames']} frames"),
+        (lost, describe_lost(lost, q["frames"])),
         (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
         (
             locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,

@@ -7,12 +7,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.number_format import format_number, join_words, lower_first
+from frictrack.base.number_format import format_number, join_words, lower_first, upper_first
 from frictrack.flow import contact_sheet_path
 from frictrack.measure.repairing import suspect_spans
 from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
 from frictrack.results import RunResults
+from frictrack.results.verdicts import describe_lost
 from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.study import RunTable, Study
@@ -21,7 +22,15 @@ from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surve
 
 MAX_CACHED_RUNS = 1000
 MAX_SUSPECT_SPANS = 50
-NOT_MEASURED = {"n_frames_lost": 0, "suspect": [], "checks": [], "notes": [], "warnings": [], "motion": None}
+NOT_MEASURED = {
+    "n_frames_lost": 0,
+    "lost_words": "",
+    "suspect": [],
+    "checks": [],
+    "notes": [],
+    "warnings": [],
+    "motion": None,
+}
 
 
 def summarise_runs(snapshot: Snapshot) -> list[dict[str, Any]]:
@@ -95,8 +104,10 @@ def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
 def _measured_part(run: RunResults) -> dict[str, Any]:
     """Describe a measured run; `RunResults` are compared by identity, so that an unchanged run is described once."""
     checks = failed_checks(run) if run.quality else []
+    lost = 0 if run.track is None else int((~run.track.found).sum())
     return {
-        "n_frames_lost": 0 if run.track is None else int((~run.track.found).sum()),
+        "n_frames_lost": lost,
+        "lost_words": "" if run.track is None else f"{upper_first(describe_lost(lost, len(run.track)))}.",
         "suspect": suspect_frames(run),
         "checks": _checks(run),
         "notes": list(run.notes),
