@@ -17,7 +17,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
 from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
-from frictrack.present.report import fit_text, measurement_quality, tables, verdict_text
+from frictrack.present.report import tables, texts
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
@@ -81,8 +81,7 @@ def render(results: Results, key: str = "") -> str:
     html = page_template("page.html.j2").render(
         plots=plots,
         tables=tables,
-        fit_text=fit_text,
-        measurement_quality=measurement_quality,
+        texts=texts,
         results=results,
         model=results.current,
         key=key,
@@ -92,7 +91,7 @@ def render(results: Results, key: str = "") -> str:
         figures=figures,
         mark_equation=mark_equation,
         symbols_in=symbols_in,
-        verdict=verdict_text.study_verdict(results),
+        verdict=texts.study_verdict(results),
         judged=judged,
         earlier=earlier,
         failed=plots.failed_model(results),
@@ -123,7 +122,7 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
 
 
 def _headline(model: ModelResults) -> str:
-    return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
+    return f"{plots.plain_name(model.name)} {texts.model_status(model.diagnosis or {})}"
 
 
 def _first_frame(run: RunResults, *, wide: bool) -> Markup:

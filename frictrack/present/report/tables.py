@@ -393,38 +393,3 @@ def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
     kind = effects.known().get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
     return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
-
-
-BUDGET_HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one frame / N", "common to")
-
-
-def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
-    """Describe each run's error of the force, its largest source, and what would halve it.
-
-    Returns
-    -------
-    list of Markup
-        One sentence per run that has an error budget.
-
-    """
-    return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
-
-
-def source_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of all error sources of all runs.
-
-    Standard deviations are those of the mean force and of one frame, N.
-    """
-    rows: list[Sequence[Cell]] = []
-    for run in runs:
-        for k, row in enumerate(run.budget.get("rows", ())):
-            rows.append((run.name if k == 0 else "", *_budget_cells(row)))
-    return make_table(BUDGET_HEADS, rows, (4, 5, 6))
-
-
-def _budget_cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
-    size = "not known" if row["size"] is None else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
-    share = "" if row["share_mean"] is None else f"{100 * row['share_mean']:.0f} %"
-    name, size, share = (row["source"], size, share) if row["source"] != "total" else (Markup("<b>total</b>"), "", "")
-    mean, frame = (format_number(row[key], 2) for key in ("mean_N", "frame_N"))
-    return name, size, row["told"], mean, share, frame, row["common"]
