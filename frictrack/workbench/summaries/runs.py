@@ -17,19 +17,14 @@ from frictrack.results.verdicts import describe_lost
 from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.study import RunTable, Study
-from frictrack.workbench.summaries.fields import KEYS, NAMES, missing_fields, run_fields, study_fields
+from frictrack.workbench.summaries.fields import KEYS, NAMES, missing_fields, study_fields
 from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
 
 MAX_CACHED_RUNS = 1000
 MAX_SUSPECT_SPANS = 50
-NOT_MEASURED = {
-    "n_frames_lost": 0,
-    "lost_words": "",
-    "suspect": [],
-    "checks": [],
-    "notes": [],
-    "warnings": [],
-    "motion": None,
+NOT_MEASURED: dict[str, Any] = {
+    **{"n_frames_lost": 0, "lost_words": "", "motion": None},
+    **{key: [] for key in ("suspect", "checks", "notes", "warnings")},
 }
 
 
@@ -50,7 +45,7 @@ def _run(snapshot: Snapshot, study: Study, index: int, run: RunTable, results: R
         "kind": "film" if run.video else "table",
         "index": index,
         "film": _film(run, results),
-        "fields": run_fields(snapshot, run),
+        "fields": study_fields(snapshot, run),
         "shapes": _shapes(run, results),
         "repairs": [repair.to_dict() for repair in run.repair],
         "state": "measured" if results else "tracked" if sheet.exists() else "new",

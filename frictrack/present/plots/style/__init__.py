@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from functools import lru_cache, wraps
 from html import escape
 from threading import RLock
-from typing import Any, ParamSpec, Protocol
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -551,15 +551,7 @@ def pdf(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-class Drawable(Protocol):
-    """What prints itself in a line and can be drawn."""
-
-    def plot(self) -> Figure:
-        """Return the figure."""
-        ...
-
-
-def html(result: Drawable) -> str:
+def html(result: Any) -> str:
     """Return the text and the figure of a result as HTML, for a notebook.
 
     Parameters
