@@ -29,13 +29,6 @@ JOBS: dict[str, tuple[str, ...]] = {  # with the arguments that the page may giv
 CHANGED_INPUT = ("edit", "take_in", "leave_out", "define")  # changes after which running measurements begin again
 
 
-def list_effects(snapshot: Any) -> Any:
-    """List all effects, and those that the study defines."""
-    from frictrack.workbench.summaries import effect_library  # noqa: PLC0415
-
-    return effect_library(snapshot.study if snapshot else None)
-
-
 def check(snapshot: Any, fields: Any, run: str | None) -> Any:
     """Read numbers as they are typed."""
     from frictrack.workbench.summaries import check_fields  # noqa: PLC0415

@@ -28,13 +28,15 @@ _MASS_NEEDED: dict[Any, bool] = {}  # whether a table needs a mass, by its versi
 Field = dict[str, Any]  # of the page; see `study_fields`
 
 
-def study_fields(snapshot: Snapshot) -> dict[str, Field]:
-    """Describe the values that hold for all runs that have no own.
+def study_fields(snapshot: Snapshot, run: RunTable | None = None) -> dict[str, Field]:
+    """Describe the values that hold for all runs that have no own, or those of one run: its own or the common ones.
 
     Parameters
     ----------
     snapshot
         The study as its files are.
+    run
+        The run; None for all runs.
 
     Returns
     -------
@@ -44,11 +46,6 @@ def study_fields(snapshot: Snapshot) -> dict[str, Field]:
         error (sentences; a value with an error cannot be used), needed (nothing can be measured before it is given).
 
     """
-    return {key: _field_of(snapshot, key) for key in KEYS}
-
-
-def run_fields(snapshot: Snapshot, run: RunTable) -> dict[str, Field]:
-    """Describe the values of one run: its own, or those that it inherits."""
     return {key: _field_of(snapshot, key, run) for key in KEYS}
 
 
