@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number
-from frictrack.diagnose.examination import Examination, lack_of_fit
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
-from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
+from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
