@@ -19,7 +19,7 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import candidate_axes, compress_residual
 from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.formula_terms import SHAPES
-from frictrack.diagnose.formulas import FormulaSearch, compare_with_formulas, unexplained_force
+from frictrack.diagnose.formulas import FormulaSearch, are_left_out, compare_with_formulas, unexplained_force
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
 from frictrack.diagnose.search import _formula_explains_more
@@ -172,6 +172,13 @@ def test_the_json_has_what_the_report_shows(fits):
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
+
+
+def test_no_formulas_are_added_to_effects_with_memory():
+    runs = slides(None)[:2]
+    bare, grown = (fit([*LAW, *more], runs).solution for more in ([], ["friction_lag"]))
+    assert are_left_out(FormulaSearch.of(bare), grown)
+    assert not are_left_out(FormulaSearch.of(grown), grown)
 
 
 def repeated(axis):

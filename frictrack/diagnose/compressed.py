@@ -202,7 +202,7 @@ def _nearest_splines(at_points: Array) -> Array:
         factor = cholesky_banded(bands, lower=True)
         if factor[0].min() > MIN_PIVOT:
             return np.asarray(cho_solve_banded((factor, True), at_points.T))
-    return np.linalg.pinv(at_points)  # there are splines that the points do not determine
+    return np.asarray(np.linalg.pinv(at_points), dtype=np.float64)  # the points do not determine every spline
 
 
 def _knots(low: float, high: float, count: int = N_SPLINES) -> Array:

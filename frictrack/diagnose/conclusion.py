@@ -25,7 +25,7 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.compare import failing_spans
-from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
+from frictrack.diagnose.data_faults import camera_remarks, held_remarks, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Candidate, Diagnosis, Importance
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.examination import ALPHA
@@ -200,6 +200,7 @@ class Conclusion:
         remarks = [*_describe_excluded(search.first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
             remarks += held_remarks(search.start, self._named[-1].law)
+            remarks += camera_remarks(self.fit.runs, [t.effect for t in self._named])
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,

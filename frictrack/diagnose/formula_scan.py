@@ -51,6 +51,15 @@ class Scan:
     terms: list[Term]
     sizes: list[int]
 
+    @property
+    def power(self) -> float:
+        """Fall of chi-squared by the best form."""
+        return max(t.gain for t in self.terms)
+
+    def evidence(self, unit: float) -> dict[str, float]:
+        """Logarithm of the relative evidence of every form."""
+        return {t.form: relative_evidence(t, self.power, unit) for t in self.terms}
+
 
 def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refined: int, unit: float) -> Scan:
     """Fit all forms at the settings of a grid added to the model, and refine at most `n_refined` of the best.

@@ -36,7 +36,7 @@ from frictrack.diagnose.compressed import (
     compress_residual,
     smooth_forces,
 )
-from frictrack.diagnose.formula_scan import LOG_PRIOR_PER_UNKNOWN, Scan, relative_evidence, scan_forms
+from frictrack.diagnose.formula_scan import LOG_PRIOR_PER_UNKNOWN, Scan, scan_forms
 from frictrack.diagnose.formula_terms import (
     AXIS_SYMBOLS,
     EFFECT_NAME,
@@ -187,9 +187,8 @@ class FormulaSearch:
             scan = scan_forms(compressed, self._shapes, N_REFINED, unit)
             if not scan.terms:
                 return _Found({best.form: best}, {best.form: best.delta_bic / 2}, 0.0), best, scan.sizes
-            power = max(t.gain for t in scan.terms)
-            evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
-            least = max(evidence.values()) - MAX_EVIDENCE_BEHIND - MAX_GAIN_ERROR * power / (2 * unit)
+            evidence = scan.evidence(unit)
+            least = max(evidence.values()) - MAX_EVIDENCE_BEHIND - MAX_GAIN_ERROR * scan.power / (2 * unit)
             fitted, leader = {}, best
             for term in sorted(scan.terms, key=lambda t: -evidence[t.form])[:N_SHOWN]:
                 one = best if term.form == best.form else None
@@ -276,17 +275,15 @@ def _weighed(
     They are half the fall of BIC of the best formula and the differences of evidence to it, for forms fitted in
     full as they are there.
     """
-    unit = _unit(best.solution)
-    gains = {t.form: t.gain for t in scan.terms}
-    power = max(gains.values())
-    evidence = {t.form: relative_evidence(t, power, unit) for t in scan.terms}
+    unit, gains = _unit(best.solution), {t.form: t.gain for t in scan.terms}
+    evidence = scan.evidence(unit)
     base = best.delta_bic / (2 * unit) - max(evidence.values())
     weights = {form: base + one for form, one in evidence.items()}
     for form, one in fitted.items():
-        gain = gains.get(best.form, power) + best.solution.objective - one.solution.objective
+        gain = gains.get(best.form, scan.power) + best.solution.objective - one.solution.objective
         weights[form] += (gain - gains[form]) / (2 * unit)
     outside = float(np.log(PRIOR_NONE))
-    free = outside + base + smooth_evidence(compressed, power, unit) - log_prior(0, scan.sizes)
+    free = outside + base + smooth_evidence(compressed, scan.power, unit) - log_prior(0, scan.sizes)
     left = outside + float(logsumexp(list(weights.values()))) + remaining_evidence(best.solution)
     return _Found(fitted, weights, max(free, left), free)
 

@@ -57,8 +57,7 @@ def information_criterion(solution: Solution) -> float:
     Schwarz (1978), Ann. Stat. 6, 461-464.
 
     """
-    penalty = solution.scatter_penalty(solution.tau) + parameter_penalty(solution.problem.layout, solution.problem)
-    return solution.objective + penalty
+    return _deviance(solution) + parameter_penalty(solution.problem.layout, solution.problem)
 
 
 def likelihood_gain(bare: Solution, fitted: Solution) -> float:
@@ -66,9 +65,12 @@ def likelihood_gain(bare: Solution, fitted: Solution) -> float:
 
     `bare`, `fitted`: the smaller and the larger model.
     """
-    gain = information_criterion(bare) - information_criterion(fitted)
-    penalties = [parameter_penalty(s.problem.layout, s.problem) for s in (bare, fitted)]
-    return gain + penalties[1] - penalties[0]
+    return _deviance(bare) - _deviance(fitted)
+
+
+def _deviance(solution: Solution) -> float:
+    """Minus twice the log-likelihood, but for a constant, with the friction levels integrated out."""
+    return solution.objective + solution.scatter_penalty(solution.tau)
 
 
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:
