@@ -17,10 +17,10 @@ from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
 from frictrack.diagnose.explanations import Explanation, Explanations, alternatives_of, find_rivals, names_in_place_of
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
+from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import LIBRARY, models
 from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import Solution

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from scipy.fft import dct
 
-from frictrack.diagnose.null_distribution import peak_locking_errors, slow_errors
+from frictrack.diagnose.examination import peak_locking_errors, slow_errors
 from frictrack.measure.calibration import calibrate
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
