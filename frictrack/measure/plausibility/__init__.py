@@ -17,6 +17,7 @@ from frictrack.measure.plausibility.comparison import (
     implausible_masses,
     implausible_sensors,
     shifted_swings,
+    swing_centre,
     time_unit,
 )
 from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline

@@ -130,8 +130,19 @@ def _matlab_variables(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
 
 def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     for name, value in values.items():
+        parts = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
         if hasattr(value, "_fieldnames"):
-            yield from _fields({field: getattr(value, field) for field in value._fieldnames}, f"{before}{name}.")
+            fields = {field: getattr(value, field) for field in value._fieldnames}
+            named = (
+                str(fields.pop("Name", name)) if "Data" in fields else ""
+            )  # a signal of dSPACE: its name, unit, data
+            unit = f" ({fields['Unit']})" if fields.get("Unit") else ""
+            signal = {f"{named}{unit}": fields["Data"]} if named and np.ndim(fields["Data"]) == 1 else {}
+            yield from _fields(signal, before) if signal else _fields(fields, f"{before}{name}.")
+        elif len(parts) and all(hasattr(part, "_fieldnames") for part in parts):  # an array of structures
+            yield from _fields({f"{name}({i})": part for i, part in enumerate(parts, 1)}, before)
+        elif len(parts) and all(isinstance(part, str) for part in parts):  # names of columns
+            yield f"{before}{name}", np.array(parts, dtype=str)
         elif np.asarray(value).dtype.kind in "fiu" and np.ndim(value) <= 2:
             yield f"{before}{name}", np.asarray(value)
 
