@@ -184,7 +184,7 @@ def _survey_table(path: Path) -> Surveyed:
         named += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
     elif force:
         named += (
-            f'; if "{force}" is the friction, write friction = "{force}" in columns; if the drive, drive = "{force}"'
+            f'; is "{force}" the friction? Then name it in columns: friction = "{force}"; if the drive: drive = ...'
         )
     words += named + "".join(f"; {key} {value} is stated above its rows" for key, value in said.items())
     return Surveyed(

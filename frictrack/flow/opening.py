@@ -95,12 +95,12 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
 
 def table_needs_mass(run: RunTable) -> bool:
     """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
-    from frictrack.study import find_header, guess_points, table_headers  # noqa: PLC0415 - not needed for stored results
+    from frictrack.study import find_header, guess_points, open_table  # noqa: PLC0415 - not needed for stored results
 
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    headers = table_headers(run.table, [header for header, _ in COLUMNS.values()])
+    headers = list(map(str, open_table(run.table, [header for header, _ in COLUMNS.values()]).frame.columns))
     return find_header(written.lstrip("-"), headers) is None and not guess_points(headers)
 
 

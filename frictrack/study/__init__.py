@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         suggest,
         to_si,
     )
-    from frictrack.study.table_files import open_table, table_headers
+    from frictrack.study.table_files import open_table
     from frictrack.study.table_layout import TableFile, stated
     from frictrack.study.writing import (
         NewRun,

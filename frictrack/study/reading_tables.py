@@ -257,8 +257,11 @@ def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> tuple[TableFi
     if None in headers or any(present.count(str(header)) > 1 for header in headers):
         return table, ""
     timed, placed = (table.frame.iloc[:, present.index(str(header))].notna().to_numpy() for header in headers)
-    filled = timed & placed if np.sum(timed) > MIN_NUMBERS_SHARE * len(timed) else placed  # summary lines have no time
-    if filled.all() or not filled.any():
+    if not (timed.any() and placed.any()):
+        return table, ""
+    end = len(timed) - int(np.argmax(timed[::-1]))  # summary lines at the end have no time
+    filled = placed & (np.arange(len(timed)) < end)
+    if filled.all():
         return table, ""
     inside = np.flatnonzero(filled)
     gaps = int(inside[-1] - inside[0] + 1 - len(inside))

@@ -21,7 +21,6 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +29,7 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.study import table_layout
-from frictrack.study.column_names import guess_columns, runs_of_columns
+from frictrack.study.column_names import guess_columns, may_hold, runs_of_columns
 from frictrack.study.schema import COLUMNS
 from frictrack.study.track_formats import find_track_format
 
@@ -98,40 +97,6 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
         raise FrictrackError(f"{path.name}: expected {expected} but cannot read it ({reason})") from e
 
 
-def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the headers of a table; those of a text are read without its rows.
-
-    Parameters
-    ----------
-    path
-        The table.
-    wanted
-        Names that only stand in a header.
-
-    Raises
-    ------
-    FrictrackError
-        If it cannot be read as a table.
-
-    """
-    if path.suffix.lower() in (".xlsx", ".xls", ".xml") or _has_tracks(path):
-        return tuple(map(str, open_table(path, wanted).frame.columns))
-    try:
-        with path.open(encoding=table_layout.text_encoding(path)) as file:
-            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
-                return KINOVEA_COLUMNS
-        return table_layout.find_layout(path, wanted).header
-    except (OSError, ValueError) as e:
-        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
-
-
-def _has_tracks(path: Path) -> bool:
-    """Return whether another program wrote its tracks into a file; a fault is reported when it is read."""
-    with suppress(OSError):
-        return find_track_format(path) is not None
-    return False
-
-
 def _text_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
@@ -167,9 +132,13 @@ def _numbers_in_texts(frame: pd.DataFrame, decimal: str) -> dict[str, Any]:
     """Return how else to read columns of numbers that pandas took for texts: words for gaps, thousands separators."""
     texts = [column.dropna().astype(str) for _, column in frame.items() if column.dtype.kind not in "fiub"]
     numeric = [text for text in texts if text.str.contains(r"\d").mean() > MIN_NUMBERS_SHARE]
-    words = {word for text in numeric for word in text[~text.str.contains(r"\d")].unique()}
+    words = {  # a force that is "off" is no gap
+        text.name: sorted(text[~text.str.contains(r"\d")].unique())
+        for text in numeric
+        if may_hold(str(text.name), "x") or may_hold(str(text.name), "t")
+    }
     groups = {g[1] for text in numeric for cell in text if (g := GROUPED.fullmatch(cell)) and g[1] != decimal}
-    how: dict[str, Any] = {"na_values": sorted(words)} if words else {}
+    how: dict[str, Any] = {"na_values": words} if any(words.values()) else {}
     return how | ({"thousands": groups.pop()} if len(groups) == 1 else {})
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
-from frictrack.study.track_formats.pose_tracks import read_arrays
+from frictrack.study.track_formats.picture_tracks import read_arrays
 from frictrack.study.track_formats.track_table import SECONDS
 
 LABVIEW = "LabVIEW Measurement"  # first words of a text
