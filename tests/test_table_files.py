@@ -143,7 +143,8 @@ def test_a_text_export_of_kinovea_is_read_with_its_unit(written, text, name, t, 
 
 def test_several_trajectories_of_kinovea_are_refused(written) -> None:
     text = KINOVEA_TEXT_NEW + "# Trajectory 2\n0 1 1\n1 2 2\n"
-    assert "it holds 2 trajectories; export one trajectory per file" in refused(written(text))
+    said = refused(written(text), {"t": "T (s)", "x": "X (mm)"})
+    assert "put records that begin anew into files of their own" in said
 
 
 def test_a_spreadsheet_of_kinovea_states_its_unit(written) -> None:

@@ -435,7 +435,9 @@ def _to_confirm(one: Surveyed) -> str:
 
 def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[NewRun]:
     """Return the entries of its runs: the frame rate of its name, if nothing else tells it, and columns of a table."""
-    rate = {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
+    rate: dict[str, Any] = (
+        {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
+    )
     rate |= one.keys
     rate |= {key: one.stated[key] for key in ("mass", "fps") if key in one.stated and not keys.get(key)}
     if one.columns_to_confirm:

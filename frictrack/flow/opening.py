@@ -69,10 +69,10 @@ def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
     """Make several checks; raise one error with those of all."""
     errors = [error for check in checks for error in _errors(check)]
     if errors:
-        raise FrictrackError("; ".join(_told_once(errors)), usage=all(error.usage for error in errors))
+        raise FrictrackError("; ".join(_without_repeats(errors)), usage=all(error.usage for error in errors))
 
 
-def _told_once(errors: Iterable[FrictrackError]) -> Iterator[str]:
+def _without_repeats(errors: Iterable[FrictrackError]) -> Iterator[str]:
     """Yield the errors of runs; what several have in common is told of the first, with the names of the others."""
     runs: dict[str, list[str]] = {}
     first: dict[str, str] = {}

@@ -25,7 +25,6 @@ _RUN_LABEL = re.compile(rf"^.*:|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGN
 _COUNT = re.compile(
     r"\s*/?\s*\b(counts?|cts?|inc(rements?)?|inkremente?|pulses?|imp(ulse)?|ticks?|digits?|lsb|steps?)\b", re.I
 )
-_SIZE = re.compile(r"([\d.,]*)\s*(.*)")  # number and unit
 _DEGREE = math.pi / 180
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "rev": math.tau, "turns": math.tau} | dict.fromkeys(
     ("deg", "°", "degree", "degrees", "Grad"), _DEGREE
@@ -84,15 +83,20 @@ def unit_size(unit: str, si: str, what: str) -> float:
     (5e-06, 1.0)
 
     """
-    number, name = _SIZE.fullmatch(unit).groups()  # type: ignore[union-attr] - it matches any text
+    number, name = _number_and_unit(unit)
     if si == "m" and name in ANGLES:
         return ANGLES[name] * float(number or 1)
     return parse_quantity(f"{number or 1} {name}", si, what)[0]
 
 
+def _number_and_unit(size: str) -> tuple[str, str]:
+    unit = size.lstrip("0123456789.,")
+    return size[: len(size) - len(unit)], unit.strip()
+
+
 def is_angle(header: str) -> bool:
     """Return whether a column of positions holds angles, by its unit."""
-    return _SIZE.fullmatch(stated_unit(header) or "")[2] in ANGLES  # type: ignore[index] - it matches any text
+    return _number_and_unit(stated_unit(header) or "")[1] in ANGLES
 
 
 def base_name(header: str) -> str:

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that else holds a few words
 GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")  # 1,234.5 or 1.234,5
 MAX_COLUMNS, MAX_ROWS, MAX_SHEETS = 256, 1 << 20, 32  # of a sheet, which Excel ends at that row, and of a workbook
-KINOVEA_TEXT = "#Kinovea Trajectory"  # first line of its text export
-KINOVEA_COLUMNS = ("T", "X", "Y")
 SHEET_XML = "{urn:schemas-microsoft-com:office:spreadsheet}"
 _COORDINATES = re.compile(r"Coords \(x,y:\s*([^;]*?)\s*; *t:\s*([^)]*?)\s*\)")
 _TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
@@ -85,9 +83,6 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
             return _table_of_sheets(_workbook_sheets(path), wanted)
         if path.suffix.lower() == ".xml":
             return _table_of_rows(_xml_rows(path), wanted)
-        with path.open(encoding=table_layout.text_encoding(path)) as file:
-            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
-                return _kinovea_text(KINOVEA_TEXT + file.read())
         return _text_table(path, wanted)
     except ImportError as e:
         extra = {"openpyxl": "xlsx", "nptdms": "tdms"}.get(str(e.name), "xlsx")
@@ -151,23 +146,6 @@ def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[
         shown = f" ({unit})" if unit and _STANDARD_UNITS.get(name) != unit else ""
         names.append(f"{group} {name}".strip() + shown)
     return names
-
-
-def _kinovea_text(text: str) -> table_layout.TableFile:
-    """Read the rows of the one trajectory of Kinovea's export for gnuplot."""
-    import pandas as pd  # noqa: PLC0415
-
-    blocks = [
-        [line.split() for line in block.splitlines()]
-        for block in re.split(r"\n\s*(?:#.*)?(?=\n|$)", f"\n{text}")
-        if block.strip() and not block.lstrip().startswith("#")
-    ]
-    if len(blocks) != 1:
-        raise ValueError(f"it holds {len(blocks)} trajectories; export one trajectory per file")
-    rows = [[cell.replace(",", ".") for cell in row] for row in blocks[0] if row]
-    return table_layout.TableFile(
-        pd.DataFrame([row[:3] for row in rows], columns=list(KINOVEA_COLUMNS)), program="Kinovea"
-    )
 
 
 def _table_of_sheets(sheets: dict[str, list[tuple[Any, ...]]], wanted: Collection[str]) -> table_layout.TableFile:

@@ -90,7 +90,7 @@ _STATED = {  # what an owner writes above a table
         re.IGNORECASE,
     ),
     "count": re.compile(
-        r"([\d.,]*\d\s*[nuµm]m)\s*(?:/|per|pro|par)\s*(?:count|inc|imp|pulse|tick|digit|lsb|step|puls)", re.I
+        r"([\d.,]*\d\s*[nuµm]m)\s*(?:/|per|pro|par)\s*(?:count|inc|imp|pulse|tick|digit|lsb|step)", re.I
     ),
 }
 Line = tuple[int, str]  # its number in the file, from 0, and its text
@@ -124,7 +124,9 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         seen = list(itertools.islice(lines, MAX_HEAD_LINES))
         head = [(i, line) for i, line in seen if not line.startswith("#")]
         in_comment = bool(head) and _ONLY_NUMBERS.fullmatch(head[0][1].strip()) is not None
-        above = [(i, line.lstrip("# ")) for i, line in seen if i < head[0][0]][-1:] if in_comment else []
+        first = len(split(head[0][1], _separator([head[0][1]]))) if head else 0
+        named = [(i, line.lstrip("# ")) for i, line in seen if in_comment and i < head[0][0]]
+        above = [one for one in named if len(split(one[1], _separator([one[1]]))) == first][-1:] or named[-1:]
         head = [*above, *head]
         at = find_header([line for _, line in head], wanted)
         separator = _separator([line for _, line in head[at : at + 3]])

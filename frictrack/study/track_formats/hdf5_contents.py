@@ -129,7 +129,7 @@ def _matlab_variables(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
 
 def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     for name, value in values.items():
-        parts = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
+        parts: Any = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
         if hasattr(value, "_fieldnames"):
             fields = {field: getattr(value, field) for field in value._fieldnames}
             named = (

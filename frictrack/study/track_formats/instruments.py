@@ -124,7 +124,7 @@ def _waveforms(channels: list[Any]) -> Channels:
 
 def read_matlab(path: Path) -> TableFile:
     """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
-    variables = read_arrays(path)
+    variables = dict(read_arrays(path))
     texts = [list(map(str, variables.pop(name))) for name in list(variables) if variables[name].dtype.kind == "U"]
     vectors = {name: values for name, values in variables.items() if np.size(values) >= MIN_VALUES}
     recordings: dict[str, Channels] = {}
