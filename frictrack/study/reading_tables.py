@@ -335,7 +335,9 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
     bare = any(column_names.stated_unit(proposed[key]) is None for key in missing)
-    return f"{expected}; to name them, write {where}" + (", with the units of the file in the brackets" if bare else "")
+    return f"{expected}; to name them, write {where}" + (
+        ", with the units of the file, or the size of a count, in the brackets" if bare else ""
+    )
 
 
 def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS) -> dict[str, str]:
