@@ -234,7 +234,7 @@ def test_a_wrong_word(capsys: pytest.CaptureFixture[str], command: str, said: st
         ("", "the file is empty"),
         ("name,colour\na,red\nb,blue\n", "no column of times and no column of positions in it, but name, colour"),
         ("t,x\n0,1\n1,2\n", 'the headers t, x state no units; `frictrack init .` writes a study file'),
-        ("0,1\n1,2\n2,3\n", "the first line holds numbers; write the names t_s, x_m"),
+        ("0,1\n1,2\n2,3\n", "the headers column 1, column 2 state no units"),
     ],
 )  # fmt: skip
 def test_a_table_that_cannot_be_used(capsys: pytest.CaptureFixture[str], text: str, said: str) -> None:

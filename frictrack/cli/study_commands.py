@@ -117,7 +117,14 @@ def _tell(line: str) -> None:
 
 @command()
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")] = Path(),
+    places: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FOLDER | RECORDING...",
+            help="a folder with recordings (default: this one); or recordings",
+            show_default=False,
+        ),
+    ] = None,
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"')] = None,
     fps: Annotated[
@@ -125,7 +132,7 @@ def init(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a commented study file for a folder of recordings.
+    """Write a commented study file for a folder of recordings, or for some recordings.
 
     Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
     into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
@@ -140,7 +147,7 @@ def init(
 
     keys = {"mass": mass, "scale": scale, "fps": fps}
     check_entered(keys)
-    result = propose_study(folder, keys)
+    result = propose_study(places or Path(), keys)
     print_result(result, as_json, "init", result["study"])
 
 

@@ -414,7 +414,8 @@ class Fit(FittedRuns, StorableFit):
             return {}
         std = found.reported_std
         if std is not None and all(run.drive is None and run.normal_load is None for run in self.runs):
-            weighing = max(run.sigma_mass / run.mass for run in self.runs if run.mass)  # load and force have the same
+            shares = (run.sigma_mass / run.mass for run in self.runs if run.mass)  # load and force have the same
+            weighing = max(shares, default=0.0)
             std = float(np.sqrt(max(std**2 - (weighing * found.value) ** 2, 0.0)))
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
     from frictrack.flow.plausibility_checks import Findings
 
+_OF_A_RUN = re.compile(r'run ("[^"]*")(?:, \w+)?: (?:[^ :]+\.\w+: )?(.*)', re.DOTALL)
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 
 
@@ -67,7 +69,20 @@ def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
     """Make several checks; raise one error with those of all."""
     errors = [error for check in checks for error in _errors(check)]
     if errors:
-        raise FrictrackError("; ".join(map(str, errors)), usage=all(error.usage for error in errors))
+        raise FrictrackError("; ".join(_without_repeats(errors)), usage=all(error.usage for error in errors))
+
+
+def _without_repeats(errors: Iterable[FrictrackError]) -> Iterator[str]:
+    """Yield the errors of runs; what several have in common is told of the first, with the names of the others."""
+    runs: dict[str, list[str]] = {}
+    first: dict[str, str] = {}
+    for text in map(str, errors):
+        found = _OF_A_RUN.match(text)
+        what = found[2] if found else text
+        first.setdefault(what, text)
+        runs.setdefault(what, []).append(found[1] if found else "")
+    for what, text in first.items():
+        yield text + (f"; the same in {', '.join(runs[what][1:])}" if len(runs[what]) > 1 else "")
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
@@ -80,12 +95,12 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
 
 def table_needs_mass(run: RunTable) -> bool:
     """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
-    from frictrack.study import find_header, guess_points, table_headers  # noqa: PLC0415 - not needed for stored results
+    from frictrack.study import find_header, guess_points, open_table  # noqa: PLC0415 - not needed for stored results
 
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    headers = table_headers(run.table, [header for header, _ in COLUMNS.values()])
+    headers = list(map(str, open_table(run.table, [header for header, _ in COLUMNS.values()]).frame.columns))
     return find_header(written.lstrip("-"), headers) is None and not guess_points(headers)
 
 

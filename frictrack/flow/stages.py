@@ -48,7 +48,7 @@ def make_recording(pipeline: RunPipeline) -> RecordingInfo:
         path=pipeline.settings("recording")["video"],
         picture=np.asarray(rec.frame(0)),
         notes=tuple(rec.notes),
-        audit=tuple((row.name, row.value, row.verdict) for row in rec.timebase.rows),
+        audit=rec.timebase.rows,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frictrack import sampling
+from frictrack.base.distributions import noise_of_differences
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
@@ -39,9 +40,11 @@ MAX_GAP_FRAMES = 1000
 MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
 MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
+FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of positions, that stamps may add
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
 MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
+NEAR_SHARE = 0.5  # of the usual interval, below which a row is at nearly the time of the one before
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -172,11 +175,12 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
         return EvenTable.of(data)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
-    clocked = not sampling.is_even(data.t)
+    clocked = not sampling.is_even(data.t) or _stamps_add_noise(data)
     table = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else EvenTable.of(data)
     if fps and (not sampling.is_even(table.data.t) or _lost_moving_rows(data, table.numbers)):
         words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
         table, clocked = EvenTable.of(_counted_at_rate(data, fps), notes=(words,)), False
+    table = _without_near_rows(table)
     if repeated := int(np.sum(np.diff(table.data.t) <= 0)):
         raise FrictrackError(
             f"time: {repeated} stamps repeat the one before, which rounding of an even clock does not explain: "
@@ -192,14 +196,23 @@ def _rounding(data: TableData) -> float:
     twice = (steps == 0) & (moved == 0)  # rows that were written twice
     own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
     rounding = sampling.stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
-    if rounding < MIN_ROUNDING * float(np.mean(steps)):
+    if not rounding:
         return 0.0
     if not sampling.is_even(data.t):
-        return rounding
+        return rounding if rounding > MIN_ROUNDING * float(np.mean(steps)) else 0.0
     intervals = np.diff(sampling.frame_numbers(data.t))
     as_rows, as_gaps = np.abs(np.diff(moved, 2)), intervals[1:-1] * np.abs(np.diff(moved / intervals, 2))
     wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
     return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
+
+
+def _stamps_add_noise(data: TableData) -> bool:
+    """Whether even stamps are off their clock by so much that a fast mass moves by the noise of its positions."""
+    frames = sampling.frame_numbers(data.t)
+    off = float(np.std(data.t - np.polyval(np.polyfit(frames, data.t, 1), frames)))
+    assert data.x is not None
+    fast = float(np.quantile(np.abs(np.diff(data.x) / np.maximum(np.diff(data.t), off)), FAST_QUANTILE))
+    return fast * off > MIN_STAMP_NOISE_SHARE * noise_of_differences(np.diff(data.x, 3), 3)
 
 
 def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
@@ -246,6 +259,8 @@ def _with_clock_of_stamps(data: TableData) -> EvenTable:
     read = read_stamps(data.t)
     if read is None:
         return EvenTable.of(data)
+    if np.any(data.t[read.doubled] - data.t[read.doubled - 1] > MIN_JITTER_SHARE * read.step):
+        return EvenTable.of(data)  # rows of their own, at uneven times
     rows = np.setdiff1d(np.arange(len(data.t)), read.doubled)
     ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
@@ -256,7 +271,8 @@ def _with_clock_of_stamps(data: TableData) -> EvenTable:
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {sampling.describe_frames(read.corrupt)}; the row stays in its place",)
-    clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, np.asarray(taken.x))
+    good = sampling.is_even(taken.t) and not _stamps_add_noise(taken)
+    clock = None if good else sampling.jittered_clock(taken.t, ticks, np.asarray(taken.x))
     table = EvenTable.of(taken, rows, notes)
     return table if clock is None else table.changed(_at_clock(taken, clock), *clock.notes)
 
@@ -285,6 +301,21 @@ def _at_clock(data: TableData, clock: sampling.EvenClock) -> TableData:
         if column is not None
     }
     return replace(data, t=clock.t, clock_error=clock.error, **moved)
+
+
+def _without_near_rows(table: EvenTable) -> EvenTable:
+    """Return the rows of an uneven clock that are not at nearly the time of the one before."""
+    data, rows = table.data, table.numbers
+    steps, usual = np.diff(data.t), float(np.median(np.diff(data.t)))
+    even = sampling.is_even(data.t) or np.min(steps) > sampling.MIN_SHORTEST * usual
+    if even or np.mean(steps <= 0) > MAX_DOUBLED_SHARE:
+        return table
+    stay = [0]
+    for i, one in enumerate(data.t.tolist()):
+        if one - data.t[stay[-1]] > NEAR_SHARE * usual:
+            stay.append(i)
+    note = f"{len(rows) - len(stay)} of {len(rows)} rows come at nearly the time of the row before: left out"
+    return EvenTable.of(select_rows(data, np.array(stay)), rows[stay], (*table.notes, note))
 
 
 def _on_grid(table: EvenTable) -> EvenTable:

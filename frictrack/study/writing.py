@@ -203,18 +203,15 @@ def _holds_times_and_positions(path: Path) -> bool:
     """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
     from frictrack.study.column_names import REQUIRED, guess_columns  # noqa: PLC0415 - only for such files
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
-    from frictrack.study.table_files import table_headers  # noqa: PLC0415
-    from frictrack.study.track_formats import find_track_format  # noqa: PLC0415
+    from frictrack.study.table_files import open_table  # noqa: PLC0415
 
     try:
-        headers = table_headers(path)
-        found = find_track_format(path)
-        if found is not None and found.programs != "MATLAB":  # which keeps anything in its files
-            return True
+        table = open_table(path)
     except FrictrackError:
         return False
+    headers = list(map(str, table.frame.columns))
     standard = {key for key in REQUIRED if COLUMNS[key][0] in headers}
-    return standard | guess_columns(headers).keys() >= set(REQUIRED)
+    return bool(table.tracks) or table.columns.keys() | standard | guess_columns(headers).keys() >= set(REQUIRED)
 
 
 def _many_pages(path: Path) -> bool:

@@ -32,12 +32,19 @@ import scipy
 
 from frictrack.base.distributions import chi2_isf, robust_std
 from frictrack.records import Array, Mask
-from frictrack.sampling import frame_numbers
+from frictrack.sampling import frame_numbers, uneven_noise
 
 DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
+MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from the usual one by more of it
 MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
+
+
+def _is_uneven(t: Array) -> bool:
+    """Whether many intervals differ from the usual one, so that few rows in a row are evenly spaced."""
+    steps = np.diff(t) / np.median(np.diff(t)) if len(t) > 1 else np.ones(1)
+    return bool(np.mean(np.abs(steps - 1.0) > MAX_UNEVENNESS) > MAX_GAP_SHARE)
 
 
 def difference_variance(order: int) -> float:
@@ -104,6 +111,10 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
 
     """
     steps = np.minimum(np.diff(frame_numbers(t)), 2.0) if t is not None and len(t) > 1 else np.ones(1)
+    if t is not None and _is_uneven(t) and np.sum(valid) > DIFFERENCE_ORDER:
+        scale = np.ones(len(x)) if relative is None else relative
+        level = uneven_noise(t[valid], x[valid], scale[valid])
+        return level, 0.5 * float(np.sqrt(2.0 * correlation_cost(4) / np.sum(valid)))
     if np.any(steps > 1):
         rows = np.repeat(np.arange(len(x)), np.append(steps, 1).astype(int))  # with a frame in every gap, not measured
         measured = valid[rows] & np.append(True, np.diff(rows) > 0)

@@ -20,6 +20,7 @@ from frictrack.measure.plausibility.comparison import (
     missing_incline,
     path_angle,
     shifted_swings,
+    swing_centre,
     time_unit,
     wrong_incline,
 )

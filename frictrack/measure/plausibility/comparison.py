@@ -284,7 +284,13 @@ def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | Non
 
     """
     records = {name: run.displacement for name, run in runs.items()}
-    rates = {name: d.stamped_rate or 1.0 / float(np.median(np.diff(d.t))) for name, d in records.items()}
+    steps = {name: np.diff(d.t) / np.median(np.diff(d.t)) for name, d in records.items()}
+    uneven = {name for name, one in steps.items() if np.mean(np.abs(one - 1) < MAX_RELATIVE_DIFFERENCE) < 0.5}
+    rates = {
+        name: d.stamped_rate or 1.0 / float(np.median(np.diff(d.t)))
+        for name, d in records.items()
+        if name not in uneven
+    }
     median_rate = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
     checked = (_check_rate(name, rate, stated.get(name), median_rate) for name, rate in rates.items())
     found = tuple(finding for finding in checked if finding is not None)
@@ -324,7 +330,7 @@ def time_unit(ratio: float) -> tuple[str, str] | None:
 # --- places about which masses swing
 
 
-def _swing_centre(x: Array) -> tuple[float, float] | None:
+def swing_centre(x: Array) -> tuple[float, float] | None:
     """The place about which a mass swings, and its standard deviation, m; None where it does not swing.
 
     Of three turning points in a row, (a + 2 b + c) / 4 is the centre, also while dry friction takes as much from every
@@ -359,7 +365,7 @@ def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, f
     `positions`: positions of each record, m; NaN where unknown.
     """
     known = {name: x[np.isfinite(x)] for name, x in positions.items()}
-    centres = {name: found for name, x in known.items() if (found := _swing_centre(x)) is not None}
+    centres = {name: found for name, x in known.items() if (found := swing_centre(x)) is not None}
     first = next(iter(centres), "")
     for name, (centre, sigma) in centres.items():
         shift, spread = centre - centres[first][0], np.hypot(sigma, centres[first][1])
