@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.diagnose.compressed import MIN_LOAD_RATIO, Axis, CompressedResidual, candidate_axes
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS, Effect, Path
 from frictrack.fit.least_squares import Solution
@@ -203,9 +203,9 @@ def shapes_of_functions(functions: Sequence[str]) -> tuple[Shape, ...]:
     out = []
     for text in functions:
         if unknown := sorted(set(re.findall(r"[A-Za-z_]\w*", text)) - {"z", "pi", *FUNCTIONS}):
-            raise FrictrackError(f'functions: expected functions of z but got "{unknown[0]}" in "{text}"', usage=True)
+            raise UsageError(f'functions: expected functions of z but got "{unknown[0]}" in "{text}"')
         if not re.search(r"\bz\b", text):
-            raise FrictrackError(f'functions: expected a function of z but got "{text}"', usage=True)
+            raise UsageError(f'functions: expected a function of z but got "{text}"')
         effects.formula("functions", f"F * ({_substitute(text, ' x ')})")  # the text is read as that of an effect
         for argument, make in (("u/w", scaled_shape), ("(u - c)/w", placed_shape)):
             out.append(make(f"{text}, z = {argument}", _substitute(text, "(z)")))

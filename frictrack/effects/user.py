@@ -29,7 +29,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from simpleeval import SimpleEval
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.units import is_coherent
 from frictrack.effects.definition import CONSTANTS, Effect, Nonlinear, Parameter, Path
 from frictrack.effects.ranges import Span, frequencies
@@ -157,7 +157,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _refuse(name: str, what: str) -> NoReturn:
-    raise FrictrackError(WHERE.format(name) + what, usage=True)
+    raise UsageError(WHERE.format(name) + what)
 
 
 def _read(name: str, text: str) -> ast.expr:
@@ -300,7 +300,7 @@ def _searched(p: str, unit: str, bounds: tuple[float, float], count: int, unknow
     """A non-linear parameter; refused with the sentence `unknown` where neither unit nor bounds say where it may be."""
     scan = Places(unit, bounds, count)
     if not scan.known:
-        raise FrictrackError(unknown, usage=True)
+        raise UsageError(unknown)
     return Parameter(p, unit, bounds, scan=scan, signed=unit == "m")
 
 
@@ -439,24 +439,19 @@ def _checked_fields(name: str, about: Mapping[str, Any]) -> Mapping[str, Any]:
     allowed = {f.name for f in fields(Effect)} - {"name", "acts_on", "parameters", "columns", "scales_with", "formula"}
     unknown = [key for key in about if key not in allowed]
     if unknown:
-        raise FrictrackError(
-            f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}', usage=True
-        )
+        raise UsageError(f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}')
     return about
 
 
 def _check_declared(name: str, taken: tuple[str, ...], linear: list[str], parameters: dict[str, Declared]) -> None:
     if is_library(name):
-        raise FrictrackError(
-            f'expected a name of its own for your effect but "{name}" is one of the library', usage=True
-        )
+        raise UsageError(f'expected a name of its own for your effect but "{name}" is one of the library')
     lost = [p for p in taken if p not in parameters]
     if lost:
-        raise FrictrackError(f'{name}: expected every parameter with its unit, as in {lost[0]}="m"', usage=True)
+        raise UsageError(f'{name}: expected every parameter with its unit, as in {lost[0]}="m"')
     if not linear:
-        raise FrictrackError(
-            f'{name}: expected a coefficient of what it returns, such as F="N", which is no argument of the function',
-            usage=True,
+        raise UsageError(
+            f'{name}: expected a coefficient of what it returns, such as F="N", which is no argument of the function'
         )
 
 

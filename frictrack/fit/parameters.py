@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.effects import Effect, Nonlinear, Parameter, Path, Span, Tie
 from frictrack.effects.models import Model
 from frictrack.records import Array, Mask, Run
@@ -402,7 +402,7 @@ class ParameterLayout:
                     if other in at:
                         matrix[i, at[other]] = matrix[at[other], i] = r
         if at and np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise FrictrackError("expected prior_correlation that can hold together (positive definite)", usage=True)
+            raise UsageError("expected prior_correlation that can hold together (positive definite)")
         return np.asarray(matrix * std * std[:, None], dtype=np.float64)
 
     @cached_property
@@ -553,10 +553,9 @@ def with_mass(model: Model) -> Model:
     for effect in (e for e in model.effects if e.acts_on == "force"):
         for p in effect.linear:
             if any(np.isfinite(b) and b != 0 for b in p.bounds):
-                raise FrictrackError(
+                raise UsageError(
                     f"expected no bounds of {effect.name}.{p.name} where the mass is fitted too: forces are known "
-                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it",
-                    usage=True,
+                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it"
                 )
     return Model((*model.effects, MASS_EFFECT))
 

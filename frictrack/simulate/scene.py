@@ -37,7 +37,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from frictrack.base.distributions import RNG, accepts_seed, as_seed
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import is_file_name
 from frictrack.effects import models
 from frictrack.effects.models import Model
@@ -132,13 +132,13 @@ def read_scene(text: str) -> Scene:
     raw = read_toml("scene", text)
     faults = _type_faults(raw) or _key_faults(raw) + [f for run in raw["run"] for f in _run_faults(run)]
     if faults:
-        raise FrictrackError("scene: " + "; ".join(faults), usage=True)
+        raise UsageError("scene: " + "; ".join(faults))
     try:
         return _scene(raw)
     except FrictrackError:
         raise
     except (TypeError, ValueError, AttributeError, OverflowError) as fault:
-        raise FrictrackError(f"scene: expected numbers but {fault}", usage=True) from None
+        raise UsageError(f"scene: expected numbers but {fault}") from None
 
 
 def _type_faults(raw: dict[str, Any]) -> list[str]:
@@ -232,8 +232,8 @@ def _read_element(kind: type[SceneElement], name: str, given: Any) -> SceneEleme
     try:
         return kind(**{key: float(value) for key, value in given.items()})
     except (TypeError, ValueError, AttributeError):
-        raise FrictrackError(
-            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}", usage=True
+        raise UsageError(
+            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}"
         ) from None
 
 
@@ -268,9 +268,9 @@ def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | No
     try:
         scene = read_scene(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError as fault:
-        raise FrictrackError(f"{path.name} is not a text in UTF-8 (byte {fault.start})", usage=True) from None
+        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {fault.start})") from None
     except FrictrackError as fault:
-        raise FrictrackError(f"{path.name}: {fault}", usage=True) from None
+        raise UsageError(f"{path.name}: {fault}") from None
     film_scene(scene, out, rng=rng, progress=progress)
 
 
@@ -389,7 +389,7 @@ def _effect_values(scene: Scene) -> dict[str, dict[str, float]]:
         known = {p.name for p in effect.parameters}
         wrong = [k for k in given if k not in known]
         if wrong:
-            raise FrictrackError(f"scene: {effect.name} has {', '.join(known)} but not {wrong[0]}", usage=True)
+            raise UsageError(f"scene: {effect.name} has {', '.join(known)} but not {wrong[0]}")
         out[effect.name] = {p.name: float(given.get(p.name, p.fixed or 0.0)) for p in effect.parameters}
     if "stribeck" in out and "coulomb" in out:
         out["stribeck"]["F_s"] -= out["coulomb"]["F_c"]

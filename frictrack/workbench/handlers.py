@@ -17,7 +17,7 @@ from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench.actions import (
     cancel,
     change,
@@ -128,7 +128,7 @@ class Api(RequestHandler):
         except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict):
-            raise FrictrackError("expected a JSON object but got another body; reload the page", usage=True)
+            raise UsageError("expected a JSON object but got another body; reload the page")
         return found
 
 
@@ -269,7 +269,7 @@ async def _frame(api: Api) -> None:
     """One frame of a film as a JPEG; the browser keeps it if the address has the version of the film."""
     number = api.asked("n", "0")
     if not re.fullmatch(r"-?[0-9]{1,18}", number):
-        raise FrictrackError(f'expected the number of a frame but got "{number[:40]}"', usage=True)
+        raise UsageError(f'expected the number of a frame but got "{number[:40]}"')
     file = await asyncio.to_thread(_find_film, api)
     picture = await asyncio.wrap_future(api.live.films.open(file).frame(int(number)))
     if api.asked("v") == file.version:
@@ -317,7 +317,7 @@ def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
     if view == "track":
         return plot_data.track_plots(run, index).pack()
     if view != "motion":
-        raise FrictrackError(f"expected the view track, motion or compare but got {view!r}", usage=True)
+        raise UsageError(f"expected the view track, motion or compare but got {view!r}")
     if not cutoff:
         return plot_data.motion_plots(run, index=index).pack()
     frequency = _frequency(cutoff)
@@ -338,7 +338,7 @@ def _frequency(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise FrictrackError(f"expected a cut-off frequency above 0 Hz but got {text!r}", usage=True)
+        raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
     return value
 
 
@@ -376,7 +376,7 @@ def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | N
     """Make a file for download."""
     if what not in DOWNLOADS or form not in FIGURE_FORMATS:
         known = f"{', '.join(DOWNLOADS)} (figures as {', '.join(FIGURE_FORMATS)})"
-        raise FrictrackError(f"expected one of the files {known} but got {what!r} as {form!r}", usage=True)
+        raise UsageError(f"expected one of the files {known} but got {what!r} as {form!r}")
     if snapshot is None or snapshot.study is None or (snapshot.results is None and what != "repeat.py"):
         raise MissingError(f"expected results for {what} but there are none; press Run first")
     if what.startswith("report") and outdated:

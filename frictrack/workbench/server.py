@@ -19,7 +19,7 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, protect
 from frictrack.workbench.handlers import ANSWERS, STATIC, EventsHandler, PageFiles, UnknownHandler
 from frictrack.workbench.live_study import LiveStudy
@@ -65,7 +65,7 @@ def serve(
     """
     path = path / "study.toml" if path.is_dir() else path
     if not path.parent.is_dir():
-        raise FrictrackError(f"expected the folder {path.parent} but it does not exist", usage=True)
+        raise UsageError(f"expected the folder {path.parent} but it does not exist")
     guard = RequestGuard(token or secrets.token_urlsafe(24), host, tuple(name.strip().lower() for name in names))
     with suppress(KeyboardInterrupt):
         asyncio.run(_serve(path.resolve(), guard, port, show))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.base.files import atomic_write, make_subfolder
 from frictrack.base.lazy import imported
 
@@ -158,7 +158,7 @@ def find_format(name: str) -> ExportFormat:
 
     """
     if name not in FORMATS:
-        raise FrictrackError(f"expected one of the formats {', '.join(FORMATS)} but got {name!r}", usage=True)
+        raise UsageError(f"expected one of the formats {', '.join(FORMATS)} but got {name!r}")
     return FORMATS[name]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.base.units import lacks_unit
 from frictrack.flow import start_study, table_needs_mass
@@ -89,7 +89,7 @@ def new_study(path: Path, recordings: Sequence[str], fields: Mapping[str, Any]) 
     """
     typed = {key: value for key, value in fields.items() if key in KEYS and value not in (None, "")}
     if errors := [field["error"] for field in check_fields(typed).values() if field["error"]]:
-        raise FrictrackError("; ".join(errors), usage=True)
+        raise UsageError("; ".join(errors))
     if "fps" in typed:
         rate = read_frame_rate(typed["fps"])
         typed["fps"] = int(rate) if rate == int(rate) else rate
@@ -113,7 +113,7 @@ def refuse_implausible(table: str, key: str, value: Any) -> None:
     if key in KEYS and table in ("study", "camera", "run") and value is not None:
         error = _read_typed(key, value)["error"]
         if error:
-            raise FrictrackError(error, usage=True)
+            raise UsageError(error)
 
 
 def missing_fields(snapshot: Snapshot) -> list[str]:
