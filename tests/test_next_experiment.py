@@ -377,10 +377,9 @@ def test_terminal_and_report_say_the_same():
     assert "2. No candidate run separates slope and spring" in said
     assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
     found = {"next_experiment": STEPS}
-    rows = tables.experiment_table(tables.separating_experiments(found)).rows
-    assert rows == (
-        ("1.", "Film a run with half the mass: why", "vibration from camera_shake or load_modulation", "41"),
-    )
+    assert [step["tells"] for step in tables.separating_experiments(found)] == [
+        "vibration from camera_shake or load_modulation"
+    ]
     assert tables.inseparable(found) == [STEPS[1]["what"]]
     assert tables.separating_experiments(None) == []
     drawn = plots.svg(plots.next_experiments(tables.separating_experiments(found)))

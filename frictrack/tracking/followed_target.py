@@ -8,6 +8,7 @@ misfit. From a position predicted by frames that show the target well, the objec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ MAX_PREDICTION_GAP = 3  # frames to the nearest good one
 MAX_NEIGHBOURS, MAX_NEIGHBOUR_DISTANCE = 16, 64  # good frames that predict a position, and their distance in frames
 MAX_ROUNDS = 64  # of predicting from the frames of the round before
 MAX_UNEXPLAINED_SHARE = 0.03  # of the picture's variance beyond the noise; more shows another object
+MAX_PREDICTION_SIGMAS = 4.0  # standard deviations between position and prediction
 OCCLUDED = "too much of the target is hidden"
 CHUNK_FRAMES = 256  # measured at once
 MAX_OFF_CENTRE_PX = 0.55  # from the corner of its cut-out, beyond which a target is measured on the next one
@@ -63,17 +65,46 @@ def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: Targe
     suspect = raw_track.found & ~((raw_track.fit.misfit < limit) & raw_track.fit.converged)
     if not suspect.any() or np.isnan(limit):
         return
-    good, visited = raw_track.found & ~suspect, ~suspect
-    for _ in range(MAX_ROUNDS):
+    good = raw_track.found & ~suspect
+
+    def remeasure(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        return _remeasure(film, raw_track, rows, known, target_model)
+
+    _spread(good, ~suspect, remeasure, MAX_ROUNDS)
+    share = unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
+    _accept_gradual(raw_track, good, share)
+    raw_track.reason[suspect & ~good] = OCCLUDED
+
+
+def _spread(
+    good: Mask, visited: Mask, judge: Callable[[NDArray[np.int64], NDArray[np.int64]], Mask], max_rounds: int
+) -> None:
+    """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
+    for _ in range(max_rounds):
         rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
-        good[rows] = _remeasure(film, raw_track, rows, np.flatnonzero(good), target_model)
-    # Light and background that change along the path leave little unexplained; an object before the target leaves more.
-    share = unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
-    good |= raw_track.found & (share <= MAX_UNEXPLAINED_SHARE)
-    raw_track.reason[suspect & ~good] = OCCLUDED
+        good[rows] = judge(rows, np.flatnonzero(good))
+
+
+def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
+    """Accept frames whose unexplained `share` (n,) hardly exceeds that of neighbouring good frames.
+
+    Light and background change gradually along the path, while an occluding object appears at once. The position must
+    also agree with the prediction from the neighbours, within its own standard deviation.
+    """
+
+    def is_gradual(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
+        near = [known[np.argsort(np.abs(known - row))[:MAX_NEIGHBOURS]] for row in rows]
+        typical = np.array([np.median(share[some]) for some in near])
+        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, known)[0])
+        agrees = np.all(off < MAX_PREDICTION_SIGMAS * raw_track.fit.sigma[rows, :2], axis=1)
+        return little[rows] | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
+
+    little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
+    _spread(good, visited, is_gradual, len(good))
+    good |= raw_track.found & ~visited & little
 
 
 def _distance(good: Mask) -> NDArray[np.int64]:
