@@ -329,12 +329,12 @@ PLACE, WIDTH = 0.357, 0.014  # of a worn place, m; the fastest mass stops 9 mm b
 
 
 def slide_to_rest(
-    speed: float, force: Callable[[float, float], float], *, fps: float = 4000, sigma: float = 1e-6
+    speed: float, force: Callable[[float, float], float], *, fps: float = 4000, sigma: float = 1e-6, last: float = 0.05
 ) -> Run:
-    """A slide of 0.4 kg that ends as the mass comes to rest; SciPy's integrator."""
+    """A slide of 0.4 kg that ends at a `last` speed, m/s; SciPy's integrator."""
 
     def rests(_: float, state: np.ndarray) -> float:
-        return abs(float(state[1])) - 0.05
+        return abs(float(state[1])) - last
 
     rests.terminal = True  # type: ignore[attr-defined]
     slide = solve_ivp(
@@ -364,6 +364,20 @@ def test_a_worn_place_that_the_mass_stops_before_is_found_beyond_what_it_passed(
         estimate = found.parameters[f"patch.{name}"]
         assert abs(estimate.value - truth) < 4 * estimate.std
     assert diagnose(fit(LAW, runs), quick=True, rng=0).missing == ["patch"]
+
+
+def test_a_place_much_narrower_than_the_course_is_fitted() -> None:
+    """It was clipped to a two-hundredth of the course, and two collisions explained more."""
+
+    def bumpy(x: float, v: float) -> float:
+        return float(1.5 + 0.2 * v + 5.0 * np.exp(-(((x - 0.45) / 0.002) ** 2) / 2))
+
+    runs = [slide_to_rest(speed, bumpy, fps=2000, sigma=3e-6, last=0.3) for speed in (3.0, 2.5, 2.2)]
+    found = fit([*LAW, "patch"], runs)
+    for name, truth in (("F", 5.0), ("x_c", 0.45), ("w", 0.002)):
+        estimate = found.parameters[f"patch.{name}"]
+        assert abs(estimate.value - truth) < 4 * estimate.std
+    assert found.reduced_chi2 == pytest.approx(1, abs=0.15)
 
 
 @pytest.mark.usefixtures("few")

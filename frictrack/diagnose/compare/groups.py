@@ -154,7 +154,7 @@ def compare_groups(fitted: Fit | GroupFits, parameter: str) -> ParameterByGroup:
     >>> from dataclasses import replace
     >>> runs = [replace(run, group="low" if run.name == "to_a_stop" else "high") for run in ft.samples.runs()]
     >>> fit = ft.fit(["coulomb", "viscous", "patch"], runs)
-    >>> ft.compare_groups(fit, "viscous.F_v").differences["low - high"].p > 0.05
+    >>> ft.compare_groups(fit, "viscous.F_v").differences["low - high"].p > 0.01
     True
 
     """

@@ -22,7 +22,7 @@ def places(span: Span) -> Array:
 def widths(span: Span) -> Array:
     """Widths worth trying, m."""
     travel = span.x_max - span.x_min
-    return log_grid(travel / 120, travel / 8, 5)
+    return log_grid(travel / 480, travel / 8, 7)
 
 
 def describe(effect: EffectInStudy) -> str:
