@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import signal
@@ -18,13 +19,14 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet
 import pytest
+import rich.progress
 from campaigns import campaign, die_once, killed_workers, results, short_study, slide
 from rich.console import Console
 from scipy import stats
 
 from frictrack.base import workers
 from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.cli.progress_bars import progress_table
+from frictrack.cli.common import BatchPrinter, ProgressBars
 from frictrack.flow import Session
 from frictrack.flow.batch import BatchState, batch, cluster, find_studies
 from frictrack.flow.batch.driver import Journal, find_trends, fit_slope, write_table
@@ -239,14 +241,15 @@ def test_workers_that_give_up(tmp_path: Path) -> None:
 
 def test_a_moment_of_a_batch_is_shown() -> None:
     state = BatchState(5, kept=1, done=["/a/b.toml"], runs=3)
-    state.under_way = {"/a/[c].toml": state.began}
+    state.under_way = {"/a/[c].toml": state.began, "/a/d.toml": state.began}
     state.failures = [{"study": "/a/b.toml", "run": "v3", "reason": "no light"}]
-    console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    with console.file:
-        console.print(progress_table(state))
-    text = console.export_text()
-    for told in ("2 of 5, 1 of them before", "/a/[c].toml", "/a/b.toml, v3: no light", "a minute", "left"):
-        assert told in text
+    file = io.StringIO()
+    console = Console(width=100, file=file, force_terminal=True)
+    columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.MofNCompleteColumn())
+    with rich.progress.Progress(*columns, console=console) as drawn:
+        BatchPrinter(ProgressBars(drawn))(state)
+    for told in ("2 of 5: /a/b.toml", "failed: /a/b.toml, v3: no light", "/a/[c].toml, 0:00 and 1 more", "2/5"):
+        assert told in file.getvalue()
 
 
 # --- trends

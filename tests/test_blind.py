@@ -22,6 +22,7 @@ from frictrack.records import Array
 from frictrack.simulate import Trajectory, simulate
 from frictrack.validation.blind import benchmark, make, score
 from frictrack.validation.blind import truth_sampling as drawing
+from frictrack.validation.blind.benchmark import SEAL_FILE, open_seal, run_table, write_study
 from frictrack.validation.blind.ideal_detector import (
     IdealDetector,
     degrees_of_freedom,
@@ -37,9 +38,9 @@ from frictrack.validation.blind.outcome import (
     overlap,
     parameter_deviations,
     solution_at_truth,
+    tally,
+    wilson,
 )
-from frictrack.validation.blind.study_files import SEAL_FILE, open_seal, run_table, write_study
-from frictrack.validation.blind.tally import tally, wilson
 from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory
 from frictrack.validation.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
 

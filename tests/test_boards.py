@@ -14,8 +14,8 @@ from repeats import few_or_many
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration import parse_scale, plane_map
-from frictrack.measure.calibration.board import Board, BoardView
 from frictrack.measure.calibration.lens import plane_from_views
+from frictrack.measure.calibration.pictures import Board, BoardView
 
 TILTED = turned(0.1, 0.35, 0.05), np.array([-0.05, -0.03, 0.6])  # keystone of a fifth
 FLAT = turned(0.02, 0.15, 0.02), np.array([-0.07, -0.04, 0.55])

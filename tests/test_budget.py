@@ -13,15 +13,13 @@ from runs import BASE, Slider, integrate
 from frictrack.base.errors import FrictrackError
 from frictrack.cli import main
 from frictrack.flow import Session, open_study
-from frictrack.flow.stored_results import run_results
 from frictrack.measure.calibration import calibrate
 from frictrack.measure.error_budget import budget
 from frictrack.measure.friction import friction
 from frictrack.measure.motion import Smoother, covariance, differentiate, low_pass
-from frictrack.present import plots
-from frictrack.present.report import tables
+from frictrack.present import plots, report
 from frictrack.records import Displacement, Run
-from frictrack.results import RecordingInfo, RunResults
+from frictrack.results import RecordingInfo
 from frictrack.simulate import scene
 from frictrack.simulate.scene import read_scene
 from frictrack.tracking import track
@@ -428,7 +426,9 @@ def test_the_figure_and_the_table_tell_the_same(study):
     ]
     assert figure.axes[0].get_xlabel() == "error of the mean force / N"
     assert "not known" in [text.get_text() for text in figure.axes[0].texts]
-    run: RunResults = run_results(session.runs[0])
-    assert "v4" in tables.budget_sentences([run])[0]
-    assert len(tables.source_table([run]).rows) == len(row["budget"])
-    assert tables.source_table([replace(run, budget={})]).rows == ()
+    results = session.results()
+    page = report.render(results).partition('id="budget"')[2]
+    assert "<b>v4</b>: " in page
+    assert all(f"<td>{part['source']}</td>" in page for part in row["budget"][:-1])
+    without = replace(results, runs=tuple(replace(run, budget={}) for run in results.runs))
+    assert 'id="budget"' not in report.render(without)

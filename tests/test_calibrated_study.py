@@ -16,7 +16,7 @@ from test_plots import results
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import run_pipeline
 from frictrack.present import report
-from frictrack.present.report import fit_text, measurement_quality, tables
+from frictrack.present.report import tables, texts
 from frictrack.study import load, write_study
 
 SHAPE = (128, 256)
@@ -130,13 +130,13 @@ def with_scale(relative, pitch=1e-4):
 def test_the_report_says_what_the_scale_does_to_forces(monkeypatch):
     monkeypatch.setattr("frictrack.present.plots.svg", lambda figure: "<svg></svg>")
     known = with_scale(0.004)
-    assert "The scale has a standard deviation of 0.40 %" in fit_text.scale_line(known)
-    assert "every ± includes it" in fit_text.scale_line(known)
-    assert "common to all runs of one camera" in fit_text.scale_line(known)
+    assert "The scale has a standard deviation of 0.40 %" in texts.scale_line(known)
+    assert "every ± includes it" in texts.scale_line(known)
+    assert "common to all runs of one camera" in texts.scale_line(known)
     text = report.render(known)
     assert "± of the scale" in text
     assert "The scale has a standard deviation of 0.40 %" in text
-    assert "The error of the scale is not given" in fit_text.scale_line(with_scale(0.0))
+    assert "The error of the scale is not given" in texts.scale_line(with_scale(0.0))
     assert "± of the scale" not in report.render(with_scale(0.0))
 
 
@@ -155,7 +155,7 @@ def test_parameters_that_go_with_the_scale():
 def test_measured_friction_does_not_go_with_the_scale():
     known = with_scale(0.004)
     sensors = type("S", (), {"drive": None, "friction_N": np.ones(3)})()
-    assert fit_text.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
+    assert texts.scale_error(replace(known, runs=tuple(replace(r, sensors=sensors) for r in known.runs))) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -171,9 +171,7 @@ def test_measured_friction_does_not_go_with_the_scale():
 def test_the_record_says_how_the_scale_was_given(scale, said):
     found = results(film=True)
     runs = tuple(replace(r, settings=r.settings | {"scale": scale}) for r in found.runs)
-    assert said in [
-        str(cell) for row in measurement_quality.settings_table(replace(found, runs=runs)).rows for cell in row
-    ]
+    assert said in [str(cell) for row in texts.settings_table(replace(found, runs=runs)).rows for cell in row]
 
 
 # ---- the whole way

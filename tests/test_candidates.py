@@ -9,7 +9,7 @@ from test_plots import bars, candidate, diagnosis
 from frictrack.cli.output import verdict
 from frictrack.present import plots
 from frictrack.present.report import tables
-from frictrack.results.candidates import candidate_rows, find_row, not_passing
+from frictrack.results.candidates import candidate_rows, not_passing
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_error_without_an_effect_is_that_with_the_effects_before_it(found):
 def test_no_p_value_is_smaller_than_the_simulated_studies_allow(found):
     rows = candidate_rows(found)
     assert rows[0].evidence.startswith("p at most 1/1000, delta BIC +44")
-    assert find_row(found, "slope").p == "0.012"
+    assert next(row for row in rows if row.effect == "slope").p == "0.012"
 
 
 def test_leads_are_no_finds():

@@ -18,7 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.cli import output
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.experiments import choose_runs, default_setup, next_run, selection
-from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments
+from frictrack.diagnose.experiments.candidates import candidate_experiments
 from frictrack.diagnose.experiments.forecast import EvidenceForecast
 from frictrack.diagnose.experiments.proposals import RatedExperiment, _rank
 from frictrack.diagnose.experiments.virtual_runs import RunDesign
@@ -103,11 +103,11 @@ def test_experiments_are_ranked_by_evidence_over_cost():
 def test_a_plan_leaves_out_what_is_not_possible_and_prefers_what_is_cheap():
     setup = default_setup(MASS, FPS, PITCH)
     free = choose_runs(setup).steps
-    assert any(s.experiment and s.experiment.design.mass != 1 for s in free)
+    assert any(s.design and s.design.mass != 1 for s in free)
     costs = Costs(mass=math.inf, camera=math.inf, speeds=(2.0, 8.0))
     for step in choose_runs(replace(setup, costs=costs)).steps:
-        if step.experiment:
-            design = step.experiment.design
+        if step.design:
+            design = step.design
             assert design.mass == 1
             assert design.rate == 1
             assert 1.9 <= abs(design.start[1]) <= 8.2
@@ -117,7 +117,7 @@ def test_a_plan_takes_the_run_that_separates_most_pairs_for_its_cost(monkeypatch
     """Two pairs for a cost of 1 come before three for a cost of 5."""
 
     def run(key, speed, mass):
-        return SimpleNamespace(experiment=Experiment(key, "", RunDesign((0.0, speed), (0.0, 0.4), mass)))
+        return SimpleNamespace(design=RunDesign((0.0, speed), (0.0, 0.4), mass, key=key))
 
     class Tables:
         names = ("a", "b", "c", "d")
@@ -132,9 +132,9 @@ def test_a_plan_takes_the_run_that_separates_most_pairs_for_its_cost(monkeypatch
             return out
 
     monkeypatch.setattr(selection, "tabulate_evidence", lambda setup, notify: (Tables(), {}))
-    filmed = (Tables.runs[0].experiment,)
+    filmed = (Tables.runs[0].design,)
     steps = choose_runs(replace(default_setup(MASS, FPS, PITCH), costs=Costs(mass=4.0), completed=filmed)).steps
-    assert [(s.experiment.key, s.cost, len(s.separated)) for s in steps] == [("cheap", 1.0, 2), ("dear", 5.0, 3)]
+    assert [(s.design.key, s.cost, len(s.separated)) for s in steps] == [("cheap", 1.0, 2), ("dear", 5.0, 3)]
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def test_the_named_run_gives_the_evidence_that_is_predicted(ambiguous):
     named = next_run(made, found, costs)
     assert named["cost"] == 1.0
     assert any(abs(named["settings"]["mass"] - m) < 0.02 * m for m in costs.masses)
-    design = next(e.design for e in candidate_experiments(made.solution, costs, combined=True) if e.key == named["key"])
+    design = next(e for e in candidate_experiments(made.solution, costs, combined=True) if e.key == named["key"])
     effects_only = [p for p in named["predictions"] if p["true"] == truth and p["rival"] in effects.LIBRARY]
     least = min(effects_only, key=lambda p: p["expected"])
     _, after = explained([*runs, take(design, law, 0.02)], truth, least["rival"])

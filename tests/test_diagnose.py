@@ -17,9 +17,8 @@ from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.diagnose import diagnose, examination
-from frictrack.diagnose.examination import MIN_P_CLEAR, examine, examine_again
+from frictrack.diagnose.examination import MIN_P_CLEAR, N_DRAWS, N_DRAWS_FEW, draw_null_ensemble, examine, examine_again
 from frictrack.diagnose.explanations import Explanation, find_rivals
-from frictrack.diagnose.null_distribution import N_DRAWS, N_DRAWS_FEW, draw_null_ensemble
 from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.fit.stepwise import scan_effects

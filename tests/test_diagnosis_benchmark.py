@@ -14,8 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 from diagnosis import force, ours, sparse, studies
 
 from frictrack.validation.blind.ideal_detector import ideal_detection_limit, unit_values
-from frictrack.validation.blind.outcome import Outcome
-from frictrack.validation.blind.tally import tally
+from frictrack.validation.blind.outcome import Outcome, tally
 from frictrack.validation.blind.truth import effect_named
 
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "blind.ipynb"

@@ -16,8 +16,9 @@ import pytest
 import frictrack
 from frictrack import effects
 from frictrack.diagnose.compare import find_local_forces
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.repeatability import WaveScan
 from frictrack.diagnose.residual_curves import deconvolve_force
-from frictrack.diagnose.waves import WaveScan
 from frictrack.present import plots
 from frictrack.study import schema
 
@@ -227,7 +228,9 @@ def test_a_broad_missing_force_is_centred_as_the_gallery_shows_it():
     made = gallery_runs.simulate_example("measured_load", gallery_runs.EXAMPLES["measured_load"])
     fit = frictrack.fit("tustin", [one.run for one in made])
     local = find_local_forces(fit.solution)
-    pieces, _ = deconvolve_force(local, WaveScan(local.model))
+    pieces, _ = deconvolve_force(
+        local, WaveScan(local.model), compress_residual(local.solution, about_measurement=True)
+    )
     for piece in pieces:
         truth, curve = made[piece.run].truth, fit.curves[piece.run]
         missing = np.interp(piece.t, curve.t, np.interp(curve.t, truth.t, truth.F) - curve.F_model)

@@ -18,7 +18,7 @@ from frictrack.diagnose.explanations import MAX_SIZE, Explanation, find_rivals
 from frictrack.effects import models
 from frictrack.fit import add_effect, fit, refine
 from frictrack.flow import open_study, read_results
-from frictrack.present.report.measurement_quality import findings_table
+from frictrack.present.report.texts import findings_table
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import VERDICTS
 from frictrack.search import EvaluationBudget

@@ -17,10 +17,10 @@ from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
 from frictrack.diagnose.explanations import Explanation, Explanations, alternatives_of, find_rivals, names_in_place_of
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
 from frictrack.diagnose.formulas import FormulaSearch
 from frictrack.diagnose.model_selection import information_criterion, parameter_penalty
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
+from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import LIBRARY, models
 from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import Solution
@@ -323,6 +323,75 @@ def test_effects_are_named_if_the_model_with_all_of_them_predicts_better(
     vars(conclusion)["_heldout"] = heldout
     assert conclusion.verdict.candidates[0].heldout_after == 2.0
     assert conclusion.verdict.verdict == verdict
+
+
+PLACE, WIDTH = 0.357, 0.014  # of a worn place, m; the fastest mass stops 9 mm before its middle
+
+
+def slide_to_rest(
+    speed: float, force: Callable[[float, float], float], *, fps: float = 4000, sigma: float = 1e-6, last: float = 0.05
+) -> Run:
+    """A slide of 0.4 kg that ends at a `last` speed, m/s; SciPy's integrator."""
+
+    def rests(_: float, state: np.ndarray) -> float:
+        return abs(float(state[1])) - last
+
+    rests.terminal = True  # type: ignore[attr-defined]
+    slide = solve_ivp(
+        lambda _, state: [state[1], -force(*state) / 0.4],
+        (0.0, 1.0),
+        [0.0, speed],
+        rtol=1e-10,
+        atol=1e-12,
+        events=rests,
+        dense_output=True,
+    )
+    t = np.arange(0, slide.t[-1], 1 / fps)
+    noise = np.random.default_rng(int(10 * abs(speed)))
+    return measured(t, slide.sol(t)[0], sigma=sigma, mass=0.4, name=f"{speed}", rng=noise)
+
+
+def test_a_worn_place_that_the_mass_stops_before_is_found_beyond_what_it_passed() -> None:
+    """Its middle was clipped to one step of the scan beyond the course; a second patch took what was left."""
+
+    def worn(x: float, v: float) -> float:
+        return float(5.0 + 0.9 * v + 1.9 * np.exp(-(((x - PLACE) / WIDTH) ** 2) / 2))
+
+    runs = [slide_to_rest(speed, worn) for speed in (3.5, 2.8, 2.2)]
+    assert max(run.displacement.x.max() for run in runs) < PLACE - 0.5 * WIDTH
+    found = fit([*LAW, "patch"], runs)
+    for name, truth in (("F", 1.9), ("x_c", PLACE), ("w", WIDTH)):
+        estimate = found.parameters[f"patch.{name}"]
+        assert abs(estimate.value - truth) < 4 * estimate.std
+    assert diagnose(fit(LAW, runs), quick=True, rng=0).missing == ["patch"]
+
+
+def test_a_place_much_narrower_than_the_course_is_fitted() -> None:
+    """It was clipped to a two-hundredth of the course, and two collisions explained more."""
+
+    def bumpy(x: float, v: float) -> float:
+        return float(1.5 + 0.2 * v + 5.0 * np.exp(-(((x - 0.45) / 0.002) ** 2) / 2))
+
+    runs = [slide_to_rest(speed, bumpy, fps=2000, sigma=3e-6, last=0.3) for speed in (3.0, 2.5, 2.2)]
+    found = fit([*LAW, "patch"], runs)
+    for name, truth in (("F", 5.0), ("x_c", 0.45), ("w", 0.002)):
+        estimate = found.parameters[f"patch.{name}"]
+        assert abs(estimate.value - truth) < 4 * estimate.std
+    assert found.reduced_chi2 == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_constant_force_that_friction_levels_imitate_is_found() -> None:
+    """Two runs forth and two back: another level of friction each way is a constant force."""
+
+    def tilted(x: float, v: float) -> float:
+        return float(1.4 * np.sign(v) + 0.2 * v + 0.08)
+
+    bare = fit(LAW, [slide_to_rest(speed, tilted, fps=1000, sigma=5e-6) for speed in (3.0, 2.0, -3.0, -2.0)])
+    assert bare.solution.tau > 0.03
+    found = diagnose(bare, quick=True, rng=0)
+    assert found.missing == ["slope"]
+    assert found.candidates[0].indistinguishable_from == ("asymmetry",)
 
 
 # whole studies with the whole library; the motions come from SciPy's integrator

@@ -12,18 +12,23 @@ from frictrack import effects
 from frictrack.base.errors import FrictrackError
 from frictrack.base.units import is_coherent
 from frictrack.cli.output import Console, unexplained
-from frictrack.diagnose.formulas import SHAPES, shapes_of_functions
-from frictrack.diagnose.formulas.probability import (
+from frictrack.diagnose.compressed import Axis
+from frictrack.diagnose.formula_scan import log_volume, relative_evidence
+from frictrack.diagnose.formula_terms import (
+    KIND_POWERS,
+    SHAPES,
+    Term,
+    build_effect,
+    coefficient_unit,
+    parameter_bounds,
+    shapes_of_functions,
+)
+from frictrack.diagnose.formulas import (
     CREDIBLE_PROBABILITY,
     credible_forms,
     form_probabilities,
     log_prior,
-    log_volume,
-    relative_evidence,
 )
-from frictrack.diagnose.formulas.shapes import KIND_POWERS
-from frictrack.diagnose.formulas.terms import Term, build_effect, coefficient_unit, parameter_bounds
-from frictrack.diagnose.smooth_forces import Axis
 from frictrack.flow.study_edits import choose_formula, formula_number
 
 FORMULA = {

@@ -28,7 +28,7 @@ from frictrack.present import export
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.simulate.scene import read_scene, render_scene
-from frictrack.study import load, parse, read_table, table_files, table_headers, write_study
+from frictrack.study import load, parse, read_table, table_files, write_study
 
 RUN = '[[run]]\nname = {name}\ntable = "t.csv"\n'
 GOOD = RUN.format(name='"one"')
@@ -231,10 +231,13 @@ def test_a_study_file_without_end(tmp_path: Path) -> None:
 
 
 def test_many_runs_are_read_in_linear_time(study: Path) -> None:
-    text = '[study]\nmass = "1 kg"\n' + "".join(RUN.format(name=f'"run {i}"') for i in range(3000))
-    start = time.thread_time()
-    assert len(parse(study, text).runs) == 3000
-    assert time.thread_time() - start < 1  # quadratic in the runs: 5 s
+    def cost(runs: int) -> float:
+        text = '[study]\nmass = "1 kg"\n' + "".join(RUN.format(name=f'"run {i}"') for i in range(runs))
+        start = time.thread_time()
+        assert len(parse(study, text).runs) == runs
+        return time.thread_time() - start
+
+    assert cost(3000) < 40 * cost(300)  # quadratic in the runs: a hundred times
 
 
 @pytest.mark.parametrize(
@@ -408,9 +411,8 @@ def test_a_table_of_very_many_columns_is_refused_in_short_time(tmp_path: Path, c
     names = ("t_s", "x_m", *(f"column{i}" for i in range(columns - 2)))
     (tmp_path / "t.csv").write_text("\n".join([",".join(names), *[",".join(["0.5"] * columns)] * 2]))
     start = time.process_time()
-    for read in (read_table, table_headers):
-        with pytest.raises(FrictrackError, match=said):
-            read(tmp_path / "t.csv")
+    with pytest.raises(FrictrackError, match=said):
+        read_table(tmp_path / "t.csv")
     assert time.process_time() - start < 1
 
 

@@ -14,14 +14,12 @@ from runs import Slider, integrate, measured
 
 from frictrack import effects
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
-from frictrack.diagnose.conclusion import _limits
 from frictrack.diagnose.examination import examine
 from frictrack.diagnose.experiments import next_run
 from frictrack.diagnose.experiments.proposals import Question, Weighted, _rival_questions, list_explanations
-from frictrack.diagnose.model_selection import is_special_case
-from frictrack.diagnose.power import find_undetermined, mean_friction
-from frictrack.diagnose.preparation import MAX_PIECES, subsample_pieces
-from frictrack.diagnose.unexplained import _log_prior_odds, _probability
+from frictrack.diagnose.formulas import _log_prior_odds, _probability, is_special_case
+from frictrack.diagnose.power import detection_limits, find_undetermined, mean_friction
+from frictrack.diagnose.search import MAX_PIECES, subsample_pieces
 from frictrack.fit import add_effect, cut_into_pieces, fit
 from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.penalties import jacobian_basis
@@ -178,7 +176,7 @@ def test_a_coefficient_that_an_effect_found_replaces_is_not_open(four_runs):
     first = examine(four_runs.solution, (), np.random.default_rng(0), 0.005)
     replaced = effects.get("flash_weakening").adjusted(v_w={"fixed": 6000.0}, dF={"bounds": (-1e6, 1e6)})
     grown = add_effect(four_runs.solution, replaced)
-    _, curves = _limits(first)
+    _, curves = detection_limits(first)
     known = linear_estimates(grown).parameters["viscous.F_v"]
     assert known.std * 5.0 > 0.1 * mean_friction(first)  # at 5 m/s
     assert not [u.what for u in find_undetermined(four_runs, first, curves, grown) if u.uncertainty is not None]

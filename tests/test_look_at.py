@@ -2,7 +2,7 @@
 
 import pytest
 
-from frictrack.cli.look_at import after_fit
+from frictrack.cli.common import after_fit
 
 
 @pytest.mark.parametrize(("chi2", "said"), [(563.0, "misses the data by 23.7 times"), (1.03, "as large as the noise")])

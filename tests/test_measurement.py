@@ -12,11 +12,11 @@ import tifffile
 
 from frictrack import recording
 from frictrack.base.errors import FrictrackError
-from frictrack.flow import Session, film_stages, open_study
+from frictrack.flow import Session, open_study, stages
 from frictrack.flow.track_quality import correct_times
 from frictrack.records import Track
+from frictrack.sampling import Slip
 from frictrack.simulate.scene import film_scene, read_scene
-from frictrack.tracking.checks import Slip
 
 SCENE = """
 name = "one slide"
@@ -128,7 +128,7 @@ def test_a_reference_that_the_target_passes_over_does_not_move_with_it(tmp_path)
     work = worked(tmp_path, "reference = [220, 10, 48, 40]")
     d = work.get("displacement")
     reference = work.get("tracks")["reference"]
-    assert reference.reason[-1] == film_stages.REASON_COVERED
+    assert reference.reason[-1] == stages.REASON_COVERED
     assert 80 < reference.found.sum() < 119
     assert said(d, f"the target passes over the fixed reference in {120 - reference.found.sum()} frames")
     assert said(d, "no camera shake")
@@ -262,7 +262,7 @@ def test_further_targets_are_shown_and_stored(tmp_path):
     work = worked(tmp_path, "targets = {course = [240, 72, 64, 20]}")
     tracks = work.get("tracks")
     assert set(tracks) == {"course", "reference", "backward"}
-    assert [t.name for t in film_stages.tracks_to_draw(tracks)] == ["course", "reference"]
+    assert [t.name for t in stages.tracks_to_draw(tracks)] == ["course", "reference"]
     assert np.nanstd(tracks["course"].x_px) < 0.05
 
 

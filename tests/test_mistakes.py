@@ -17,8 +17,7 @@ import tifffile
 from film import block_film
 
 from frictrack.cli import main, study_commands, utility_commands  # noqa: F401 - registers the commands
-from frictrack.cli.common import app
-from frictrack.cli.progress_bars import LinePrinter, ProgressDisplay
+from frictrack.cli.common import BatchPrinter, ProgressDisplay, app
 from frictrack.flow import stages
 from frictrack.flow.batch import BatchState
 from frictrack.study import read_table
@@ -235,7 +234,7 @@ def test_a_wrong_word(capsys: pytest.CaptureFixture[str], command: str, said: st
         ("", "the file is empty"),
         ("name,colour\na,red\nb,blue\n", "no column of times and no column of positions in it, but name, colour"),
         ("t,x\n0,1\n1,2\n", 'the headers t, x state no units; `frictrack init .` writes a study file'),
-        ("0,1\n1,2\n2,3\n", "the first line holds numbers; write the names t_s, x_m"),
+        ("0,1\n1,2\n2,3\n", "the headers column 1, column 2 state no units"),
     ],
 )  # fmt: skip
 def test_a_table_that_cannot_be_used(capsys: pytest.CaptureFixture[str], text: str, said: str) -> None:
@@ -335,7 +334,7 @@ def test_no_line_of_progress_is_missing_where_stderr_is_a_file(
 def test_a_batch_tells_what_it_works_on_where_stderr_is_a_file(
     capsys: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    state, tell = BatchState(3, kept=1, began=0.0), LinePrinter()
+    state, tell = BatchState(3, kept=1, began=0.0), BatchPrinter(ProgressDisplay())
     for now, event in ((0.0, "begin"), (1.0, ""), (20.0, ""), (21.0, ""), (30.0, "end")):
         monkeypatch.setattr("time.monotonic", lambda now=now: now)
         if event == "begin":
@@ -343,7 +342,7 @@ def test_a_batch_tells_what_it_works_on_where_stderr_is_a_file(
         elif event == "end":
             state.done.append(f"{here}/a.toml")
         tell(state)
-    said = ["3 studies, 1 of them finished before", "working on a.toml and 1 more, 0:20", "2 of 3: a.toml"]
+    said = ["3 studies, 1 of them finished before", "working on a.toml, 0:20 and 1 more", "2 of 3: a.toml"]
     assert capsys.readouterr().err.splitlines() == said
 
 

@@ -373,7 +373,7 @@ def test_a_model_stored_without_motion_is_said():
 
 def test_report_tells_the_impulse_and_no_peak_force():
     model, _ = results_of(fitted(COLLISION, pulse=True))
-    told = " ".join(report.fit_text.model_motion_sentences(model))
+    told = " ".join(report.texts.model_motion_sentences(model))
     assert "acceleration of the model 0.1" in told
     assert re.search(r"impulse \((19\.[89]|20\.[01])\d* ± 0\.07\) mN s, relative error 0\.3\d %", told)
     assert "but not the peak force" in told

@@ -21,7 +21,7 @@ from frictrack.measure.motion import (
 from frictrack.measure.motion.banded_equations import LineParameters, SmootherData, cutoff_of, penalty
 from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.structure_search import ScoredStructure, StructureSearch
+from frictrack.measure.motion.structure_search import StructureSearch
 from frictrack.records import Displacement
 
 FPS = 4000.0
@@ -89,7 +89,7 @@ def test_smoother_and_covariance_agree_with_dense_algebra(rng, lines, sensed):
     solved, expected = np.linalg.solve(normal, right), every @ np.linalg.inv(normal) @ every.T
 
     assert made.signal(made.unknowns()) == pytest.approx(every @ solved, abs=1e-6)
-    assert made.covariance(np.arange(n)) == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert made.posterior_covariance_times(np.eye(n)) == pytest.approx(expected, rel=1e-5, abs=1e-6)
     start = np.minimum(np.arange(n), n - 4)
     stencils = rng.normal(size=(2, n, 4))
     near = [expected[s : s + 4, s : s + 4] for s in start]
@@ -392,7 +392,7 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
     swelling = np.linspace(-4.0, 4.0, n) * np.sin(peak * np.arange(n)) + rng.normal(size=n)
     search = StructureSearch(SmootherData(swelling, np.ones(n)))
     tied = Structure((search.highest,), ((peak, 30.0), (peak + 1e-4, 30.0)))
-    refined = search.refine(ScoredStructure(tied, search.loss(tied))).structure
+    refined = search.refine(search.scored(tied)).structure
     (first, _), (second, _) = refined.lines
     assert abs(second - first) * n / (2 * np.pi) > 0.1
     found = deviations(refined.factor_smoother(search.data), swelling, 1.0, 1 / FPS)
@@ -433,7 +433,7 @@ def test_deviations_of_any_length(n):
     )
     start = np.arange(n - 1)
     found = made.variances(start, np.tile([1.0, 0.0], (n - 1, 1)))
-    assert found == pytest.approx(np.diag(made.covariance(np.arange(n)))[:-1], rel=1e-4)
+    assert found == pytest.approx(np.diag(made.posterior_covariance_times(np.eye(n)))[:-1], rel=1e-4)
 
 
 def test_covariance_of_what():

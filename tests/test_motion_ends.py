@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import Smoother, compare_filters, differentiate, low_pass
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.structure_average import ChangeGroup, StructureChange
+from frictrack.measure.motion.structure_search import ChangeGroup, StructureChange
 from frictrack.records import Displacement, Run
 
 FPS, MASS = 4000.0, 0.35

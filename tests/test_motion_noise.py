@@ -65,7 +65,7 @@ def test_smoother_and_variances_agree_with_dense_algebra(colour, lines):
     inverse = every @ np.linalg.inv(normal) @ every.T
     assert made.signal(made.unknowns()) == pytest.approx(inverse @ known @ made.data.y, abs=1e-7)
     assert made.data.apply_inverse_covariance(made.data.y) == pytest.approx(known @ made.data.y, rel=1e-6, abs=1e-6)
-    assert made.covariance(np.arange(n)) == pytest.approx(inverse, rel=1e-6, abs=1e-8)
+    assert made.posterior_covariance_times(np.eye(n)) == pytest.approx(inverse, rel=1e-6, abs=1e-8)
     start, ones = np.arange(n - 1), np.tile([1.0, 0.0], (1, n - 1, 1))
     assert made.variances(start, ones)[0] == pytest.approx(np.diag(inverse)[:-1], rel=1e-6)
     passed = np.diag(inverse @ known @ inverse)[:-1]

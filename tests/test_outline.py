@@ -10,7 +10,7 @@ import pytest
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration import calibrate, plane_map
-from frictrack.measure.calibration.target_size import target_width
+from frictrack.measure.calibration.pictures import target_width
 from frictrack.records import Track
 
 SIZE = (130, 330)

@@ -78,8 +78,8 @@ def test_the_usual_set_up_is_stated_and_is_what_is_simulated(run_plan, told):
     assert setup.values["coulomb"]["F_c"] == MASS * COULOMB_DECELERATION
     assert any("0.02 px (10 µm)" in line for line in told["assumed"])
     assert any("5 m/s²" in line for line in told["assumed"])
-    fast = next(r for r in run_plan.tables.runs if r.experiment.key == "8 m/s")
-    t, x = fast.run.piece.t, fast.run.piece.y
+    fast = next(r for r in run_plan.tables.runs if r.design.key == "8 m/s")
+    t, x = fast.piece.t, fast.piece.y
     a = -(x[2] - 2 * x[1] + x[0]) / (t[1] - t[0]) ** 2
     assert a == pytest.approx(
         COULOMB_DECELERATION + 0.1 * COULOMB_DECELERATION * 8.0, rel=1e-3
@@ -137,7 +137,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
     first = next(p.name for p in cause.effect.parameters if p.linear or p.role == "depth")
     made = []
     for i, run in enumerate(run_plan.runs):
-        design = run.experiment.design
+        design = run.design
         law[name] = (
             own
             | {first: size}
@@ -146,7 +146,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
         held = Conditions(
             MASS * design.mass, design.mass * (1 + setup.scatter * rng.standard_normal()), design.mass, PITCH
         )
-        t = run.run.piece.t
+        t = run.piece.t
         slide = simulate(models.of(law), law, held, t, design.start)
         moving = int(np.argmin(np.sign(design.start[1]) * slide.v > 0.02)) or len(t)
         x = (slide.x + slide.shift)[:moving]
@@ -183,13 +183,13 @@ def test_runs_that_were_filmed_count_and_their_law_is_assumed():
     assert setup.values["coulomb"]["F_c"] == pytest.approx(8.0, rel=0.01)
     assert setup.noise == pytest.approx(2e-5, rel=0.1)
     assert [e.key for e in setup.completed] == ["run r0", "run r1"]
-    assert setup.completed[0].design.start[1] == pytest.approx(3.0, rel=0.01)
+    assert setup.completed[0].start[1] == pytest.approx(3.0, rel=0.01)
     run = simulate_runs(setup, list(setup.completed))
     seen = fit(list(law), runs).solution.responses
     for planned, real in zip(run, seen, strict=True):  # the run as it was, up to the frames that were fitted
-        n = min(len(real.piece.t), len(planned.run.piece.t)) - 20
+        n = min(len(real.piece.t), len(planned.piece.t)) - 20
         gone = real.model_y[:n] - real.model_y[0]
-        assert np.max(np.abs(planned.run.piece.y[:n] - planned.run.piece.y[0] - gone)) < 1e-3
+        assert np.max(np.abs(planned.piece.y[:n] - planned.piece.y[0] - gone)) < 1e-3
     assert len(candidate_runs(setup)) > 10
 
 

@@ -40,7 +40,7 @@ from frictrack.measure.plausibility import (
 from frictrack.measure.tables import displacement_of_table
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData
-from frictrack.validation.blind.study_files import write_study
+from frictrack.validation.blind.benchmark import write_study
 from frictrack.validation.blind.truth_sampling import draw_truth
 from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
 

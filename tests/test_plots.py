@@ -471,8 +471,10 @@ def test_ticks_drawn_in_rows_look_as_matplotlib_draws_them():
 @pytest.mark.parametrize("count", [1, 5, 12])
 def test_a_legend_is_as_wide_as_its_figure_at_most(count):
     figure = style.new_figure(3.0, "", width=6.0)
-    figure.subplots()
-    style.legend_below(figure, [mpl.lines.Line2D([], [], label=f"a curve with a long name {k}") for k in range(count)])
+    ax = figure.subplots()
+    for k in range(count):
+        ax.plot([], [], label=f"a curve with a long name {k}")
+    style.legend_below(figure)
     plots.png(figure, dpi=72)
     box = figure.legends[0].get_window_extent()
     assert box.x0 >= 0

@@ -16,7 +16,7 @@ from test_series import given, swing, tustin_force
 from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import physical_objection
-from frictrack.diagnose.preparation import subsample
+from frictrack.diagnose.search import subsample
 from frictrack.effects import LIBRARY, Span, models
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise

@@ -23,7 +23,7 @@ from frictrack.simulate.rendering import (
     render_clean,
     write_film,
 )
-from frictrack.simulate.rendering.surface import FourierSurface, MovingCells
+from frictrack.simulate.rendering.renderer import FourierSurface, MovingCells
 
 SNAP = Camera(width=64, height=48, exposure=0.0)
 SMALL = Target(24, 18, Surface(size=3.0), course=False)

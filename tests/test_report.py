@@ -7,17 +7,22 @@ import shutil
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
+from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import upper_first
+from frictrack.cli import tables as cli_tables
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
-from frictrack.present.report import markup, tables, verdict_text
-from frictrack.present.report import measurement_quality as of_measurement
-from frictrack.present.report.fit_text import next_steps
+from frictrack.present.report import markup, tables, texts
+from frictrack.present.report.texts import next_steps
+from frictrack.workbench.summaries.runs import _measured_part
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -136,7 +141,7 @@ def with_diagnosis(found):
 
 def test_missing_says_what_it_is_and_how_to_confirm():
     found = diagnosis("missing", [candidate("texture", 0.001, 812.0)], ["texture"])
-    verdict = verdict_text.study_verdict(with_diagnosis(found))
+    verdict = texts.study_verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
     steps = " ".join(next_steps(with_diagnosis(found)))
     assert verdict.headline == "Tustin lacks texture"
@@ -158,7 +163,7 @@ def test_ambiguous_names_the_group_and_what_would_settle_it(quick):
     best = candidate("vibration", 0.001, 300.0, ["camera_shake"])
     found = diagnosis("ambiguous", [best, candidate("camera_shake", 0.001, 299.0, ["vibration"])], ["vibration"])
     found["next_experiment"] = [{"what": "Film a fixed mark.", "separates": ["vibration", "camera_shake"]}]
-    verdict = verdict_text.study_verdict(with_diagnosis(found))
+    verdict = texts.study_verdict(with_diagnosis(found))
     told = " ".join(verdict.sentences)
     assert verdict.headline == "Tustin lacks vibration or camera_shake: these runs cannot distinguish them"
     assert "<b>camera_shake</b> would predict the same data" in told
@@ -177,7 +182,7 @@ def test_unexplained_shows_where_it_repeats(quick):
 
 
 def test_complete_at_once():
-    verdict = verdict_text.study_verdict(with_diagnosis(diagnosis("complete")))
+    verdict = texts.study_verdict(with_diagnosis(diagnosis("complete")))
     assert verdict.headline == "Tustin is complete for these runs"
     assert "detection limits" in " ".join(verdict.sentences)
 
@@ -313,7 +318,7 @@ def measured(**changes):
 
 
 def test_a_good_measurement_is_said_in_two_sentences():
-    told = of_measurement.measurement(measured().runs)
+    told = texts.measurement(measured().runs)
     assert [str(s) for s in told] == [
         "Position standard deviation per frame: 0.0020 px (1.0 µm); standard deviation of a fixed reference: 0.010 px.",
         "All measurement self-checks passed.",
@@ -321,7 +326,7 @@ def test_a_good_measurement_is_said_in_two_sentences():
     made = tables.measurement_table(measured().runs)
     assert made.heads[-2:] == ("exposure / µs", "blur / px")
     assert made.rows[0][-3:] == ("none", "50.0", "0.30")
-    assert of_measurement.measurement(results().runs) == []
+    assert texts.measurement(results().runs) == []
 
 
 @pytest.mark.few(2)
@@ -342,11 +347,24 @@ def test_a_good_measurement_is_said_in_two_sentences():
 def test_the_worst_of_a_measurement_is_said(changes, said, monkeypatch):
     monkeypatch.setattr("frictrack.present.plots.svg", lambda figure: "<svg></svg>")
     found = measured(**changes)
-    assert said in of_measurement.measurement(found.runs)[1]
+    assert said in texts.measurement(found.runs)[1]
     assert said in report.render(found)
 
 
 def test_nothing_fixed_in_the_picture_is_said():
     found = measured()
     runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
-    assert "no fixed reference was found" in of_measurement.measurement(runs)[0]
+    assert "no fixed reference was found" in texts.measurement(runs)[0]
+
+
+def test_lost_frames_have_one_wording_on_terminal_page_and_report():
+    words = "the target was lost in 12 of 200 frames"
+    found = measured(found=188)
+    run = found.runs[0]
+    track = replace(run.track, x_px=np.where(np.arange(200) < 12, np.nan, run.track.x_px))
+    assert report.render(found).count(words) == 2  # the line of the section, and in it
+    assert _measured_part(replace(run, track=track))["lost_words"] == f"{upper_first(words)}."
+    out = Console(file=StringIO(), width=200)
+    row = run.quality | {"run": "v1", "target": "found", "lost": {"low score": 12}, "notes": []}
+    cli_tables.track(out, {"runs": [row | {"contact_sheet": "", "overlay": ""}]})
+    assert f"{words}: 12 x low score" in out.file.getvalue()

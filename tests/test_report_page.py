@@ -103,3 +103,14 @@ def test_paper_shows_the_sections(page, tmp_path):
     opened(page, studies()["added"], tmp_path)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert page.locator("#history").is_visible()
+
+
+def test_the_report_is_dark_where_the_system_is_and_light_on_paper(page: Any, tmp_path: Path) -> None:
+    page.emulate_media(color_scheme="dark")
+    opened(page, studies()["complete"], tmp_path)
+    ground = "getComputedStyle(document.body).backgroundColor"
+    assert page.evaluate(ground) == "rgb(15, 18, 22)"
+    assert page.evaluate("getComputedStyle(document.querySelector('figure svg')).filter").startswith("invert")
+    page.emulate_media(color_scheme="dark", media="print")
+    assert page.evaluate(ground) == "rgb(255, 255, 255)"
+    page.emulate_media(color_scheme="light", media="screen")

@@ -25,7 +25,7 @@ from frictrack.validation.reproduce import (
     Reproduction,
     ResultTable,
     Section,
-    first_paper,
+    identification,
     laws,
     papers_method,
     search_trials,
@@ -215,8 +215,8 @@ def test_the_lowest_error_is_no_higher_than_the_truths(
 
 def test_straightness() -> None:
     v = np.linspace(0, 8, 500)
-    assert first_paper.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
-    assert first_paper.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
+    assert identification.straightness(laws.tustin(), np.array([10.0, 10.0, 3.0, 1.0]), v) == pytest.approx(1.0)
+    assert identification.straightness(laws.tustin(), np.array([10.0, 60.0, 3.0, 1.0]), v) < 0.6
 
 
 # ---- statistics

@@ -17,6 +17,7 @@ from frictrack.records import Displacement, Run
 from frictrack.sampling import (
     common_unevenness,
     copies,
+    correct_ticks,
     outliers,
     quantum,
     rounding_noise,
@@ -25,7 +26,7 @@ from frictrack.sampling import (
     unwrapped,
 )
 from frictrack.study import TableData
-from frictrack.tracking.checks import correct_ticks, slips
+from frictrack.tracking.checks import slips
 from tests.test_timing import a_track
 
 N, FPS, NOISE, PIXEL = 600, 4000.0, 1e-5, 5e-4

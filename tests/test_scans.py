@@ -13,7 +13,7 @@ from runs import BASE, Spec, study
 
 from frictrack import effects
 from frictrack.diagnose import power
-from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.diagnose.examination import draw_null_ensemble
 from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.fit.linearised import (

@@ -10,13 +10,13 @@ import pytest
 import tifffile
 from scipy.fft import dct
 
-from frictrack.diagnose.null_distribution import peak_locking_errors, slow_errors
+from frictrack.diagnose.examination import peak_locking_errors, slow_errors
 from frictrack.measure.calibration import calibrate
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
 from frictrack.tracking import track
-from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.subpixel_fit import SubpixelFit
+from frictrack.tracking.template import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.template_learning import (
     learn_template,
     peak_locking_correction,

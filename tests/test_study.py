@@ -345,7 +345,7 @@ def test_a_decimal_comma_that_comes_late_is_seen(folder: Path) -> None:
         ("t_s,x_m\n0,0,7\n0.1,1,7\n", "2 names in the header but 3 fields in row 1; name every column"),
         ("t_s,x_m\n0,0,\n0.1,1,7\n", "2 names in the header but 3 fields in row 2; name every column"),
         ("t_s,x_m\n0,0,1,5\n0,1,2,5\n", "2 names in the header but 4 fields in row 1"),
-        ("t_s,x_m\n0,0\n0.1,1,7\n", "Expected 2 fields in line 3, saw 3"),
+        ("t_s,x_m\n0,0\n0.1,1,7\n", "expected 2 cells in line 3 but got 3"),
     ],
 )
 def test_a_table_with_more_fields_than_names_is_refused(folder: Path, text: str, said: str) -> None:

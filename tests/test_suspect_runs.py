@@ -1,12 +1,15 @@
-"""A run whose mass is wrong is named where no effect explains what it leaves."""
+"""What else may be at fault: a run whose mass is wrong, or another sensor than a camera."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import frictrack as ft
-from frictrack.diagnose.data_faults import MAX_FRAMES, suspect_run_remarks
+from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, suspect_run_remarks
+from frictrack.effects import LIBRARY
 
 MU, VISCOUS, SIGMA = 0.26, 0.3, 5e-7  # of the weight; N s/m; m
 
@@ -42,3 +45,12 @@ def test_right_masses_are_not_doubted_and_long_records_are_left_out() -> None:
     long = [slide(v, 0.35, 0.35, MAX_FRAMES // 3) for v in (30.0, 40.0, 50.0)]
     fitted = ft.fit("coulomb, viscous", long[:2])
     assert suspect_run_remarks(fitted.solution, long * 2, np.random.default_rng(0)) == []
+
+
+def test_errors_of_a_camera_are_doubted_where_runs_are_tables() -> None:
+    runs, named = [slide(3.0, 0.35, 0.35)], [LIBRARY[name] for name in ("lens", "spring", "camera_shake")]
+    (line,) = camera_remarks(runs, named)
+    assert line.startswith("lens and camera_shake are errors of a camera, but these runs are tables")
+    assert camera_remarks(runs, [LIBRARY["spring"]]) == []
+    displacement = replace(runs[0].displacement, pixel_pitch=5e-4)
+    assert camera_remarks([replace(runs[0], displacement=displacement)], named) == []

@@ -143,7 +143,8 @@ def test_a_text_export_of_kinovea_is_read_with_its_unit(written, text, name, t, 
 
 def test_several_trajectories_of_kinovea_are_refused(written) -> None:
     text = KINOVEA_TEXT_NEW + "# Trajectory 2\n0 1 1\n1 2 2\n"
-    assert "it holds 2 trajectories; export one trajectory per file" in refused(written(text))
+    said = refused(written(text), {"t": "T (s)", "x": "X (mm)"})
+    assert "put records that begin anew into files of their own" in said
 
 
 def test_a_spreadsheet_of_kinovea_states_its_unit(written) -> None:
@@ -193,12 +194,12 @@ def test_a_units_row_below_standard_names_wins(written) -> None:
         ("a,b\n0,1\n1,2\n", 'columns = {t = "a (s)", x = "b (m)"} in its [[run]], with the units of the file'),
         ("Zeit [ms];Weg [mm]\n0;1\n1;2\n", 'columns = {t = "Zeit [ms]", x = "Weg [mm]"}'),
         ("name,colour\na,red\nb,blue\n", "a table needs a column of times and a column of positions"),
-        ("0,1\n1,2\n2,3\n", "the first line holds numbers; write the names t_s, x_m"),
+        ("0,1\n1,2\n2,3\n", 'columns = {t = "column 1 (s)", x = "column 2 (m)"} in its [[run]], with the units'),
     ],
 )
 def test_a_wrong_table_is_told_by_its_own_names(written, text: str, said: str) -> None:
     assert said in refused(path := written(text))
-    if "columns = {" in said and "b (m)" not in said:
+    if "columns = {" in said and "(m)" not in said:
         proposed = dict(re.findall(r'(\w) = "([^"]*)"', said))
         assert columns(path, proposed) == ([0, 0.001], [0.001, 0.002])  # what is proposed works
 

@@ -8,7 +8,6 @@ from film import FULL_WELL, READ_NOISE, Film, block_film, expose, moved, speckle
 
 from frictrack.base.errors import FrictrackError
 from frictrack.tracking import TargetModel, learn_target, track
-from frictrack.tracking.cosine_basis import MAX_SHIFT_PX, shift_expansion
 from frictrack.tracking.measure import (
     measure_frames,
     refine_robust,
@@ -17,7 +16,7 @@ from frictrack.tracking.measure import (
     systematic_covariance,
 )
 from frictrack.tracking.subpixel_fit import refine_positions, template_products
-from frictrack.tracking.template import fit_fixed_pattern, pattern_sums
+from frictrack.tracking.template import MAX_SHIFT_PX, fit_pattern, pattern_sums, shift_expansion
 from frictrack.tracking.template_learning import learn_template, template_from_frame
 
 SHAPE = (40, 56)
@@ -159,7 +158,7 @@ def pass_by(change, n=300):
     seen = change(model) + noise * rng.standard_normal(model.shape)
     difference = (seen - model).astype(np.float32)
     sums = pattern_sums((30, 50), np.zeros((n, 2), np.int64), model, difference, np.ones((30, 50)))
-    return fit_fixed_pattern(sums, noise**2)
+    return fit_pattern(sums, noise**2)
 
 
 def test_nothing_in_the_way():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.tracking.checks import correct_ticks, slips, timing_note
+from frictrack.sampling import correct_ticks
+from frictrack.tracking.checks import slips, timing_note
 
 N = 600
 SIGMA = 0.003

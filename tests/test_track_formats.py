@@ -18,7 +18,7 @@ import pytest
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import hash_path, open_study, run_pipeline, survey_recording
 from frictrack.flow.new_study import expand_folders
-from frictrack.study import find_recordings, open_table, read_table, table_headers
+from frictrack.study import find_recordings, open_table, read_table
 from frictrack.study import table_layout as xml_limits
 
 DATA = Path(__file__).parent / "data" / "tracks"
@@ -194,7 +194,7 @@ def test_one_of_several_masses_is_chosen_and_frames_without_a_mark_are_missing(t
     data = read_table(path, {"x": "mass (2) x (m)"})
     np.testing.assert_allclose(data.x, [n / 2500 for n in marked])
     np.testing.assert_allclose(data.t, [0.5 + (n - 10) / 240 for n in marked])
-    assert "-A x (m)" in table_headers(path)
+    assert "-A x (m)" in open_table(path).frame.columns
 
 
 def test_a_film_without_calibration_has_positions_in_px(tmp_path) -> None:

@@ -26,7 +26,7 @@ from frictrack.fit.uncertainty import merge_uncertainty
 from frictrack.fit.uncertainty.profile_likelihood import FixedQuantityProblem, ProfileSearch
 from frictrack.fit.uncertainty.reported import parse_quantity
 from frictrack.present import plots
-from frictrack.present.report import fit_text, tables
+from frictrack.present.report import tables, texts
 from frictrack.results import ModelResults
 
 Z = 1.959964
@@ -429,8 +429,8 @@ def test_report_has_a_panel_per_profile_and_the_three_side_by_side(sure):
     table = tables.interval_table(model)
     assert table.heads == ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws")
     assert [str(row[0]) for row in table.rows] == [f"<code>{name}</code>" for name in TRUTH]
-    assert fit_text.bootstrap_sentence(model) == "Bootstrap of 20 draws from the fitted model, with white noise."
-    said = fit_text.mark_addresses("coulomb.F_c and viscous.F_v are hard to distinguish")
+    assert texts.bootstrap_sentence(model) == "Bootstrap of 20 draws from the fitted model, with white noise."
+    said = texts.mark_addresses("coulomb.F_c and viscous.F_v are hard to distinguish")
     assert said == "<code>coulomb.F_c</code> and <code>viscous.F_v</code> are hard to distinguish"
 
 

@@ -16,14 +16,13 @@ from scipy.integrate import solve_ivp
 
 from frictrack import effects
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.compressed import candidate_axes, compress_residual
 from frictrack.diagnose.explanations import Explanation
-from frictrack.diagnose.formulas import SHAPES, FormulaSearch
+from frictrack.diagnose.formula_terms import SHAPES
+from frictrack.diagnose.formulas import FormulaSearch, are_left_out, compare_with_formulas, unexplained_force
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
 from frictrack.diagnose.search import _formula_explains_more
-from frictrack.diagnose.smooth_forces import candidate_axes, smooth_forces
-from frictrack.diagnose.unexplained import compare_with_formulas, unexplained_force
 from frictrack.effects import definitions, read_settings
 from frictrack.fit import add_effect, fit, refine
 
@@ -95,14 +94,14 @@ def firsts(fits):
 @pytest.mark.few(3)
 @pytest.mark.parametrize("cause", CAUSES)
 def test_the_axis_of_a_cause_outside_the_library_is_found(fits, cause):
-    best, second, *_ = smooth_forces(compress_residual(fits[cause].solution))
+    best, second, *_ = compress_residual(fits[cause].solution).smooth
     assert best.axis.name == CAUSES[cause][0]
     assert best.share > 0.9
     assert best.gain > second.gain
 
 
 def test_the_curve_is_the_force_within_its_band(fits):
-    smooth = smooth_forces(compress_residual(fits["magnet"].solution))[0]
+    smooth = compress_residual(fits["magnet"].solution).smooth[0]
     assert smooth.axis.factor == ""  # it pulls whichever way the mass goes
     truth = CAUSES["magnet"][1](smooth.at, 0, 0, 0, 0)
     away = smooth.force - truth
@@ -111,7 +110,7 @@ def test_the_curve_is_the_force_within_its_band(fits):
 
 
 def test_pure_noise_has_no_axis():
-    smooth = smooth_forces(compress_residual(fit(LAW, slides(None)).solution))
+    smooth = compress_residual(fit(LAW, slides(None)).solution).smooth
     assert smooth[0].gain < 12  # of six to nine axes; a cause has hundreds
 
 
@@ -173,6 +172,13 @@ def test_the_json_has_what_the_report_shows(fits):
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
+
+
+def test_no_formulas_are_added_to_effects_with_memory():
+    runs = slides(None)[:2]
+    bare, grown = (fit([*LAW, *more], runs).solution for more in ([], ["friction_lag"]))
+    assert are_left_out(FormulaSearch.of(bare), grown)
+    assert not are_left_out(FormulaSearch.of(grown), grown)
 
 
 def repeated(axis):
@@ -254,7 +260,7 @@ def test_fewer_numbers_say_the_same_as_all_frames(fits):
     solution = fits["magnet"].solution
     left = compress_residual(solution)
     push = [1e-3 * np.sin(2 * np.pi * p.x / 0.1)[:, None] for p in left.paths]
-    told = left.traces_of(push)[:, 0]
+    told = left.traces_of(np.concatenate(push))[:, 0]
     whole = []
     for r in solution.responses:
         g = -1e-3 * np.sin(2 * np.pi * r.motion.x / 0.1)[:, None] / r.piece.mass
@@ -286,7 +292,9 @@ def test_the_law_is_taken_out_of_every_trace(fits):
     """What the law could make by itself leaves nothing beside it."""
     solution = fits["joint"].solution
     left = compress_residual(solution)
-    assert np.linalg.norm(left.traces_of([np.sign(p.v)[:, None] * p.load for p in left.paths])) < 1e-2 * np.linalg.norm(
+    assert np.linalg.norm(
+        left.traces_of(left.concatenate(lambda p: np.sign(p.v)[:, None] * p.load))
+    ) < 1e-2 * np.linalg.norm(
         np.concatenate([m @ (np.sign(p.v) * p.load) for m, p in zip(left.force_maps, left.paths, strict=True)])
     )
     assert refine(solution.problem, solution.p, solution.starts, tau=solution.tau).chi2 == pytest.approx(

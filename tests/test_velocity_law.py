@@ -1,5 +1,7 @@
 """The law over the speed, and the force of a model through the filter of the measurement."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -123,3 +125,16 @@ def test_positions_of_unknown_deviation_are_filtered_with_equal_weights():
 def without_sigma(d):
     """The same displacement, its deviations unknown."""
     return type(d)(d.t, d.x, d.y, d.angle, np.full(len(d), np.nan), d.sigma_y, d.valid)
+
+
+def test_frames_that_ring_after_a_push_are_no_points_of_the_law():
+    run = slide(3.0, lambda x, v: 1.0 + 0.2 * v)
+    fit = ft.fit(["coulomb", "viscous"], [run])
+    (results,) = plots.as_runs([run])
+    sigma, F = results.friction.sigma_F.copy(), results.friction.F.copy()
+    at = np.flatnonzero(results.friction.free)[60:70]
+    sigma[at], F[at] = 20 * np.median(sigma), 0.1
+    rings = replace(results, friction=replace(results.friction, F=F, sigma_F=sigma))
+    measured = plots.law(fit, [rings]).axes[0].lines[0].get_ydata()
+    assert len(measured) < len(plots.law(fit, [results]).axes[0].lines[0].get_ydata())
+    assert measured.min() > 0.9

@@ -18,7 +18,7 @@ from frictrack.diagnose.conclusion import Conclusion
 from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study, read_results
-from frictrack.present.report.fit_text import next_steps
+from frictrack.present.report.texts import next_steps
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import VERDICT_ONLY
 

@@ -11,11 +11,12 @@ from runs import BASE, FPS, MASS, Spec, measured, study
 from frictrack import effects, samples
 from frictrack.diagnose.compare import failing_spans, find_local_forces, start_search
 from frictrack.diagnose.compare.local_forces import GlobalSignificance, _bumps_in_time, bump_columns, curve_length
-from frictrack.diagnose.repeatability import AxisRepeatability, assess_repeatability, describe_axes
+from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.repeatability import AxisRepeatability, WaveScan, assess_repeatability, describe_axes
 from frictrack.diagnose.residual_curves import deconvolve_force, find_failure_pattern, mean_curve, residual_figures
-from frictrack.diagnose.waves import WaveScan
 from frictrack.effects import models
 from frictrack.fit import add_effect, fit
+from frictrack.fit.linearised import linearise
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.present import plots
 from frictrack.present.plots import style
@@ -28,10 +29,16 @@ FOUR = (Spec(3.6, 1, 0.11), Spec(4.4, 2, 0.1), Spec(5.0, 1, 0.09), Spec(-5.6, 1,
 MOMENTS = (0.031, 0.062, 0.045, 0.052)  # s, of a blow in each run
 
 
+def repeatability_of(solution):
+    """Over which axis the misfit of a fit repeats."""
+    compressed = compress_residual(solution, about_measurement=True)
+    return assess_repeatability(compressed, WaveScan(linearise(solution)), np.random.default_rng(0))
+
+
 def deconvolved(solution):
     """The force that a fit lacks, and the strongest line."""
     found = find_local_forces(solution)
-    return deconvolve_force(found, WaveScan(found.model))
+    return deconvolve_force(found, WaveScan(found.model), compress_residual(found.solution, about_measurement=True))
 
 
 def lacking(effect, values, specs=FOUR, sigma=5e-6, seed=1):
@@ -187,11 +194,11 @@ def test_the_missing_force_of_a_line_is_told_with_its_phase():
     curve = residual_figures(pieces, line)["common_phase"]  # one period: up first, then down
     assert curve["F"][np.argmin(np.abs(curve["at"] - 0.25))] > 0.5
     assert curve["F"][np.argmin(np.abs(curve["at"] - 0.75))] < -0.5
-    assert assess_repeatability(solution, np.random.default_rng(0)).best.axis == "phase"
+    assert repeatability_of(solution).best.axis == "phase"
 
 
 def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
-    found = assess_repeatability(patched[1], np.random.default_rng(0))
+    found = repeatability_of(patched[1])
     assert found.best.axis == "x"
     assert found.best.of == 4
     assert found.words.startswith("The misfit repeats at the same place in ")
@@ -200,14 +207,14 @@ def test_a_patch_repeats_with_the_place_whatever_mass_and_direction(patched):
 
 
 def test_blows_at_moments_of_their_own_do_not_repeat(blown):
-    found = assess_repeatability(blown[1], np.random.default_rng(0))
+    found = repeatability_of(blown[1])
     assert found.best is None
     assert found.words.startswith("The misfit does not repeat from run to run")
 
 
 def test_one_run_cannot_tell_whether_a_failure_repeats():
     runs = lacking("patch", PATCH, specs=FOUR[:1])
-    found = assess_repeatability(fit(LAW, runs).solution, np.random.default_rng(0))
+    found = repeatability_of(fit(LAW, runs).solution)
     assert found.summary() == []
     assert found.words.startswith("One run cannot show")
 
@@ -249,14 +256,14 @@ def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
 
 def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
     specs = tuple(Spec(v, 1, 0.1) for v in (2.5, 3.5, 5.0, -6.5))
-    found = assess_repeatability(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution, np.random.default_rng(0))
+    found = repeatability_of(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution)
     assert found.best.axis == "v"
     assert found.best.evidence > 10
 
 
 def test_a_fine_wave_over_the_place_repeats_there():
     texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
-    found = assess_repeatability(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution, np.random.default_rng(0))
+    found = repeatability_of(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution)
     assert found.best.axis == "x"
 
 

@@ -25,7 +25,7 @@ from frictrack import __version__, effects
 from frictrack.base.number_format import format_number
 from frictrack.diagnose import MIN_CHI2_SEPARATED
 from frictrack.effects import Effect, Parameter
-from frictrack.effects.path import NEEDS
+from frictrack.effects.definition import NEEDS
 
 WIDE_PAGE = "---\nhtml_theme.sidebar_secondary.remove: true\n---\n"
 MAX_LOOKALIKES = 4  # effects in the table of what an effect is confused with

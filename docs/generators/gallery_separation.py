@@ -57,14 +57,14 @@ def separating_run(effect: str, rival: str) -> Separation | None:
     tables = _tables()
     if not {effect, rival} <= set(tables.names):
         return None
-    keys = [run.experiment.key for run in tables.runs]
+    keys = [run.design.key for run in tables.runs]
     first = keys.index(FIRST_RUN)
-    options = {tables.runs[i].experiment.words: ([first, i], False) for i in range(len(keys)) if i != first}
+    options = {tables.runs[i].design.words: ([first, i], False) for i in range(len(keys)) if i != first}
     options[REFERENCE_INSTRUCTION] = [first], True
     evidence = {words: _evidence(effect, rival, *option) for words, option in options.items()}
     best = max(evidence, key=lambda words: evidence[words])
     before = _evidence(effect, rival, [first], False)
-    return Separation(tables.runs[first].experiment.words, best, before, evidence[best])
+    return Separation(tables.runs[first].design.words, best, before, evidence[best])
 
 
 def _evidence(effect: str, rival: str, runs: list[int], reference: bool) -> float:

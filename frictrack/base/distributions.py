@@ -76,11 +76,6 @@ def chi2_ppf(p: Any, df: Any) -> Any:
     return 2 * scipy.special.gammaincinv(df / 2, p)
 
 
-def noncentral_chi2_sf(x: Any, df: Any, noncentrality: Any) -> Any:
-    """Return the probability that a noncentral chi-squared of `df` degrees of freedom exceeds `x`."""
-    return 1 - scipy.special.chndtr(x, df, noncentrality)
-
-
 def f_sf(x: Any, df_numerator: Any, df_denominator: Any) -> Any:
     """Return the probability that F exceeds `x`."""
     return scipy.special.fdtrc(df_numerator, df_denominator, x)

@@ -36,6 +36,13 @@ class FrictrackError(ValueError):
         self.usage = usage
 
 
+class UsageError(FrictrackError):
+    """The command or the study file is wrong; the command line exits with 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, usage=True)
+
+
 class DiskFullError(FrictrackError):
     """A file cannot be written because the disk is full: another machine may have space."""
 
@@ -88,9 +95,9 @@ def raise_faults(faults: list[str], what: str) -> None:
 
 
 @contextmanager
-def os_errors_as(what: str) -> Iterator[None]:
-    """Raise an error of the operating system as a `FrictrackError` that says what could not be done, and why."""
+def os_errors_as(what: str, advice: str = "") -> Iterator[None]:
+    """Raise an error of the operating system as a `FrictrackError`: what could not be done, why, and what to do."""
     try:
         yield
     except OSError as e:
-        raise FrictrackError(f"{what}: {e.strerror or e}") from e
+        raise FrictrackError("; ".join(filter(None, (f"{what}: {e.strerror or e}", advice)))) from e

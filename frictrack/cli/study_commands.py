@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.cli.common import (
     STUDY_HERE,
     Effect,
@@ -21,12 +21,16 @@ from frictrack.cli.common import (
     Seed,
     Study,
     VerdictPrinter,
+    after_diagnosis,
+    after_edit,
+    after_fit,
+    after_run,
     command,
+    look_at,
     open_session,
     print_result,
+    progress_bars,
 )
-from frictrack.cli.look_at import after_diagnosis, after_edit, after_fit, after_run, look_at
-from frictrack.cli.progress_bars import progress_bars
 from frictrack.present.export import FORMATS, export_results
 
 PRIOR, CRATE = "prior", "crate"  # formats that take more than the results: the fit, and all files of the study
@@ -85,15 +89,13 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     given = [key for key, value in keys.items() if value is not None]
     if one.suffix == ".toml" or (one / "study.toml").exists():
         if len(paths) > 1:
-            raise FrictrackError("expected one study file; `frictrack batch` runs several", usage=True)
+            raise UsageError("expected one study file; `frictrack batch` runs several")
         if given:
-            raise FrictrackError(
-                f"expected no --{given[0]} together with a study file; set {given[0]} in the file", usage=True
-            )
+            raise UsageError(f"expected no --{given[0]} together with a study file; set {given[0]} in the file")
         return one
     if one.is_dir() and not given:
         typed = shlex.quote(str(one))
-        raise FrictrackError(f"expected a study.toml in {one}; `frictrack init {typed}` writes one", usage=True)
+        raise UsageError(f"expected a study.toml in {one}; `frictrack init {typed}` writes one")
     from frictrack.flow import check_entered, describe_keys, start_study  # noqa: PLC0415
     from frictrack.study import is_table  # noqa: PLC0415
 
@@ -101,7 +103,7 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     lacking = [f"--{key}" for key in (("mass", "scale") if filmed else ()) if key not in given]
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
-        raise FrictrackError(f"expected {' and '.join(lacking)} together with recordings, as in {example}", usage=True)
+        raise UsageError(f"expected {' and '.join(lacking)} together with recordings, as in {example}")
     check_entered(keys)
     if read := describe_keys(keys):
         _tell(f"read as: {read}")
@@ -115,7 +117,14 @@ def _tell(line: str) -> None:
 
 @command()
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder with recordings")] = Path(),
+    places: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FOLDER | RECORDING...",
+            help="a folder with recordings (default: this one); or recordings",
+            show_default=False,
+        ),
+    ] = None,
     mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
     scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"')] = None,
     fps: Annotated[
@@ -123,7 +132,7 @@ def init(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a commented study file for a folder of recordings.
+    """Write a commented study file for a folder of recordings, or for some recordings.
 
     Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
     into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
@@ -138,7 +147,7 @@ def init(
 
     keys = {"mass": mass, "scale": scale, "fps": fps}
     check_entered(keys)
-    result = propose_study(folder, keys)
+    result = propose_study(places or Path(), keys)
     print_result(result, as_json, "init", result["study"])
 
 
@@ -255,9 +264,7 @@ def _settings(pairs: Iterable[str]) -> dict[str, str] | None:
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not (name.strip() and equals):
-            raise FrictrackError(
-                f'expected --set NAME=VALUE, such as --set generations=500, but got "{pair}"', usage=True
-            )
+            raise UsageError(f'expected --set NAME=VALUE, such as --set generations=500, but got "{pair}"')
         found[name.strip()] = value.strip()
     return found or None
 
@@ -464,17 +471,15 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
         print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
         return
     if recordings or author or licence is not None:
-        raise FrictrackError(
-            f"expected --include-recordings, --author and --license only with --to {CRATE}", usage=True
-        )
+        raise UsageError(f"expected --include-recordings, --author and --license only with --to {CRATE}")
     if to == PRIOR:
         with open_session(study) as session:
             result = session.export_prior(output)
         print_result(result, as_json, "prior", result["file"], look_at("prior"))
         return
     if output is not None:
-        raise FrictrackError(
-            f"expected -o only with --to {PRIOR} or {CRATE}; other files go into the folder of the results", usage=True
+        raise UsageError(
+            f"expected -o only with --to {PRIOR} or {CRATE}; other files go into the folder of the results"
         )
     with open_session(study) as session:
         written = export_results(session.results(), to)

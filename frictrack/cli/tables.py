@@ -13,7 +13,7 @@ from rich.table import Table
 
 from frictrack.base.number_format import format_plain, format_plus_minus, format_share
 from frictrack.results.error_rows import error_rows
-from frictrack.results.verdicts import describe_predictions, describe_tests
+from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
@@ -125,10 +125,11 @@ def _measured(row: dict[str, Any]) -> tuple[str, ...]:
 def _details(row: dict[str, Any]) -> list[str]:
     """Return the details of one film: time base, lost frames, notes, pictures."""
     audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
-    lost = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
+    reasons = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
+    lost = f"{describe_lost(sum(row['lost'].values()), row['frames'])}: {reasons}" if reasons else ""
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
     look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
-    found = [f"time base: {audit}" if audit else "", f"lost: {lost}" if lost else "", *look_at, *row["notes"], pictures]
+    found = [f"time base: {audit}" if audit else "", lost, *look_at, *row["notes"], pictures]
     return [line for line in found if line]
 
 

@@ -11,10 +11,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from frictrack.base.errors import FrictrackError
-from frictrack.cli.common import Json, Seed, Workers, app, command, print_result
-from frictrack.cli.look_at import look_at
-from frictrack.cli.progress_bars import progress_bars, watch_batch
+from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.cli.common import Json, Seed, Workers, app, command, look_at, print_result, progress_bars, watch_batch
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -157,9 +155,9 @@ def _page_token(written: str | None, file: Path | None) -> str | None:
     try:
         found = file.read_text(encoding="utf-8").strip()
     except (OSError, ValueError) as e:
-        raise FrictrackError(f"expected a file with a password but cannot read {file} ({e})", usage=True) from e
+        raise UsageError(f"expected a file with a password but cannot read {file} ({e})") from e
     if not found:
-        raise FrictrackError(f"expected the password of the page in {file} but it is empty; write one", usage=True)
+        raise UsageError(f"expected the password of the page in {file} but it is empty; write one")
     return found
 
 
@@ -314,12 +312,12 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     """
     if crate is not None:
         if quick or seed:
-            raise FrictrackError("expected no --quick and no --seed with a crate, which has its own seeds", usage=True)
+            raise UsageError("expected no --quick and no --seed with a crate, which has its own seeds")
         _reproduce_crate(crate, out, recordings, as_json, allow_addresses=allow_addresses)
         return
     if recordings is not None or allow_addresses:
         option = "--allow-addresses" if recordings is None else "--recordings"
-        raise FrictrackError(f"expected a crate together with {option}", usage=True)
+        raise UsageError(f"expected a crate together with {option}")
     from frictrack.validation.reproduce import reproduce as make  # noqa: PLC0415
 
     with progress_bars() as progress:

@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 
 from frictrack.base.distributions import normal_sf
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual
-from frictrack.diagnose.examination import ALPHA
+from frictrack.diagnose.examination import ALPHA, p_value
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.measure.motion import derivatives, low_pass, noise_level
@@ -203,7 +203,7 @@ def _match_signal(
     for paths in _random_paths(smooth, rng):  # the largest p-value over the ways of drawing
         drawn = _signal_traces(compressed, solution, paths).values()
         null = np.max([_chi2_gains(c, compressed.residual) for c in drawn], axis=0)
-        p = max(p, float((1 + np.sum(null >= best)) / (len(null) + 1)))
+        p = max(p, p_value(null, best))
     if p > ALPHA:
         return None
     action = next(one for one in ACTIONS if gains[one] > best - MIN_CHI2_SEPARATED)
@@ -259,15 +259,12 @@ def _signal_traces(compressed: CompressedResidual, solution: Solution, series: P
     count = next(u.shape[2] for u in series if u is not None)
     parts: dict[str, list[Array]] = {action: [] for action in ACTIONS}
     for i, (response, u) in enumerate(zip(solution.responses, series, strict=True)):
-        if u is None:
-            for blocks in parts.values():
-                blocks.append(np.zeros((len(compressed.force_maps[i]), 2 * count)))
-            continue
-        force = response.piece.mass * u[compressed.rows[i], :0:-1].reshape(-1, 2 * count)
-        parts["load"].append(compressed.force_maps[i] @ (compressed.paths[i].s[:, None] * force))
-        parts["push"].append(compressed.force_maps[i] @ force)
-        shift = response.piece.whitened(u[:, :2].reshape(-1, 2 * count))
-        parts["picture"].append(compressed.components[i].T @ shift)
+        of_force, of_shift = compressed.force_maps[i], compressed.components[i].T
+        known = np.zeros((len(response.piece.t), 3, count)) if u is None else u
+        force = response.piece.mass * known[compressed.rows[i], :0:-1].reshape(-1, 2 * count)
+        parts["load"].append(of_force @ (compressed.paths[i].s[:, None] * force))
+        parts["push"].append(of_force @ force)
+        parts["picture"].append(of_shift @ response.piece.whitened(known[:, :2].reshape(-1, 2 * count)))
     return {
         action: compressed.project_out_model(np.concatenate(blocks)).reshape(-1, 2, count)
         for action, blocks in parts.items()
@@ -291,18 +288,16 @@ def _random_paths(series: Sequence[SmoothedSignal | None], rng: np.random.Genera
     """Random paths along every piece, (n, 3, D): new for each run, common in time, common in place."""
     known = [s for s in series if s is not None]
     for axis, is_common in (("t", False), ("t", True), ("x", True)):
-        whole = np.concatenate([getattr(s, axis) for s in known])
-        longest = max(known, key=lambda s: float(np.ptp(getattr(s, axis))))
-
-        own = [None if s is None else getattr(s, axis) for s in series]
-        places = [None if at is None else _scaled(at, whole if is_common else at) for at in own]
-        common = _amplitudes(_scaled(getattr(longest, axis), whole), longest.u[:, 0], rng) if is_common else None
-        yield [
-            None
-            if s is None or at is None
-            else _random_path(at, s.t, _amplitudes(at, s.u[:, 0], rng) if common is None else common)
-            for s, at in zip(series, places, strict=True)
-        ]
+        along: list[Array] = [getattr(s, axis) for s in known]
+        whole = np.concatenate(along)
+        scaled = [_scaled(at, whole if is_common else at) for at in along]
+        longest = int(np.argmax([np.ptp(at) for at in along]))
+        common = _amplitudes(scaled[longest], known[longest].u[:, 0], rng) if is_common else None
+        drawn = iter(
+            _random_path(at, s.t, _amplitudes(at, s.u[:, 0], rng) if common is None else common)
+            for at, s in zip(scaled, known, strict=True)
+        )
+        yield [None if s is None else next(drawn) for s in series]
 
 
 def _scaled(values: Array, whole: Array) -> Array:
@@ -378,14 +373,11 @@ def assess_accelerometer(solution: Solution, runs: Sequence[Run], auxiliary: Aux
     for r in solution.responses:
         run = runs[r.piece.run]
         a = _series(run, auxiliary, "accelerometer")
-        known = np.isfinite(a)
+        known, t = np.isfinite(a), run.displacement.t
         if np.mean(known[r.piece.frames]) < MIN_KNOWN_SHARE:
             continue
-        noise = noise_level(a, known)[0]
-        t = run.displacement.t
-        a = np.interp(t, t[known], a[known])
-        parts.append(_by_frequency(r, a, noise))
-        columns = _sensor_columns(r, a[r.piece.frames])
+        columns = _sensor_columns(r, np.interp(t, t[known], a[known])[r.piece.frames])
+        parts.append(_by_frequency(r, columns, noise_level(a, known)[0]))
         rest = columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], columns[:, 0] - r.r, rcond=None)[0]
         sensed_displacement = r.piece.coloured(columns[:, 0] - rest)
         curves.append((run.name, {"t": r.piece.t, "left": r.piece.coloured(r.r), "told": sensed_displacement}))
@@ -399,19 +391,17 @@ def assess_accelerometer(solution: Solution, runs: Sequence[Run], auxiliary: Aux
         return None
     share = float(weight @ (sensed * observed)) / power
     sigma = float(np.sqrt(weight**2 @ (observed**2 * (noise_of + share**2)))) / power
-    judged = _accelerometer_verdict(
-        share, sigma, float(np.sum((observed**2 - 1)[weight > MIN_WEIGHT])) / max(chi2, 1e-300)
-    )
+    of_all = float(np.sum((observed**2 - 1)[weight > MIN_WEIGHT])) / max(chi2, 1e-300)
+    judged = _accelerometer_verdict(share, sigma, of_all)
     shown, curve = max(curves, key=lambda c: float(np.sum(c[1]["left"] ** 2)))
     return None if judged is None else replace(judged, curve=curve, shown=shown)
 
 
-def _by_frequency(response: PieceResponse, a: Array, noise: float) -> tuple[Array, Array, Array]:
+def _by_frequency(response: PieceResponse, columns: Array, noise: float) -> tuple[Array, Array, Array]:
     """Sensed and observed displacement of one piece where the residual is clear, and the sensor's variance there.
 
     Doubly integrated white noise falls with the fourth power of the frequency.
     """
-    columns = _sensor_columns(response, a[response.piece.frames])
     basis, _ = np.linalg.qr(columns[:, 1:])
     both = np.stack([columns[:, 0], response.r], axis=1)
     sensed, observed = dct(both - basis @ (basis.T @ both), axis=0, norm="ortho").T
@@ -439,8 +429,8 @@ def _accelerometer_verdict(share: float, sigma: float, of_all: float) -> Evidenc
     if abs(share - 1) < max(MIN_SENSED_DIFFERENCE, 3 * sigma):
         meaning, acts_on, explained, departure = "the mass itself moves, no camera shake", "force", share, share
     elif abs(share) < max(MIN_SENSED_SHARE, 3 * sigma):
-        meaning, acts_on, explained = "the picture shakes, not the mass", "measurement", 1 - share
-        departure = share - 1
+        meaning, acts_on = "the picture shakes, not the mass", "measurement"
+        explained, departure = 1 - share, share - 1
     else:
         return None
     size, p = float(np.clip(explained * of_all, 0.0, 1.0)), float(2 * normal_sf(abs(departure) / sigma))

@@ -1,44 +1,60 @@
-"""Compress the residual of a fit to few numbers, and map forces along the runs to their traces in them.
+"""Compress the residual of a fit to few numbers, map forces along the runs to these, find the likeliest smooth force.
 
 Fine detail of a force is below the camera's noise after double integration. Each piece is described by the responses of
 its motion to a few splines in time, orthonormalised: the noise stays white, a thousand frames become a hundred numbers,
 and a trial force costs one small product. The model's own columns, with friction levels held by their scatter, are
 projected out of all of it.
 
+A smooth force over place, time since release, speed, or phase of an oscillating motion is a Gaussian process
+(Matern 5/2) on spline coefficients. Its amplitude and length maximise the restricted likelihood.
+
 References
 ----------
 Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432.
+Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, ch. 5.
 
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import qr
+from scipy.linalg import cho_solve_banded, cholesky_banded, qr
 
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.linearised import is_linearised_about_measurement, linearise_about_measurement
 from frictrack.fit.penalties import jacobian_basis, prior_jacobian
 from frictrack.fit.pieces import Rows
+from frictrack.fit.smooth_functions import SmoothProcess, matern_root, most_likely_process
 from frictrack.records import Array
 
 MAX_COMPONENTS = 800  # over all pieces, approximately
 MIN_COMPONENTS_PER_PIECE = 4
 POINTS_PER_SPLINE = 3  # points per spline at which a force is read
 SPLINE_DEGREE = 3
+MIN_PIVOT = 1e-3  # of the splines at the points where a force is read; less are too few points
 MIN_COMPONENT_SHARE = 1e-7  # of the largest one
 MIN_REDUCED_CHI2_FAR = 100.0  # above which a model is far from the data, whatever it explains
+N_SPLINES = 60  # of a smooth force, per axis
+LENGTH_RATIOS = np.array([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03, 0.015])  # correlation lengths over the axis
+N_CURVE_POINTS = 81  # of the curve of a smooth force
+MIN_LOAD_RATIO = 1.2  # above which runs differ in load
+MIN_REVERSALS = 2  # of a motion with a phase
 
 
 @dataclass(frozen=True)
 class CompressedResidual:
-    """The compressed residual of a fit, and the maps from forces to their traces in it; lists are by piece."""
+    """The compressed residual of a fit, and the maps from forces to their traces in it; lists are by piece.
+
+    Columns of forces (N, k) are at the points of all pieces, one piece after the other.
+    """
 
     paths: list[Path]  # at the n_i points where a force is read
     force_maps: list[Array]  # (m_i, n_i) from a force at these points to its trace
@@ -56,22 +72,33 @@ class CompressedResidual:
         """Project the model out of traces (M, ...)."""
         return np.asarray(traces - (self.model_directions * self.model_shares) @ (self.model_directions.T @ traces))
 
-    def traces_of(self, columns: Sequence[Array]) -> Array:
-        """Traces (M, k) of forces (n_i, k) at the points of every piece, with the model projected out."""
-        return self.project_out_model(np.concatenate([m @ c for m, c in zip(self.force_maps, columns, strict=True)]))
+    def raw_traces(self, columns: Array) -> Array:
+        """Traces (M, k) of forces, N, model included."""
+        parts = np.split(columns, np.cumsum([len(p.t) for p in self.paths])[:-1])
+        return np.concatenate([m @ c for m, c in zip(self.force_maps, parts, strict=True)])
+
+    def traces_of(self, columns: Array) -> Array:
+        """Traces (M, k) of forces, N, with the model projected out."""
+        return self.project_out_model(self.raw_traces(columns))
 
     def concatenate(self, of: Callable[[Path], Array]) -> Array:
-        """Evaluate a function of the path on all pieces, concatenated, (N,)."""
+        """Evaluate a function of the path on all pieces, concatenated, (N, ...)."""
         return np.concatenate([of(path) for path in self.paths])
 
-    def split_by_piece(self, columns: Array) -> list[Array]:
-        """Split columns (N, k) along all pieces by piece."""
-        return np.split(columns, np.cumsum([len(p.t) for p in self.paths])[:-1])
+    @cached_property
+    def smooth(self) -> list[SmoothForce]:
+        """The most likely smooth force over every axis that the runs can distinguish, largest gain first."""
+        return smooth_forces(self, candidate_axes(self))
 
 
 def is_far_from_data(solution: Solution) -> bool:
     """Whether the simulated motion is so far from the measured one that a force acts elsewhere along it."""
     return solution.chi2 > MIN_REDUCED_CHI2_FAR * solution.problem.n_frames
+
+
+def compress_near_data(solution: Solution, without: str = "") -> CompressedResidual:
+    """Compress the residual of a fit, about the measured motion where its own is far from the data."""
+    return compress_residual(solution, without, about_measurement=is_far_from_data(solution))
 
 
 def compress_residual(solution: Solution, without: str = "", *, about_measurement: bool = False) -> CompressedResidual:
@@ -121,6 +148,7 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
         n_frames=solution.problem.n_frames,
         excess=float(data @ data - on_basis @ shrink @ on_basis) - (len(data) - 2 * len(responses) - basis.u.shape[1]),
     )
+    # effects of which no unknown is held
     free = {slot.effect for slot in layout.slots} - {s.effect for s, one in zip(layout.slots, held, strict=True) if one}
     return replace(
         made, residual=made.project_out_model(made.residual), leakage=_leakage(made, solution, free - {without})
@@ -136,7 +164,7 @@ def _leakage(compressed: CompressedResidual, solution: Solution, names: set[str]
     ]
     shares = [0.0]
     for name in columns_by_piece[0].keys() & names:
-        rows = np.concatenate([m @ own[name] for m, own in zip(compressed.force_maps, columns_by_piece, strict=True)])
+        rows = compressed.raw_traces(np.concatenate([own[name] for own in columns_by_piece]))
         squares, left = np.sum(rows**2, axis=0), np.sum(compressed.project_out_model(rows) ** 2, axis=0)
         shares += (left[squares > 0] / squares[squares > 0]).tolist()
     return max(shares)
@@ -154,7 +182,7 @@ def _compress_piece(response: PieceResponse, max_components: int) -> tuple[Array
     piece = response.piece
     count = max(min(len(piece.t) // 3, max_components), MIN_COMPONENTS_PER_PIECE)
     knots = _knots(piece.t[0], piece.t[-1], count)
-    nodes = BSpline.design_matrix(np.clip(piece.panels.t, piece.t[0], piece.t[-1]), knots, SPLINE_DEGREE).toarray()
+    nodes = _splines(piece.panels.t, knots)
     edges = response.linear.edge_states(-nodes / piece.mass, np.zeros((2, count)))
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     moved -= response.q @ (response.q.T @ moved)
@@ -162,13 +190,30 @@ def _compress_piece(response: PieceResponse, max_components: int) -> tuple[Array
     q, upper, order = qr(moved / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
     kept = np.abs(np.diag(upper)) > MIN_COMPONENT_SHARE * np.abs(upper[0, 0])
     rows = np.unique(np.linspace(0, len(piece.t) - 1, POINTS_PER_SPLINE * count).round().astype(int))
-    read = np.linalg.pinv(BSpline.design_matrix(piece.t[rows], knots, SPLINE_DEGREE).toarray())
+    read = _nearest_splines(_splines(piece.t[rows], knots))
     return np.asarray(q[:, kept]), (upper[kept] * scale[order]) @ read[order], rows
 
 
-def _knots(first: float, last: float, count: int) -> Array:
-    inner = np.linspace(first, last, count - SPLINE_DEGREE + 1)
-    return np.concatenate([[first] * SPLINE_DEGREE, inner, [last] * SPLINE_DEGREE])
+def _nearest_splines(at_points: Array) -> Array:
+    """Map (K, n) from values at some points to the coefficients of the nearest splines, whose values are (n, K)."""
+    gram = at_points.T @ at_points  # (B'B)^-1 B', of which B'B is banded
+    bands = np.array([np.pad(np.diag(gram, -k), (0, k)) for k in range(SPLINE_DEGREE + 1)])
+    with suppress(np.linalg.LinAlgError):
+        factor = cholesky_banded(bands, lower=True)
+        if factor[0].min() > MIN_PIVOT:
+            return np.asarray(cho_solve_banded((factor, True), at_points.T))
+    return np.asarray(np.linalg.pinv(at_points), dtype=np.float64)  # the points do not determine every spline
+
+
+def _knots(low: float, high: float, count: int = N_SPLINES) -> Array:
+    """Knots of so many splines between two ends."""
+    inner = np.linspace(low, high, count - SPLINE_DEGREE + 1)
+    return np.concatenate([[low] * SPLINE_DEGREE, inner, [high] * SPLINE_DEGREE])
+
+
+def _splines(u: Array, knots: Array) -> Array:
+    """Values (n, m) of the splines at u (n,), constant beyond their ends."""
+    return np.asarray(BSpline.design_matrix(np.clip(u, knots[0], knots[-1]), knots, SPLINE_DEGREE).toarray())
 
 
 def _path_at(solution: Solution, response: PieceResponse, rows: Rows, unit_level: bool) -> Path:
@@ -180,3 +225,137 @@ def _path_at(solution: Solution, response: PieceResponse, rows: Rows, unit_level
         k: q[rows] for k, q in vars(path).items() if isinstance(q, np.ndarray) and q.shape == piece.t.shape
     }
     return replace(path, **series)
+
+
+FACTORS: dict[str, Callable[[Path], Any]] = {  # what may multiply a force, as in a study file
+    "L": lambda p: p.load,
+    "s": lambda p: p.s,
+    "x": lambda p: p.x,
+    "t": lambda p: p.t,
+    "abs(v)": lambda p: p.speed,
+    "mass": lambda p: p.mass,
+    "mass^(-1/2)": lambda p: np.asarray(p.mass, dtype=float) ** (-1 / 2),
+    "mass^(-1/3)": lambda p: np.asarray(p.mass, dtype=float) ** (-1 / 3),
+}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A variable over which a force may repeat."""
+
+    name: str  # "x", "t", "v" or "phase"
+    of: Callable[[Path], Array]  # from a path to the variable, (n,)
+    factor: str  # on the force along the path, as in a study file: a product of `FACTORS`, such as "L * s", or ""
+
+    def times(self, path: Path) -> Array:
+        """Factor on the force along a path, (n,)."""
+        out = np.ones_like(path.t)
+        for one in self.factor.split(" * ") if self.factor else ():
+            out = out * FACTORS[one](path)
+        return out
+
+
+@dataclass(frozen=True)
+class SmoothForce:
+    """The most likely smooth force over one axis."""
+
+    axis: Axis
+    gain: float  # twice the rise of the log restricted likelihood
+    at: Array  # values of the axis, (k,)
+    force: Array  # N, (k,)
+    sigma: Array  # its standard deviation, (k,)
+    share: float  # of the chi-squared above its expectation
+    traces: Array  # (M, k) of its k independent components of unit variance, model included
+
+
+def smooth_forces(compressed: CompressedResidual, axes: Sequence[Axis]) -> list[SmoothForce]:
+    """Find the most likely smooth force over every axis; the largest gain comes first."""
+    return sorted((_smooth(compressed, axis) for axis in axes), key=lambda s: -s.gain)
+
+
+@dataclass(frozen=True)
+class SeparateCurves:
+    """A smooth force over time in every run, with common amplitude and length: one process on splines, run by run."""
+
+    process: SmoothProcess
+    runs: list[int]
+    knots: Array
+
+    def at(self, run: int, t: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the force in one run at times since release."""
+        k = self.runs.index(run)
+        own, basis = slice(k * N_SPLINES, (k + 1) * N_SPLINES), _splines(t, self.knots)
+        return basis @ self.process.mean[own], np.sum((basis @ self.process.spread[own]) ** 2, axis=1)
+
+
+def separate_curves(compressed: CompressedResidual, known: Array | None = None) -> SeparateCurves:
+    """Find the most likely smooth force over time if every run has its own.
+
+    `known`: traces (M, k) of forces that explain a part of it.
+    """
+    t, runs = compressed.concatenate(lambda p: p.t), sorted(set(compressed.runs))
+    knots = _knots(float(t.min()), float(t.max()))
+    of = np.repeat(compressed.runs, [len(p.t) for p in compressed.paths])
+    basis = _splines(t, knots)
+    traces = compressed.traces_of(np.hstack([basis * (of == run)[:, None] for run in runs]))
+    residual = compressed.residual
+    if known is not None:
+        q, _ = np.linalg.qr(known)
+        traces, residual = traces - q @ (q.T @ traces), residual - q @ (q.T @ residual)
+    roots = [np.asarray(np.kron(np.eye(len(runs)), root), np.float64) for root in _roots()]
+    return SeparateCurves(most_likely_process(traces.T @ traces, traces.T @ residual, roots), runs, knots)
+
+
+def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
+    """Axes that these runs can distinguish; a phase needs a motion that reverses repeatedly."""
+    steady = compressed.paths[0].steady
+    named: dict[str, Callable[[Path], Array]] = {} if steady else {"x": lambda p: p.x, "t": lambda p: p.t}
+    named["v"] = lambda p: p.speed
+    if not steady and min(_count_reversals(compressed, run) for run in set(compressed.runs)) >= MIN_REVERSALS:
+        named["phase"] = _phase_function(compressed)
+    loads = compressed.concatenate(lambda p: np.broadcast_to(p.load, p.t.shape))
+    one_way = np.ptp(compressed.concatenate(lambda p: p.s)) == 0
+    factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if np.max(loads) > MIN_LOAD_RATIO * np.min(loads) else [])
+    return [Axis(name, of, factor) for name, of in named.items() for factor in factors]
+
+
+def _count_reversals(compressed: CompressedResidual, run: int) -> int:
+    """Number of reversals of a run."""
+    s = np.concatenate([p.s for p, r in zip(compressed.paths, compressed.runs, strict=True) if r == run])
+    return int(np.sum(np.diff(s[s != 0]) != 0))
+
+
+def _phase_function(compressed: CompressedResidual) -> Callable[[Path], Array]:
+    """Phase of an oscillating motion, rad: 0 at its middle going up, pi/2 at its upper end."""
+    x, v = compressed.concatenate(lambda p: p.x), compressed.concatenate(lambda p: p.v)
+    middle, reach, fast = (x.max() + x.min()) / 2, np.ptp(x) / 2, np.abs(v).max()
+    return lambda p: np.arctan2((p.x - middle) / reach, p.v / fast)
+
+
+def _smooth(compressed: CompressedResidual, axis: Axis) -> SmoothForce:
+    """The most likely process over one axis."""
+    u, residual = compressed.concatenate(axis.of), compressed.residual
+    knots = _knots(float(u.min()), float(u.max()))
+    raw = compressed.raw_traces(_splines(u, knots) * compressed.concatenate(axis.times)[:, None])
+    traces = compressed.project_out_model(raw)
+    grid = np.linspace(knots[0], knots[-1], N_CURVE_POINTS)
+    found = most_likely_process(traces.T @ traces, traces.T @ residual, _roots())
+    basis = _splines(grid, knots)
+    explained = float(residual @ residual - np.sum((residual - traces @ found.mean) ** 2))
+    return SmoothForce(
+        axis=axis,
+        gain=found.gain,
+        at=grid,
+        force=basis @ found.mean,
+        sigma=np.linalg.norm(basis @ found.spread, axis=1),
+        share=float(np.clip(explained / max(compressed.excess, explained, 1e-300), 0.0, 1.0)),
+        traces=raw @ found.prior,
+    )
+
+
+@cache
+def _roots() -> list[Array]:
+    """Roots (m, m) of the covariance of the spline coefficients for every length ratio."""
+    knots = _knots(0.0, 1.0)
+    centres = np.array([knots[i + 1 : i + SPLINE_DEGREE + 1].mean() for i in range(N_SPLINES)])
+    return [matern_root(centres, length) for length in LENGTH_RATIOS.tolist()]

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import takewhile
+from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from frictrack.base.distributions import RNG, accepts_seed
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
@@ -23,27 +25,44 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.compare import failing_spans
-from frictrack.diagnose.data_faults import held_remarks, rests_on_repairs, suspect_run_remarks
-from frictrack.diagnose.diagnosis import Diagnosis, HeldOutErrors, importance_of_effects, tabulate_candidates
-from frictrack.diagnose.examination import ALPHA, Examination
+from frictrack.diagnose.data_faults import camera_remarks, held_remarks, rests_on_repairs, suspect_run_remarks
+from frictrack.diagnose.diagnosis import Candidate, Diagnosis, Importance
+from frictrack.diagnose.effect_description import describe_effect
+from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.explanations import MAX_SIZE
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
-from frictrack.diagnose.formulas import shapes_of_functions
-from frictrack.diagnose.power import detection_limit, find_undetermined
-from frictrack.diagnose.preparation import join_segments, subsample, subsample_frames
+from frictrack.diagnose.formula_terms import shapes_of_functions
+from frictrack.diagnose.formulas import UnexplainedForce, are_left_out, compare_with_formulas, unexplained_force
+from frictrack.diagnose.power import detection_limits, find_undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
-from frictrack.diagnose.search import Progress, SearchSettings, search_effects
-from frictrack.diagnose.unexplained import UnexplainedForce, compare_with_formulas, unexplained_force
+from frictrack.diagnose.search import (
+    FinishedSearch,
+    Progress,
+    RefinedCandidate,
+    SearchSettings,
+    join_segments,
+    search_effects,
+    subsample,
+    subsample_frames,
+)
 from frictrack.diagnose.verdict import MAX_ERROR_RATIO, NOTHING_TO_EXPLAIN, Grounds, judge
 from frictrack.effects import Effect
 from frictrack.fit import Fit, GroupFits
-from frictrack.fit.least_squares import Solution
+from frictrack.fit.least_squares import Solution, heldout_rms
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.records import Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
+
+UNNAMED = "{} passes its test too, but with it the error of what was held out rises: it is not named"
+MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
+MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
+MAX_OTHERS_LISTED = 6  # further effects in the table of importance
+WITHOUT_MEMORY = (
+    "formulas were added to the fitted model alone, not to the effects found: these have memory, with which every fit "
+    "takes long; add them to the model to have formulas of what they leave"
+)
 
 
 @accepts_seed
@@ -115,7 +134,7 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
     given: object = fit
     if not isinstance(given, Fit):
-        raise FrictrackError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}", usage=True)
+        raise UsageError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}")
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     settings = SearchSettings(own, auxiliary, rng, alpha / 2, shapes_of_functions(functions), notify)
@@ -131,21 +150,20 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
 
 def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
     """Search and conclude; a fit in segments is searched in one piece first, if that explains everything."""
+
+    def conclude(start: Solution, remarks: Sequence[str]) -> Conclusion:
+        found = search_effects(fit.runs, start, settings)
+        settings.notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
+        return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
+
     joined = join_segments(fit)
     if joined is not None:
         joined, remark = subsample_frames(joined)
-        conclusion = _conclude(fit, joined, [remark], settings)
+        conclusion = conclude(joined, [remark])
         if not conclusion.search.last.leaves_misfit and conclusion.verdict.verdict != "unexplained":
             return conclusion
     # the tests work on the displacement, whatever domain or search the fit used
-    start = fit.solution if fit.route.is_default else refine_to_end(fit.solution)
-    return _conclude(fit, *subsample(start), settings)
-
-
-def _conclude(fit: Fit, start: Solution, remarks: Sequence[str], settings: SearchSettings) -> Conclusion:
-    found = search_effects(fit.runs, start, settings)
-    settings.notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
-    return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
+    return conclude(*subsample(fit.solution if fit.route.is_default else refine_to_end(fit.solution)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +191,7 @@ class Conclusion:
     @cached_property
     def verdict(self) -> Diagnosis:
         """The diagnosis as far as the verdict needs it, with `complete` False: verdict, candidates, limits."""
-        first, grounds, formulas, is_formula = self.search.first, self._grounds, self._formulas, self._is_formula
+        search, grounds, formulas, is_formula = self.search, self._grounds, self._formulas, self._is_formula
         rival = formulas is not None and formulas.summary["rival"] is not None
         verdict = judge(replace(grounds, is_formula=is_formula, has_rivals=grounds.has_rivals or rival))
         keeps_unexplained = self._verdict_of_effects == "unexplained" and not is_formula
@@ -181,29 +199,32 @@ class Conclusion:
         in_um = self._observation.unit == "um"
         noise, misfit = self._noise
         limits, curves = self._limits
-        remarks = [*_describe_excluded(first.excluded), *self._observation.remarks(self.fit), *self.remarks]
+        remarks = [*_describe_excluded(search.first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
-            remarks += held_remarks(self.search.start, self._named[-1].law)
+            remarks += held_remarks(search.start, self._named[-1].law)
+            remarks += camera_remarks(self.fit.runs, [t.effect for t in self._named])
+            plausible = [t.effect.title for t in self._named if not t.objection]
+            remarks += [UNNAMED.format(name) for name in plausible if named and name not in named]
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
-            leads=self._leads if verdict == "unexplained" and not is_formula else [],
+            leads=named if verdict == "unexplained" else [],
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
-            p_lack_of_fit=first.p_lack_of_fit,
+            p_lack_of_fit=search.first.p_lack_of_fit,
             fails_at=[],
-            candidates=tabulate_candidates(self.search, self._heldout),
+            candidates=self._candidates,
             unexplained=None if keeps_unexplained or formulas is None else formulas.summary,
             detection_limits=limits,
             undetermined=list(grounds.gaps) if verdict == "undetermined" else [],
-            alternatives=list(self.search.alternatives) if self._named else [],
+            alternatives=list(search.alternatives) if self._named else [],
             remarks=remarks,
             figures=dict(curves),
             complete=False,
-            alpha=2 * first.level,
-            rests_on_repairs=rests_on_repairs(self.fit.runs, verdict, self.search),
+            alpha=2 * search.first.level,
+            rests_on_repairs=rests_on_repairs(self.fit.runs, verdict, search),
         )
 
     def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
@@ -212,12 +233,15 @@ class Conclusion:
         `auxiliary`: other measurements; see `diagnose`.
         """
         notify("finding where the model fails")
+        # the residual of the fit, and with the effects found, along the motion of every run
+        after = self.search.last.solution if self._named else None
+        effects = [t.effect.name for t in self._named if not t.effect.frees]
         found = replace(
             self.verdict,
             complete=True,
             fails_at=self._fails_at if self.search.something_is_missing else [],
-            importance=importance_of_effects(self.search, self._named, self.verdict.candidates, self._heldout),
-            figures=self.verdict.figures | {"residual": self._residual},
+            importance=self._importance,
+            figures=self.verdict.figures | {"residual": residual_series(self.search.start, after, effects)},
         )
         if found.verdict in NOTHING_TO_EXPLAIN:
             return found
@@ -233,7 +257,6 @@ class Conclusion:
     def _grounds(self) -> Grounds:
         """What the verdict rests on, before the effects are compared with formulas."""
         search, found = self.search, self.search.found
-        _, curves = self._limits
         # with all effects found: one alone need not lower the error where others are missing too
         before, after, _ = self._heldout(found[-1].law) if found else (1.0, 0.0, "")
         return Grounds(
@@ -244,7 +267,7 @@ class Conclusion:
             has_rivals=any(t.indistinguishable_from for t in found) or bool(search.alternatives and found),
             error_ratio=after / before,
             reduced_chi2=self._noise[1],
-            gaps=find_undetermined(self.fit, search.first, curves, found[-1].law if found else None),
+            gaps=find_undetermined(self.fit, search.first, self._limits[1], found[-1].law if found else None),
         )
 
     @cached_property
@@ -258,15 +281,70 @@ class Conclusion:
 
     @property
     def _plausible_names(self) -> list[str]:
-        return [t.effect.title for t in self._named if not t.objection]
+        """The plausible effects found, up to the last that does not raise the error of what was held out."""
+        lowest, last = 1.0, 0
+        for i, t in enumerate(self._named, start=1):
+            bare, error, _ = self._heldout(t.law)
+            if error < MAX_ERROR_RATIO * lowest * bare:
+                lowest, last = min(error / bare, lowest), i
+        return [t.effect.title for t in self._named[:last] if not t.objection]
+
+    @cached_property
+    def _error_ratios(self) -> list[float]:
+        """For every effect named, the held-out error with it over that of the model before it was added."""
+        heldout = [self._heldout(t.law) for t in self._named]
+        errors = [before for before, _, _ in heldout[:1]] + [after for _, after, _ in heldout]
+        return [after / max(before, 1e-300) for before, after in pairwise(errors)]
 
     @property
-    def _leads(self) -> list[str]:
-        """The plausible effects found, up to the first that does not lower the error of what was held out."""
-        errors = [self._heldout(t.law)[1] for t in self._named]
-        lowest = [self._heldout(self._named[0].law)[0], *errors] if errors else []
-        lowering = takewhile(lambda t: t[1] < MAX_ERROR_RATIO * t[2], zip(self._named, errors, lowest, strict=False))
-        return [found.effect.title for found, _, _ in lowering if not found.objection]
+    def _importance(self) -> list[Importance]:
+        """The share of the misfit that each named effect, and each plausible other one that passed, explains."""
+        alone = {t.effect.title: t.share for t in self.search.tried}
+        first, unit, out = self.search.first, self._observation.unit, list[Importance]()
+        excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
+        worth = [i for i, ratio in enumerate(self._error_ratios) if ratio < MAX_ERROR_RATIO_ADDED]
+        chi2 = [first.solution.chi2, *(t.law.chi2 for t in self._named)]
+        for i, t in enumerate(self._named):
+            share, error = float(np.clip((chi2[i] - chi2[i + 1]) / excess, -1.0, 1.0)), self._heldout(t.law)[1]
+            name = t.effect.title
+            out.append(Importance(name, alone.get(name), share, error, unit, stop=worth[-1:] == [i]))
+        names = {t.effect.title for t in self._named}
+        others = [
+            c.effect for c in self._candidates if c.p < first.level and c.effect not in names and not c.implausible
+        ]
+        shown = [name for name in others if (alone.get(name) or 0.0) > MIN_SHARE_LISTED][:MAX_OTHERS_LISTED]
+        return out + [Importance(name, alone[name], None, None, unit) for name in shown]
+
+    @cached_property
+    def _candidates(self) -> list[Candidate]:
+        """All candidates with their evidence: those found first, then the others alone, best first."""
+        search, found = self.search, {t.effect.title for t in self.search.found}
+        return [self._candidate(t) for t in [*search.found, *(t for t in search.tried if t.effect.title not in found)]]
+
+    def _candidate(self, t: RefinedCandidate) -> Candidate:
+        known: dict[str, Any] = {"parameters": {}}
+        if t.solution is not None:
+            known["parameters"] = {
+                name.split(".", 1)[1]: {"value": e.value, "std": e.std, "unit": e.unit}
+                for name, e in self._observation.estimates_of_candidate(t.solution).parameters.items()
+                if name.rsplit(".", 1)[0] == t.effect.name
+            }
+            if t.p < self.search.first.level:
+                names = ("heldout_before", "heldout_after", "heldout")
+                known |= dict(zip(names, self._heldout(t.solution), strict=True))
+        simulated = t.solution if self.search.start.problem.simulates else None
+        return Candidate(
+            effect=t.effect.title,
+            acts_on=t.effect.acts_on,
+            p=t.p,
+            delta_bic=float(t.delta_bic),
+            indistinguishable_from=t.indistinguishable_from,
+            implausible=t.objection,
+            words=describe_effect(t.effect, simulated),
+            unit=self._observation.unit,
+            passes=t.passes and not t.objection,
+            **known,
+        )
 
     @cached_property
     def _formulas(self) -> UnexplainedForce | None:
@@ -280,9 +358,8 @@ class Conclusion:
             return None
 
         def repeats() -> Repeatability:
-            if not search.last.leaves_misfit:
-                return self._pattern.repeats
-            return find_failure_pattern(start, search.generators[1], None).repeats
+            pattern = find_failure_pattern(start, search.generators[1]) if search.last.leaves_misfit else self._pattern
+            return pattern.repeats
 
         return compare_with_formulas(search.formulas, search.last.solution, repeats)
 
@@ -306,8 +383,18 @@ class Conclusion:
         return observation_of(self.fit.solution.problem)
 
     @cached_property
-    def _heldout(self) -> HeldOutErrors:
-        return HeldOutErrors(self.search.first.solution)
+    def _heldout(self) -> Callable[[Solution], tuple[float, float, str]]:
+        """Held-out errors of the bare model and, held out in the same way, of another, and how; each computed once."""
+        of_models: dict[int, tuple[float, str]] = {}  # by identity: the search keeps the models alive
+        of_bare = cache(lambda how: heldout_rms(self.search.first.solution, how)[0])
+
+        def errors(solution: Solution) -> tuple[float, float, str]:
+            if id(solution) not in of_models:
+                of_models[id(solution)] = heldout_rms(solution)
+            after, how = of_models[id(solution)]
+            return of_bare(how), after, how
+
+        return errors
 
     @cached_property
     def _noise(self) -> tuple[float, float]:
@@ -315,13 +402,7 @@ class Conclusion:
 
     @cached_property
     def _limits(self) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
-        return _limits(self.search.first)
-
-    @property
-    def _residual(self) -> dict[str, Array]:
-        """The residual of the fit, and with the effects found, along the motion of every run."""
-        after = self.search.last.solution if self._named else None
-        return residual_series(self.search.start, after, [t.effect.name for t in self._named if not t.effect.frees])
+        return detection_limits(self.search.first)
 
     @property
     def _fails_at(self) -> list[dict[str, Any]]:
@@ -333,12 +414,11 @@ class Conclusion:
 
     def _evidence(self, auxiliary: AuxiliarySignals | None) -> list[Evidence]:
         """Other measurements that match the residual."""
-        search, known = self.search, KnownFindings()
+        search = self.search
         if not search.start.problem.simulates:
             return []  # there is no motion that signals could be compared with
-        if search.found:
-            known = KnownFindings(search.found[0].delta_bic, search.last.solution, self._plausible_names)
-        return assess_auxiliary_signals(search.start, self.fit.runs, search.generators[0], auxiliary, known)
+        known = [KnownFindings(t.delta_bic, search.last.solution, self._plausible_names) for t in search.found[:1]]
+        return assess_auxiliary_signals(search.start, self.fit.runs, search.generators[0], auxiliary, *known)
 
     def _with_pattern(self, found: Diagnosis, evidence: list[Evidence]) -> Diagnosis:
         """Return the diagnosis with the failure pattern, the evidence and the force that no effect explains."""
@@ -347,7 +427,10 @@ class Conclusion:
         if found.verdict == "unexplained" and unexplained is not None and not repeats.best:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
-            unexplained = unexplained_force(self.search.formulas, self.search.last.solution).summary
+            formulas, extended = self.search.formulas, self.search.last.solution
+            unexplained = unexplained_force(formulas, extended).summary
+            if are_left_out(formulas, extended):
+                found = replace(found, remarks=[*found.remarks, WITHOUT_MEMORY])
         figures = found.figures | (pattern.figures if pattern else {}) | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
 
@@ -368,17 +451,6 @@ class Conclusion:
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
             passing, rivals = [*passing, formula], (formula[0], *rivals)
         return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
-
-
-def _limits(first: Examination) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Return the detection limit of every scanned effect, and its curve over all settings."""
-    limits, curves = {}, {}
-    for s in first.scanned:
-        limits[s.effect.title], curve = detection_limit(s, first.draws, first.critical)
-        if len(s.scans) == 1:
-            curve["rise"] = s.scans[0].gains
-        curves[s.effect.title] = curve
-    return limits, curves
 
 
 def _describe_excluded(excluded: Mapping[str, str]) -> list[str]:

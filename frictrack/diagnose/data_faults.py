@@ -1,4 +1,4 @@
-"""Find what else than a missing effect may be at fault: repaired frames, one run or its mass, or a bound of the model.
+"""Find what else than a missing effect may be at fault: repaired frames, a run or its mass, a bound, another sensor.
 
 Leaving rows out of a linear least-squares fit is exact and cheap when the whitened Jacobian is at hand: the remaining
 rows are fitted again, with the start of every piece free. Nonlinear parameters move along their tangents only.
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number
-from frictrack.diagnose.examination import Examination, lack_of_fit
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
-from frictrack.diagnose.null_distribution import draw_null_ensemble
+from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
+from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
+from frictrack.effects import Effect
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
@@ -34,6 +34,7 @@ MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
+CAMERA_EFFECTS = ("camera_shake", "lens", "out_of_plane", "rolling_shutter")  # kinds; a clock may fail in any sensor
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
 
@@ -187,4 +188,16 @@ def held_remarks(model: Solution, grown: Solution) -> list[str]:
     return [
         f"{names} {are} held by {its_bound}, {values}; beyond {it} the model alone would explain much of the misfit: "
         f"where such a value is possible, give {names} wider bounds and fit again"
+    ]
+
+
+def camera_remarks(runs: Sequence[Run], named: Sequence[Effect]) -> list[str]:
+    """Return one remark if errors of a camera are named for tables, which any sensor may have measured."""
+    names = [effect.title for effect in named if effect.kind in CAMERA_EFFECTS]
+    if not names or any(run.pixel_pitch is not None for run in runs):
+        return []
+    are, them = ("is an error", "it") if len(names) == 1 else ("are errors", "them")
+    return [
+        f"{' and '.join(names)} {are} of a camera, but these runs are tables: where no camera measured them, read "
+        f"{them} as an error of the sensor that looks the same, of its scale, mount or clock, and check that first"
     ]

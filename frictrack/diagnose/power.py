@@ -15,9 +15,8 @@ import numpy as np
 from scipy.special import chndtrinc
 
 from frictrack.base.number_format import format_plain
-from frictrack.diagnose.examination import Examination, ScannedCandidate
+from frictrack.diagnose.examination import Examination, NullEnsemble, ScannedCandidate
 from frictrack.diagnose.model_selection import MIN_SIGNIFICANCE
-from frictrack.diagnose.null_distribution import NullEnsemble
 from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
@@ -42,6 +41,15 @@ def noncentrality(threshold: float, freedom: int) -> float:
 
     """
     return float(chndtrinc(threshold, freedom, 1 - POWER))
+
+
+def detection_limits(first: Examination) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, Array]]]:
+    """Return the detection limit of every scanned effect, and its curve over all settings; see `detection_limit`."""
+    limits, curves = {}, {}
+    for s in first.scanned:
+        limits[s.effect.title], curve = detection_limit(s, first.draws, first.critical)
+        curves[s.effect.title] = curve | ({"rise": s.scans[0].gains} if len(s.scans) == 1 else {})
+    return limits, curves
 
 
 def detection_limit(

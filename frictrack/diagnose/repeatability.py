@@ -7,21 +7,25 @@ residual are drawn at random in an orthonormal basis, which keeps its misfit and
 The axis is chosen by likelihood: of a smooth force over the axis (over the place also a wave) against a smooth force of
 its own in every run. Other runs predict little if few of them show the misfit; the likelihood uses all of them. One
 frequency with a phase of its own in every run is judged by likelihood alone, since slow misfits have those in common.
+
+Waves, in time with a phase per run or over the place for all runs, are scans of effects of the library, vibration and
+texture, in the linearised model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from frictrack.diagnose.compressed import CompressedResidual
-from frictrack.diagnose.smooth_forces import ResidualForces, raw_traces, separate_curves
-from frictrack.diagnose.waves import FoundWaves, WaveScan
-from frictrack.fit.least_squares import Solution
-from frictrack.fit.linearised import linearise
+from frictrack.base.distributions import chi2_sf
+from frictrack.diagnose.compressed import CompressedResidual, separate_curves
+from frictrack.diagnose.examination import p_value
+from frictrack.effects import LIBRARY, Path
+from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, scan_candidate
 from frictrack.fit.pieces import Rows
 from frictrack.records import Array
 from frictrack.results.motion_axes import AXES
@@ -40,6 +44,8 @@ AXIS_TEXTS = {
     "v": ("at the same speed", "it depends on the speed, so the friction law itself is wrong"),
     "phase": ("with one frequency, at a different phase in every run", "something vibrates"),
 }
+WAVES = {name: LIBRARY[name] for name in ("vibration", "texture")}  # in time, and in place
+MIN_PERIODS = 3.0  # in the longest run; fewer are no oscillation
 
 
 @dataclass(frozen=True)
@@ -113,41 +119,43 @@ class Repeatability:
         return [a.summary() for a in self.axes]
 
 
-def assess_repeatability(
-    solution: Solution,
-    rng: np.random.Generator,
-    waves: WaveScan | None = None,
-    forces: ResidualForces | None = None,
-) -> Repeatability:
-    """Test over which axis the misfit of a fit repeats from run to run.
-
-    `waves`: scan for waves in its residual, if there is one; `forces`: smooth forces in its residual, if they were
-    computed before.
-    """
-    if solution.problem.is_of_points:
-        return Repeatability()
-    forces, waves = forces or ResidualForces(solution, about_measurement=True), waves or WaveScan(linearise(solution))
-    misfit = _Misfit.of(forces.compressed, rng)
+def assess_repeatability(compressed: CompressedResidual, waves: WaveScan, rng: np.random.Generator) -> Repeatability:
+    """Test over which axis the misfit of a fit repeats from run to run, from its residual and the waves in that."""
+    misfit = _Misfit.of(compressed, rng)
     if len(misfit.model) < 2:
         return Repeatability(
             words="One run cannot show whether the misfit repeats: film another one, best at another speed."
         )
-    separate = max(separate_curves(forces.compressed).process.gain, 0.0)
+    separate = max(separate_curves(compressed).process.gain, 0.0)
     found = []
     for axis in ("x", "t", "v"):
-        smooth = next(s for s in forces.smooth if s.axis.name == axis)
+        smooth = next(s for s in compressed.smooth if s.axis.name == axis)
         tried, evidence = [smooth.traces], max(smooth.gain, 0.0)
         if axis == "x" and (in_place := waves.in_place) is not None:
-            frequencies = [in_place.f[in_place.best], *in_place.f[::STRIDE]]
-            tried += [misfit.scaled(_wave_traces(forces.compressed, f)) for f in frequencies]
+            for f in (in_place.f[in_place.best], *in_place.f[::STRIDE]):
+                traces = compressed.raw_traces(np.concatenate([place_wave(path, f) for path in compressed.paths]))
+                # components as large as the misfit
+                size = misfit.excess.sum() / np.maximum(np.sum(traces**2, axis=0), 1e-300)
+                tried.append(traces * np.sqrt(size))
             evidence = max(evidence, in_place.evidence)
-        explained = evidence / separate if separate > 0 else 0.0
         result = misfit.result(axis, [misfit.predicted(traces) for traces in tried])
+        explained = evidence / separate if separate > 0 else 0.0
         found.append(replace(result, evidence=evidence - separate, explained=explained))
     if waves.in_time is not None:
         found.append(replace(_common_frequency(waves.in_time, misfit, rng), evidence=waves.in_time.evidence - separate))
     found = sort_axes(found)
     return Repeatability(found, describe_axes(found))
+
+
+def sine_cosine(turns: Array) -> Array:
+    """Sine and cosine (n, 2) at phases in cycles (n,)."""
+    return np.column_stack([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)])
+
+
+def place_wave(path: Path, f: float) -> Array:
+    """Dry friction forces (n, 4), a sine and a cosine over the place; times x, for a small change of frequency."""
+    wave = sine_cosine(f * path.x) * (path.load * path.s)[:, None]
+    return np.hstack([wave, path.x[:, None] * wave])
 
 
 @dataclass(frozen=True)
@@ -193,15 +201,11 @@ class _Misfit:
         c = np.linalg.solve(np.eye(traces.shape[1]) + gram.sum(axis=0) - gram, data.sum(axis=0) - data)
         return np.asarray(np.einsum("rkd,rkd->rd", c, 2 * data - gram @ c))
 
-    def scaled(self, traces: Array) -> Array:
-        """Traces (M, k) of components as large as the misfit."""
-        return traces * np.sqrt(self.excess.sum() / np.maximum(np.sum(traces**2, axis=0), 1e-300))
-
     def result(self, axis: str, tried: Sequence[Array]) -> AxisRepeatability:
         """Share of the misfit predicted, its p-value, and the number of runs, from the best of gains (R, D) tried."""
         shares = np.stack([gains.sum(axis=0) for gains in tried]) / self.excess.sum()
         share, best = shares.max(axis=0), tried[int(np.argmax(shares[:, 0]))]
-        p = float((1 + np.sum(share[1:] >= share[0])) / len(share))
+        p = p_value(share[1:], float(share[0]))
         runs = int(np.sum(best[:, 0] > MIN_PREDICTED_SHARE * self.excess))
         return AxisRepeatability(axis, float(np.clip(share[0], 0.0, 1.0)), p, runs, len(self.model))
 
@@ -214,22 +218,12 @@ def _without_model(columns: Array, model: Sequence[tuple[Rows, Array]]) -> Array
     return out
 
 
-def _wave_traces(compressed: CompressedResidual, f: float) -> Array:
-    """Traces (M, 4) of dry friction forces that are a sine and a cosine over the place, with slow modulation."""
-    columns = []
-    for path in compressed.paths:
-        turns, dry = 2 * np.pi * f * path.x, path.load * path.s
-        wave = np.column_stack([np.sin(turns) * dry, np.cos(turns) * dry])
-        columns.append(np.hstack([wave, path.x[:, None] * wave]))
-    return raw_traces(compressed, columns)
-
-
 def _common_frequency(waves: FoundWaves, misfit: _Misfit, rng: np.random.Generator) -> AxisRepeatability:
     """Share of the misfit with one frequency, phase and amplitude free; by chance, every run has another frequency."""
     gains, best = np.maximum(waves.gains_of_runs - 2, 0.0), waves.best  # above the expectation of two coefficients
     shifts = rng.integers(0, len(waves.f), (N_DRAWS, len(gains), 1))
     drawn = np.take_along_axis(gains[None], (np.arange(len(waves.f)) + shifts) % len(waves.f), axis=2)
-    p = float((1 + np.sum(drawn.sum(axis=1).max(axis=1) >= gains.sum(axis=0).max())) / (1 + N_DRAWS))
+    p = p_value(drawn.sum(axis=1).max(axis=1), float(gains.sum(axis=0).max()))
     share = float(np.clip(gains[:, best].sum() / misfit.whole.sum(), 0.0, 1.0))
     runs = int(np.sum(gains[:, best] > MIN_PREDICTED_SHARE * misfit.whole))
     return AxisRepeatability("phase", share, p, runs, len(gains), float(waves.f[best]))
@@ -270,3 +264,111 @@ def describe_axes(axes: Sequence[AxisRepeatability]) -> str:
         names = " or ".join(AXES[name].name for name in others)
         words += f" These runs hardly distinguish it from the same {names}; a run at another speed would."
     return words
+
+
+@dataclass(frozen=True, eq=False)
+class FoundWaves:
+    """Waves added to a model.
+
+    Parameters
+    ----------
+    f
+        Frequencies (G,): Hz, or cycles per m.
+    gains
+        Fall of chi-squared with each, (G,).
+    gains_of_runs
+        The same of every run alone, or of the wave that all share, (R, G).
+    amplitudes
+        Sine and cosine amplitude of every run at every frequency, N, (R, G, 2).
+    runs
+        Indices of the R runs.
+
+    """
+
+    f: Array
+    gains: Array
+    gains_of_runs: Array
+    amplitudes: Array
+    runs: list[int]
+
+    @property
+    def best(self) -> int:
+        """The frequency that lowers chi-squared most."""
+        return int(np.argmax(self.gains))
+
+    @property
+    def p(self) -> float:
+        """p-value of the best frequency among all."""
+        return float(min(1.0, len(self.f) * chi2_sf(float(self.gains.max()), 2 * len(self.gains_of_runs))))
+
+    @property
+    def evidence(self) -> float:
+        """Twice the rise of the log restricted likelihood with the best frequency at its most likely amplitude.
+
+        A wave of K coefficients z ~ N(0, s) gains at most K (g - 1 - log g), where g is its fall of chi-squared over K.
+        """
+        count = 2 * len(self.gains_of_runs)
+        each = max(float(self.gains.max()) / count, 1.0)
+        return count * (each - 1 - float(np.log(each))) - 2 * float(np.log(len(self.f)))
+
+
+@dataclass(frozen=True)
+class SpectralLine:
+    """A sinusoidal force in time: its frequency (Hz) and its sine and cosine amplitude in every run, N."""
+
+    frequency: float
+    amplitudes: dict[int, Array]
+
+    def phase(self, run: int, t: Array) -> Array:
+        """Phase in cycles (n,), folded to 0 ... 1; 0 where the force rises through zero."""
+        a, b = self.amplitudes.get(run, (1.0, 0.0))
+        return np.asarray((self.frequency * t + np.arctan2(b, a) / (2 * np.pi)) % 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class WaveScan:
+    """Waves in the residual of a linearised model; each kind is scanned when it is first asked for."""
+
+    model: LinearisedModel
+
+    @cached_property
+    def in_time(self) -> FoundWaves | None:
+        """Forces that are sinusoidal in time; None if the runs are too short to scan."""
+        found = self._scan("vibration", lambda values: values)
+        kept = (
+            np.array([]) if found is None else found.f >= MIN_PERIODS / self.model.solution.problem.layout.span.duration
+        )
+        if found is None or not kept.any():
+            return None
+        return FoundWaves(found.f[kept], found.gains[kept], found.gains_of_runs[:, kept], found.amplitudes[:, kept],
+                          found.runs)  # fmt: skip
+
+    @cached_property
+    def in_place(self) -> FoundWaves | None:
+        """Dry friction forces that are sinusoidal over the place."""
+        return self._scan("texture", lambda values: 1 / values)
+
+    def line(self, frequency: float | None = None) -> SpectralLine | None:
+        """The strongest line in time, or that nearest a frequency."""
+        found = self.in_time
+        if found is None:
+            return None
+        g = found.best if frequency is None else int(np.argmin(np.abs(found.f - frequency)))
+        return SpectralLine(float(found.f[g]), dict(zip(found.runs, found.amplitudes[:, g], strict=True)))
+
+    def _scan(self, effect: str, frequency: Callable[[Array], Array]) -> FoundWaves | None:
+        grids = candidate_grids(self.model, WAVES[effect])
+        if not grids:
+            return None
+        grid, series = grids[0], measured_series(self.model)
+        scan, projector = scan_candidate(self.model, grid, series), series.residual_projectors[0]
+        left = projector @ series.coordinates[:, 0]
+        pairs = zip(scan.products, scan.rows, strict=True)
+        products = np.stack([own.data + own.coordinates @ left[rows] for own, rows in pairs], axis=1)  # (G, B, 2)
+        sizes = np.linalg.pinv(scan.schur(projector), rcond=1e-6, hermitian=True) @ products[..., None]
+        amplitudes = sizes[..., 0].transpose(1, 0, 2)
+        gains = np.sum(amplitudes * products.transpose(1, 0, 2), axis=2)
+        return FoundWaves(frequency(grid.values[:, 0]), scan.gains, gains, amplitudes, self._runs(grid))
+
+    def _runs(self, grid: CandidateGrid) -> list[int]:
+        return sorted({self.model.pieces[i].run for i in grid.members})

@@ -23,10 +23,16 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.compare import LocalForces, continue_search, find_local_forces, start_search
+from frictrack.diagnose.compressed import CompressedResidual, compress_residual, separate_curves
 from frictrack.diagnose.effect_description import FittedEffect
-from frictrack.diagnose.repeatability import Repeatability, assess_repeatability
-from frictrack.diagnose.smooth_forces import ResidualForces, separate_curves
-from frictrack.diagnose.waves import SpectralLine, WaveScan
+from frictrack.diagnose.repeatability import (
+    Repeatability,
+    SpectralLine,
+    WaveScan,
+    assess_repeatability,
+    place_wave,
+    sine_cosine,
+)
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
@@ -73,20 +79,19 @@ class DeconvolvedForce:
 
 
 def deconvolve_force(
-    found: LocalForces, waves: WaveScan, forces: ResidualForces | None = None
+    found: LocalForces, waves: WaveScan, compressed: CompressedResidual
 ) -> tuple[list[DeconvolvedForce], SpectralLine | None]:
     """Deconvolve the force that a fitted model lacks.
 
-    `found`: the local forces in the residual of the fit; `waves`: the scan for waves in that residual; `forces`: smooth
-    forces in that residual, if they were computed before. Returns `pieces`, the missing force of every piece; `line`,
-    the sinusoid that defines the phase: the model's own vibration, else the strongest in the residual.
+    `found`: the local forces in the residual of the fit; `waves`: the scan for waves in that residual; `compressed`:
+    that residual about the measured motion. Returns `pieces`, the missing force of every piece; `line`, the sinusoid
+    that defines the phase: the model's own vibration, else the strongest in the residual.
     """
-    compressed = (forces or ResidualForces(found.solution, about_measurement=True)).compressed
     known_frequency = _vibration(found.solution)
     line = waves.line(known_frequency)
     wave = _wave_columns(found, waves, line if known_frequency is None else None)
     columns = wave or _bump_columns(found)
-    traces = compressed.traces_of([columns(i, path) for i, path in enumerate(compressed.paths)])
+    traces = compressed.traces_of(np.concatenate([columns(i, path) for i, path in enumerate(compressed.paths)]))
     precision = np.zeros(traces.shape[1])
     if wave is None:
         precision[2::3] = 1.0  # a width that the runs do not determine is known within a factor of e
@@ -117,20 +122,11 @@ def _wave_columns(found: LocalForces, waves: WaveScan, line: SpectralLine | None
     gain_in_time = 0.0 if in_time is None else float(in_time.gains.max())
     if in_place is not None and in_place.p < ALPHA and in_place.gains.max() > max(found.explained, gain_in_time):
         frequency = float(in_place.f[in_place.best])
-
-        def over_place(_: int, path: Path) -> Array:
-            wave = _sine_cosine(frequency * path.x) * (path.load * path.s)[:, None]
-            return np.hstack([wave, path.x[:, None] * wave])  # times x: a small change of frequency
-
-        return over_place
+        return lambda _, path: place_wave(path, frequency)
     if line is not None and in_time is not None and in_time.p < ALPHA and gain_in_time > found.explained:
         runs, of = list(line.amplitudes), [r.piece.run for r in found.law.responses]
-        return lambda i, path: np.kron(np.eye(len(runs))[runs.index(of[i])], _sine_cosine(line.frequency * path.t))
+        return lambda i, path: np.kron(np.eye(len(runs))[runs.index(of[i])], sine_cosine(line.frequency * path.t))
     return None
-
-
-def _sine_cosine(turns: Array) -> Array:
-    return np.column_stack([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)])
 
 
 def _bump_columns(found: LocalForces) -> _Columns:
@@ -206,19 +202,19 @@ class FailurePattern:
     @cached_property
     def repeats(self) -> Repeatability:
         """Whether the misfit repeats from run to run, and over which axis."""
-        return assess_repeatability(self.local.solution, self.rng, self._waves, self._about_measurement)
+        return assess_repeatability(self._compressed, self._waves, self.rng)
 
     @cached_property
     def figures(self) -> dict[str, dict[str, Array]]:
         """Curves of the missing force; see `residual_figures`."""
         best = self.repeats.best
-        pieces, line = deconvolve_force(self.local, self._waves, self._about_measurement)
+        pieces, line = deconvolve_force(self.local, self._waves, self._compressed)
         return residual_figures(pieces, line, "x" if best is None else best.axis)
 
     @cached_property
-    def _about_measurement(self) -> ResidualForces:
-        """Smooth forces in the residual in which the local ones were found."""
-        return ResidualForces(self.local.solution, about_measurement=True)
+    def _compressed(self) -> CompressedResidual:
+        """The residual in which the local forces were found."""
+        return compress_residual(self.local.solution, about_measurement=True)
 
     @cached_property
     def _waves(self) -> WaveScan:

@@ -1,7 +1,8 @@
 """Search for the effects that a fitted model lacks.
 
-Every effect is tried alone, then pairs, then sets of three, each size best first (`Explanations`). The search ends when
-a set leaves no misfit, or when no larger set explains more.
+The fit is prepared first: whole runs in one piece, some of the segments and of the frames of long records. Every effect
+is tried alone, then pairs, then sets of three, each size best first (`Explanations`). The search ends when a set leaves
+no misfit, or when no larger set explains more.
 """
 
 from __future__ import annotations
@@ -9,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import ceil, sqrt
+from typing import Any
 
 import numpy as np
 
 from frictrack.base.distributions import RNG
+from frictrack.base.errors import FrictrackError
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import (
@@ -23,12 +27,16 @@ from frictrack.diagnose.explanations import (
     find_rivals,
     names_in_place_of,
 )
-from frictrack.diagnose.finished_search import FinishedSearch, RefinedCandidate
-from frictrack.diagnose.formulas import FormulaSearch, Shape, is_noise
+from frictrack.diagnose.formula_terms import Shape
+from frictrack.diagnose.formulas import FormulaSearch, is_noise
 from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion, objection
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import Solution
+from frictrack.fit import Fit
+from frictrack.fit.cutting import has_known_history, pieces_of
+from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
 from frictrack.fit.observations import observation_of
+from frictrack.fit.parameters import MASS, ParameterLayout
+from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
 from frictrack.records import Run
 from frictrack.results.verdicts import join_as_one
@@ -43,7 +51,87 @@ EVALUATIONS_PER_EFFECT = 250
 N_RUNS_TYPICAL = 10  # more runs have more unknowns of their own (events, phases, clock rates) to be searched
 N_NAMED = 3  # effects that a remark names
 
+MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
+MAX_PIECES = 32  # of a long record that are searched, unless there are more runs
+MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
+MAX_FRAMES = 12_000  # over all pieces, in records that are not long; the time of a search is proportional to them
+MAX_WORK = 2_000_000  # frames times periods of the fastest line in the longest piece
+
 Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class RefinedCandidate:
+    """An effect added to a model, with its evidence.
+
+    Attributes
+    ----------
+    effect
+        The effect.
+    solution
+        The simulated fit; None if it is too far behind to be simulated.
+    delta_bic
+        Fall of BIC.
+    p
+        p-value for the whole search.
+    indistinguishable_from
+        Effects whose best fit predicts the same data.
+    objection
+        Why it cannot be the cause; empty if it can.
+    share
+        Share of the misfit above the noise that it explains alone, along the measured motion; None if unknown.
+    passes
+        Whether it is plausible, significant in the whole search, and confirmed by its simulated fit.
+
+    """
+
+    effect: Effect
+    solution: Solution | None
+    delta_bic: float
+    p: float
+    indistinguishable_from: tuple[str, ...] = ()
+    objection: str = ""
+    share: float | None = None
+    passes: bool = False
+
+    @property
+    def law(self) -> Solution:
+        """The simulated fit."""
+        assert self.solution is not None
+        return self.solution
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedSearch:
+    """Result of a search.
+
+    `first` and `last` are the examinations of the model and of the model with the effects found. `tried` are effects
+    that gain something alone, best first, and `generators` the random numbers of the later steps. `formulas` searches
+    formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
+    None if nothing was. `alternatives` are other sets that explain as much as the effects found; `is_beaten` says that
+    one formula explains far more than these.
+    """
+
+    start: Solution
+    first: Examination
+    last: Examination
+    tried: list[RefinedCandidate]
+    found: list[RefinedCandidate]
+    generators: list[np.random.Generator]
+    formulas: FormulaSearch
+    cut: str | None = None
+    alternatives: Sequence[dict[str, Any]] = ()
+    is_beaten: bool = False
+
+    @property
+    def passing(self) -> list[RefinedCandidate]:
+        """Effects that pass alone, best first."""
+        return [t for t in self.tried if t.passes]
+
+    @property
+    def something_is_missing(self) -> bool:
+        """Whether the model leaves a significant misfit, or an effect passes its test."""
+        return bool(self.first.leaves_misfit or self.passing or self.found)
 
 
 @dataclass(frozen=True)
@@ -181,3 +269,155 @@ def _describe_cut(
         f"the search stopped at its limit of {budget.granted:.0f} simulations of all runs, before {missed}; "
         f"to go on, {onward} diagnose again"
     )
+
+
+def join_segments(fit: Fit) -> Solution | None:
+    """Refit a model to whole runs.
+
+    A fit divides driven runs into segments so that it forgets unmodelled forces; a search for these must not. A long
+    record that is followed through its reversals stays divided: its segments hold many of them.
+
+    Parameters
+    ----------
+    fit
+        The fit.
+
+    Returns
+    -------
+    Solution or None
+        None if no run was divided, or if the model cannot be followed that far.
+
+    """
+    old = fit.solution.problem
+    if not any(fit.lengths) or MASS in old.model or any(p.turns for p in old.pieces):
+        return None
+    fine = max(e.fine for e in old.model.effects)
+    whole = pieces_of(fit.runs, fit.reference, through_reversals=old.model.turns)
+    pieces = [p.refined(fine) for own in whole for p in own]
+    problem = old.rebuild(old.layout, pieces)
+    try:
+        solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
+    except FrictrackError:
+        return None
+    return solution if solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None
+
+
+def subsample(solution: Solution) -> tuple[Solution, list[str]]:
+    """Return the model over the pieces and frames that are searched, and remarks on what that leaves out.
+
+    A measured friction is weighted by its noise, which leaves few frames of long records.
+    """
+    if not solution.problem.simulates:
+        weighted = observation_of(solution.problem).weighted(solution)
+        return weighted, [omitted_lines(solution, weighted)]
+    some, omitted = subsample_pieces(solution)
+    some, coarse = subsample_frames(some)
+    return some, [omitted, coarse]
+
+
+def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
+    """Refit the model on at most `MAX_PIECES` pieces of a long record.
+
+    Short records are divided where an event is missing; that piece must not be left out.
+
+    Parameters
+    ----------
+    solution
+        The fit.
+
+    Returns
+    -------
+    solution : Solution
+    remark : str
+        What was left out; empty if nothing was.
+
+    """
+    pieces = solution.problem.pieces
+    if len(pieces) <= MAX_PIECES or solution.problem.n_frames <= MAX_FRAMES:
+        return solution, ""
+    kept = _evenly_spaced(pieces)
+    problem = solution.problem.rebuild(_limit_spans(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
+    starts = [solution.starts[i] for i in kept]
+    some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
+    return some, (
+        f"long record: {len(kept)} of its {len(pieces)} segments were searched, evenly spaced; "
+        "a single event between them is not detected"
+    )
+
+
+def subsample_frames(solution: Solution) -> tuple[Solution, str]:
+    """Compare the model with every few frames of a long record; the fit itself is not repeated.
+
+    Parameters
+    ----------
+    solution
+        The fit to all frames.
+
+    Returns
+    -------
+    solution : Solution
+    remark : str
+        What that means for the search; empty if all frames are kept.
+
+    """
+    every = _stride(solution)
+    if every <= 1:
+        return solution, ""
+    pieces = [_thin_piece(p, every) for p in solution.problem.pieces]
+    layout = solution.problem.layout
+    coarse = replace(layout, spans=tuple(replace(s, fps=s.fps / every) for s in layout.spans))
+    problem = solution.problem.rebuild(coarse, pieces)
+    fixed = np.zeros(len(solution.p), dtype=bool)
+    some = refine(problem, solution.p, solution.starts, tau=solution.tau, free=fixed, max_steps=0)
+    return some, omitted_lines(solution, some)
+
+
+def omitted_lines(whole: Solution, some: Solution) -> str:
+    """Return which lines a search of some of the frames cannot test; empty if it uses them all."""
+    fps = some.problem.layout.span.fps
+    every = round(whole.problem.layout.span.fps / fps)
+    if every <= 1:
+        return ""
+    return (
+        f"long record: the search used one in {every} of its frames, so lines above "
+        f"{MAX_FREQUENCY_RATIO * fps:.3g} Hz are not tested; the fit uses all frames"
+    )
+
+
+def _stride(solution: Solution) -> int:
+    """Step between the frames used: longer records resolve more lines, and each line is compared with every frame."""
+    frames, longest = solution.problem.n_frames, max(len(p.t) for p in solution.problem.pieces)
+    return max(-(-frames // MAX_FRAMES), ceil(sqrt(frames * MAX_FREQUENCY_RATIO * longest / MAX_WORK)))
+
+
+def _thin_piece(piece: Piece, every: int) -> Piece:
+    """A piece with every few of its frames."""
+    rows = slice(None, None, every)
+    angle = None if piece.angle is None else piece.angle[rows]
+    kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
+    return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
+
+
+def _limit_spans(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:
+    """The same parameters, scanned only as finely as the duration used can resolve.
+
+    Distant segments separate many more frequencies than so few frames can test: one would always fit by chance.
+    """
+    duration = [sum(float(np.ptp(pieces[i].t)) for i in kept if pieces[i].run == r) for r in range(len(layout.spans))]
+    spans = [replace(s, duration=min(s.duration, time)) for s, time in zip(layout.spans, duration, strict=True)]
+    return replace(layout, spans=tuple(spans))
+
+
+def _evenly_spaced(pieces: Sequence[Piece]) -> list[int]:
+    """Indices of pieces spread evenly over every run, at least one of each.
+
+    Pieces at the start of a run that was recorded in motion are left out: the state of an effect with memory is
+    unknown.
+    """
+    out: list[int] = []
+    for run in sorted({p.run for p in pieces}):
+        own = [i for i, p in enumerate(pieces) if p.run == run]
+        own = [i for i in own if has_known_history(pieces[i])] or own
+        count = max(MAX_PIECES * len(own) // len(pieces), 1)
+        out += [own[int(k)] for k in np.linspace(0, len(own) - 1, count).round()]
+    return out

@@ -7,21 +7,20 @@ makes one from a text, `EffectSettings` holds what a study file changes of one.
 from frictrack.effects.atm2 import PRINTED_TIME_UNIT_S, atm2, atm2_printed
 from frictrack.effects.definition import (
     ACCELEROMETER_CHECK,
-    PLANNED_SHARE,
     DirectCheck,
     Effect,
-    EffectInStudy,
     EffectRecord,
+    Nonlinear,
     Parameter,
-    RelaxedPart,
+    Path,
     TestDraw,
     carries_over,
+    joined_earlier,
     scales_with_load,
 )
 from frictrack.effects.memory import direction_of_motion
-from frictrack.effects.path import Nonlinear, Path, joined_earlier
-from frictrack.effects.ranges import Span, Within, frequencies, spatial_periods
-from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, is_library, known, laws_in_place_of, order
+from frictrack.effects.ranges import PLANNED_SHARE, Span, Within, frequencies
+from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, known, laws_in_place_of, order
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
 from frictrack.effects.user import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, effect, formula
 
@@ -37,13 +36,11 @@ __all__ = [
     "VARIABLES",
     "DirectCheck",
     "Effect",
-    "EffectInStudy",
     "EffectRecord",
     "EffectSettings",
     "Nonlinear",
     "Parameter",
     "Path",
-    "RelaxedPart",
     "Span",
     "TestDraw",
     "Tie",
@@ -60,12 +57,10 @@ __all__ = [
     "formula",
     "frequencies",
     "get",
-    "is_library",
     "joined_earlier",
     "known",
     "laws_in_place_of",
     "order",
     "read_settings",
     "scales_with_load",
-    "spatial_periods",
 ]

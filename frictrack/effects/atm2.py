@@ -16,9 +16,8 @@ from functools import cache, partial
 
 import numpy as np
 
-from frictrack.effects.definition import Effect, Parameter, RelaxedPart
-from frictrack.effects.path import Nonlinear, Path, wave
-from frictrack.effects.ranges import frequencies, stribeck_velocities
+from frictrack.effects.definition import Effect, Nonlinear, Parameter, Path, RelaxedPart
+from frictrack.effects.ranges import frequencies, stribeck_velocities, wave
 from frictrack.records import Array
 
 F_C = Parameter("f_c", "N", linear=True, loaded=True)

@@ -1,25 +1,113 @@
 """One physical cause: its name, a function that returns columns, and named parameters with units and bounds.
 
-What an effect says of itself in the numbers of a study, and what shows it directly, are phrases and checks of an
-`EffectInStudy`. A parameter carries over to another set-up if it belongs to the sliding pair (`carries_over`).
+`Path` is the motion of one run, along which the columns are evaluated. What an effect says of itself in the numbers of
+a study, and what shows it directly, are phrases and checks of an `EffectInStudy`. A parameter carries over to another
+set-up if it belongs to the sliding pair (`carries_over`).
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from string import Formatter
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from simpleeval import SimpleEval
 
 from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.path import NEEDS, Nonlinear, Path, ScanWave
-from frictrack.effects.ranges import Check, Span, Within
-from frictrack.records import Array, Mask
+from frictrack.effects.ranges import ACCELEROMETER_STD, Check, ScanWave, Span, Within
+from frictrack.records import GRAVITY, EarlierRuns
+from frictrack.records import Array as Array  # noqa: PLC0414 - the files of effects take both from here
+from frictrack.records import Mask as Mask  # noqa: PLC0414
 
+CONSTANTS = {"g": GRAVITY, "pi": np.pi}  # of formulas and phrases
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
+Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
+# What an effect may need to know of a run, in words: what it is, and how it is given.
+NEEDS = {
+    "pixel_pitch": ("the pixel pitch", "give scale in [camera]"),
+    "drive": ("a measured drive", 'give drive = "drive.csv"'),
+    "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
+    "angle": ("the angle of the target", "give a film: a table has no angle"),
+    "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
+}
+
+
+@dataclass(frozen=True)
+class Path:
+    """The motion of one run along which columns are evaluated, and what is known of that run.
+
+    All arrays have shape (n,). `s` is the direction of motion (+1 or -1), held fixed within a moving phase so
+    that a law stays smooth through v = 0. `load` is the normal load over its reference, times the run's own
+    friction level; `mass_ratio` the mass over its reference. Searches lay many individuals end to end on one path;
+    what integrates along the path begins anew at each of `starts`. Several `runs` may be laid end to end too; what
+    differs between them is then an array with one value per sample. `before` (3, k) holds t, x, v of the run's motion
+    from release up to where the path begins, for what depends on the way so far; `earlier` holds for every stretch the
+    runs that were made before on the same surfaces, where they are known.
+    """
+
+    t: Array  # s since release
+    x: Array  # m
+    v: Array  # m/s
+    s: Array
+    load: float | Array = 1.0
+    mass_ratio: float | Array = 1.0
+    pixel_pitch: float | None = None  # m
+    drive: Array | None = None  # N
+    drive_at: Callable[[Array], Array] | None = None  # N at any times since release
+    lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
+    mass: float | Array | None = None  # kg, where it is known
+    gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
+    angle: Array | None = None  # rad, by which the target has turned counter-clockwise
+    clamp_x: float | None = None  # m, where the beam is clamped
+    beam_length: float | None = None  # m
+    travelled: float | Array = 0.0  # m slid from release to `begins`
+    begins: float | Array | None = None  # m, a place of this path; default its first
+    before: Array | None = None
+    earlier: tuple[EarlierRuns, ...] | None = None  # of each of `starts`; of many, they repeat
+    starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
+    states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
+    begin: Array | None = None  # that of the effect at hand, (P, k)
+    steady: bool = False  # whether every sample is a measurement of its own, without time, place or a motion before
+    runs: tuple[Path, ...] = ()  # the path of each run, if it joins several; their motion is not that of this path
+
+    @cached_property
+    def speed(self) -> Array:
+        """Size of v along the direction of motion, m/s, never below zero."""
+        return np.maximum(self.s * self.v, 0.0)
+
+    @property
+    def distance(self) -> Array:
+        """Distance slid since release, m."""
+        first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
+        return np.asarray(self.travelled + np.abs(self.x - first))
+
+    def each_earlier(self) -> list[EarlierRuns]:
+        """The runs before each of `starts`."""
+        assert self.earlier is not None
+        return list(self.earlier) * (len(self.starts) // len(self.earlier))
+
+    def apart(self) -> Iterator[tuple[slice, Path]]:
+        """Rows and path of every run that is joined here."""
+        for begin, end, run in zip(self.starts, [*self.starts[1:], len(self.t)], self.runs, strict=True):
+            rows = slice(begin, end)
+            load = np.broadcast_to(self.load, self.t.shape)[begin]
+            yield rows, replace(run, x=self.x[rows], v=self.v[rows], s=self.s[rows], load=float(load))
+
+    def each(self, values: Array) -> Array:
+        """One value per individual (P,), spread over the frames of each, (n,)."""
+        return np.repeat(values, np.diff([*self.starts, len(self.t)]))
+
+
+def joined_earlier(paths: Sequence[Path]) -> tuple[EarlierRuns, ...] | None:
+    """The runs before each stretch of paths that are laid end to end; None where those of one are not known."""
+    each = [path.earlier for path in paths if path.earlier is not None]
+    return tuple(own for earlier in each for own in earlier) if len(each) == len(paths) else None
 
 
 @dataclass(frozen=True)
@@ -122,13 +210,8 @@ class TestDraw:
     max_fps: float = np.inf
 
 
+PHRASE_FUNCTIONS = {"abs": abs, "exp": math.exp, "log": math.log}
 N_MARKS = 20  # of a rule, or flashes of a diode, that are evaluated
-FLASH_STD_FRAMES = 0.1  # of a frame: timing error of a flash or a time stamp
-LEVEL_STD_RAD = np.deg2rad(0.05)  # angle error of a good spirit level
-WEIGHT_RELATIVE_STD = 0.01  # of a known weight that is hung on the drive
-ACCELEROMETER_STD = 0.2  # m/s^2, noise of one sample
-N_STD_ACTIVE = 2.0  # standard deviations on either side of its middle within which a bell-shaped force acts
-PLANNED_SHARE = 0.05  # of the friction force (rms), or of the momentum: size of an effect that a plan is made for
 
 
 @dataclass(frozen=True)
@@ -249,21 +332,33 @@ class DirectCheck:
 
 @dataclass(frozen=True)
 class Phrase:
-    """A description in the numbers of a study: `{F}` is a value, `{tau:1e3}` 1000 times it, `{period:m}` a length."""
+    """A description in the numbers of a study, written like an f-string.
+
+    Its names are the parameters of the effect, `study` (an `EffectInStudy`), `g` and `pi`: `{F}` is a value to three
+    digits, `{2 * F:2}` twice it to two digits, `{period:m}` a length, `{x:.3f}` a number of another format.
+    """
 
     text: str
 
     def __call__(self, effect: EffectInStudy) -> str:
         """Fill in the values of a fitted effect."""
-        names = {name for _, name, _, _ in Formatter().parse(self.text) if name}
-        return self.text.format_map({name: _Quoted(effect.value(name)) for name in names})
+
+        def named(name: str) -> Any:
+            return effect if name == "study" else CONSTANTS[name] if name in CONSTANTS else effect.value(name)
+
+        evaluator = SimpleEval(functions=PHRASE_FUNCTIONS, names=lambda node: named(node.id))
+        parts = Formatter().parse(self.text)
+        return "".join(
+            text + (_formatted(evaluator.eval(value), spec or "") if value else "") for text, value, spec, _ in parts
+        )
 
 
-class _Quoted(float):
-    """A value as it stands in a phrase."""
-
-    def __format__(self, spec: str) -> str:
-        return format_length(float(self)) if spec == "m" else format_number(float(spec or 1.0) * self)
+def _formatted(value: Any, spec: str) -> str:
+    if isinstance(value, str):
+        return value
+    if spec == "m":
+        return format_length(value)
+    return format(value, spec) if "." in spec else format_number(value, int(spec or 3))
 
 
 def picture_shift_signal(effect: EffectInStudy) -> float:
@@ -283,18 +378,8 @@ ACCELEROMETER_CHECK = DirectCheck(
 )
 
 
-def oscillation(effect: EffectInStudy) -> str:
-    """Describe a frequency that all runs share.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace
-    >>> oscillation(SimpleNamespace(value={"frequency": 50.0}.get))
-    '50.0 Hz, one swing every 20.0 ms in every run'
-
-    """
-    frequency = effect.value("frequency")
-    return f"{format_number(frequency)} Hz, one swing every {format_number(1e3 / frequency)} ms in every run"
+# Of a frequency that all runs share.
+OSCILLATION = "{frequency} Hz, one swing every {1e3 / frequency} ms in every run"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.effects.path import Path
+from frictrack.effects.definition import Path
 from frictrack.records import Array, Mask
 
 Complexes = NDArray[np.complex128]
@@ -69,8 +69,9 @@ def state_at_beginning(path: Path, unknown: Array, state_of: Callable[..., Array
     earlier = preceding_motion(path)
     if earlier is None:
         return unknown
-    lasting = state_of(earlier, *(per_individual(value, path, len(earlier.t)) for value in values))
-    return np.reshape(lasting[last_samples(earlier)], unknown.shape)
+    each = (np.broadcast_to(value, path.t.shape)[list(path.starts)] for value in values)
+    lasting = state_of(earlier, *map(earlier.each, each))
+    return np.reshape(lasting[np.array([*earlier.starts[1:], len(earlier.t)]) - 1], unknown.shape)
 
 
 @dataclass(frozen=True)
@@ -123,17 +124,6 @@ def _ways(path: Path) -> tuple[Array, Mask]:
     rows = np.arange(len(moves))
     following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
     return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
-
-
-def last_samples(path: Path) -> Array:
-    """Row of the last sample of every individual, (P,)."""
-    return np.array([*path.starts[1:], len(path.t)]) - 1
-
-
-def per_individual(value: float | Array, path: Path, n: int) -> Array:
-    """The value of every individual of a path, for each of n samples of its own."""
-    each = np.broadcast_to(value, path.t.shape)[list(path.starts)]
-    return np.repeat(each, n // len(path.starts))
 
 
 def direction_of_motion(v: Array) -> Array:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Effect, EffectSettings, Path
 from frictrack.records import Array
@@ -63,14 +63,14 @@ class Model:
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             hint = f"write {twice[0]}:2 for a second one"
-            raise FrictrackError(f"expected every effect once but got {', '.join(twice)} twice; {hint}", usage=True)
+            raise UsageError(f"expected every effect once but got {', '.join(twice)} twice; {hint}")
         if not names:
-            raise FrictrackError("expected at least one effect but got an empty model", usage=True)
+            raise UsageError("expected at least one effect but got an empty model")
         kinds = {e.kind for e in self.effects}
         idle = [e for e in self.effects if e.modifies and not kinds & e.modifies]
         if idle:
             wanted = " or ".join(sorted(idle[0].modifies))
-            raise FrictrackError(f"{idle[0].name} modifies {wanted}, and the model has neither; add one", usage=True)
+            raise UsageError(f"{idle[0].name} modifies {wanted}, and the model has neither; add one")
 
     @property
     def names(self) -> list[str]:
@@ -112,7 +112,7 @@ class Model:
         """Remove the effect of that name; raises FrictrackError if it is not in the model."""
         if name not in self:
             known = ", ".join(self.names)
-            raise FrictrackError(f'expected an effect of the model ({known}) to remove but got "{name}"', usage=True)
+            raise UsageError(f'expected an effect of the model ({known}) to remove but got "{name}"')
         return Model(tuple(e for e in self.effects if e.name != name))
 
     def __repr__(self) -> str:
@@ -580,9 +580,7 @@ def _words_of(given: object) -> list[str | Effect]:
     for word in given if isinstance(given, Iterable) else [given]:
         if not isinstance(word, str | Effect):
             got = type(word).__name__
-            raise FrictrackError(
-                f'expected the name of a model, such as "tustin", or a list of effects but got {got}', usage=True
-            )
+            raise UsageError(f'expected the name of a model, such as "tustin", or a list of effects but got {got}')
         words.append(word)
     return words
 
@@ -601,7 +599,7 @@ def _check_words(words: Sequence[str | Effect], extra: Sequence[Effect]) -> None
     named = " and ".join(place for place, _ in unknown)
     meant = " and ".join(f'"{near[0]}"' for near in nearest if near)
     hint = f"did you mean {meant}?" if meant else f"known are {', '.join(known)}"
-    raise FrictrackError(f"expected names of models or effects but got {named}; {hint}", usage=True)
+    raise UsageError(f"expected names of models or effects but got {named}; {hint}")
 
 
 def _effects_of(word: str | Effect, extra: Sequence[Effect], *, whole: bool) -> tuple[Effect, ...]:
@@ -639,14 +637,10 @@ def from_toml(source: str | FilePath) -> Model:
     try:
         raw = tomllib.loads(str(source) if file is None else file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, OSError) as e:
-        raise FrictrackError(
-            f"expected a model in TOML but got {file or 'a text'} that cannot be read: {e}", usage=True
-        ) from e
+        raise UsageError(f"expected a model in TOML but got {file or 'a text'} that cannot be read: {e}") from e
     asked = raw.get("model", raw.get("study", {}).get("model"))
     if not isinstance(asked, str | list):
-        raise FrictrackError(
-            'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]', usage=True
-        )
+        raise UsageError('expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]')
     tables = [effects.read_settings(table) for table in raw.get("effect", [])]
     model = parse(asked, effects.definitions(tables)).adjusted(tables)
     effects.check_ties(model.effects)

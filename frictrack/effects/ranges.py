@@ -1,5 +1,7 @@
 """Values of parameters: grids on which a search first tries them, and checks that fitted ones are physically sensible.
 
+Waves are here too, whose frequencies and periods are scanned.
+
 An effect declares its own check, built from the functions below. A check takes the values of the effect's parameters in
 one run and how far that run reaches, and returns an objection in words, or "" where there is none. An effect that fails
 imitates the misfit; it is never named as the cause. Checks are functions of a module with given arguments
@@ -11,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +29,12 @@ MAX_LOCKING_PX = 0.25  # published peak-locking amplitudes are below 0.25 px (Ra
 MAX_CLOCK_DRIFT = 0.01  # of the time: crystal clocks are a hundred times better
 MAX_CLOCK_FACTOR = 2.0  # of one run's times: frame rates are set in such steps, other units in larger ones
 WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole number
+FLASH_STD_FRAMES = 0.1  # of a frame: timing error of a flash or a time stamp
+LEVEL_STD_RAD = np.deg2rad(0.05)  # angle error of a good spirit level
+WEIGHT_RELATIVE_STD = 0.01  # of a known weight that is hung on the drive
+ACCELEROMETER_STD = 0.2  # m/s^2, noise of one sample
+N_STD_ACTIVE = 2.0  # standard deviations on either side of its middle within which a bell-shaped force acts
+PLANNED_SHARE = 0.05  # of the friction force (rms), or of the momentum: size of an effect that a plan is made for
 
 
 @dataclass(frozen=True)
@@ -206,3 +215,53 @@ def _within_course(centre: str, width: str, values: Mapping[str, float], span: S
     if values[width] > travel / 2:
         return f"it is wider ({values[width]:.2g} m) than half of the course ({travel:.2g} m)"
     return ""
+
+
+@dataclass(frozen=True)
+class ScanWave:
+    """That columns depend on one scanned parameter only as sin(2 pi q u + phase): a scan may interpolate in q.
+
+    Attributes
+    ----------
+    parameter : str
+        The frequency q, or the period 1/q.
+    coordinate : callable
+        Map a path and the other non-linear parameters to u (n,), whose unit is that of 1/q.
+    is_period : bool
+        Whether the parameter is a period.
+
+    """
+
+    parameter: str
+    coordinate: Callable[[Any, Any], Array]
+    is_period: bool = False
+
+    def frequency(self, values: Array) -> Array:
+        """Convert values of the parameter to q, or q to values of the parameter."""
+        return 1.0 / values if self.is_period else values
+
+
+def over_time(path: Any, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in time, s."""
+    return path.t
+
+
+def over_position(path: Any, nonlinear: Any) -> Array:
+    """Return the coordinate u of a wave in space, m."""
+    return path.x
+
+
+WAVE_IN_TIME = ScanWave("frequency", over_time)
+
+
+def wave(cycles: Array, phase: float) -> Array:
+    """One column sin(2 pi cycles + phase), shape (n, 1); a sin + b cos is one amplitude and one phase."""
+    # sin z = 2 u/(1 + u^2) with u = tan(z/2): numpy's tangent takes many numbers at once, its sine one by one
+    u = np.pi * cycles
+    u += phase / 2
+    np.tan(u, out=u)
+    below = u * u
+    below += 1.0
+    u += u
+    u /= below
+    return u[:, None]

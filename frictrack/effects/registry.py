@@ -7,11 +7,10 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.effects.atm2 import atm2, atm2_printed
-from frictrack.effects.definition import Effect, Parameter
+from frictrack.effects.definition import NEEDS, Effect, Parameter
 from frictrack.effects.library import load_library
-from frictrack.effects.path import NEEDS
 
 MAX_INSTANCES = 99  # of one effect in a model
 MAX_ORDER = 20  # sines of ATM1 and ATM2: 60 parameters and more; the papers stop at 4
@@ -82,14 +81,14 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
         return OF_AN_ORDER[kind](order(name) if colon else 2)
     number = _parse_count(suffix, MAX_INSTANCES)
     if suffix and number is None:
-        raise FrictrackError(f'expected a number up to {MAX_INSTANCES} after the colon but got "{name}"', usage=True)
+        raise UsageError(f'expected a number up to {MAX_INSTANCES} after the colon but got "{name}"')
     table = known(extra)
     if name in table:
         return table[name]
     if kind not in table:
         near = difflib.get_close_matches(kind, [*table, *OF_AN_ORDER], 1)
         hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join([*table, *OF_AN_ORDER])}"
-        raise FrictrackError(f'expected the name of an effect but got "{name}"; {hint}', usage=True)
+        raise UsageError(f'expected the name of an effect but got "{name}"; {hint}')
     return table[kind].called(name) if number is not None and number > 1 else table[kind]
 
 
@@ -111,7 +110,7 @@ def order(name: str) -> int:
     found = _parse_count(suffix, MAX_ORDER)
     if found is None:
         wanted = f'an order from 1 to {MAX_ORDER} after the colon, as in "{kind}:2"'
-        raise FrictrackError(f'expected {wanted}, but got "{name[:40]}"', usage=True)
+        raise UsageError(f'expected {wanted}, but got "{name[:40]}"')
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.registry import get, is_library
 from frictrack.effects.user import formula
@@ -116,7 +116,7 @@ class EffectSettings:
             )
 
     def _refuse(self, what: str) -> NoReturn:
-        raise FrictrackError(f'[[effect]] "{self.effect}": {what}', usage=True)
+        raise UsageError(f'[[effect]] "{self.effect}": {what}')
 
 
 def _parse_tie(text: str) -> re.Match[str] | None:
@@ -140,7 +140,7 @@ class Tie:
         """Read ``"vibration.frequency"`` or ``"2*vibration.frequency"``, which `EffectSettings` has checked."""
         found = _parse_tie(text)
         if found is None:
-            raise FrictrackError(f'expected a tie such as "vibration.frequency" but got "{text}"', usage=True)
+            raise UsageError(f'expected a tie such as "vibration.frequency" but got "{text}"')
         return cls(found["of"], found["name"], float(found["factor"] or 1.0))
 
 
@@ -170,7 +170,7 @@ def read_settings(table: Mapping[str, Any]) -> EffectSettings:
     """
     name = table.get("effect")
     if not isinstance(name, str):
-        raise FrictrackError(f"[[effect]]: expected effect = the name of an effect but got {name!r}", usage=True)
+        raise UsageError(f"[[effect]]: expected effect = the name of an effect but got {name!r}")
     made = EffectSettings(name)
     unknown = [key for key in table if key not in EffectSettings.__dataclass_fields__]
     if unknown:
@@ -267,7 +267,7 @@ def _target(members: Sequence[Effect], effect: str, p: Parameter, tie: Tie) -> P
 
 
 def _untied(effect: str, what: str) -> NoReturn:
-    raise FrictrackError(f'[[effect]] "{effect}": tie: {what}', usage=True)
+    raise UsageError(f'[[effect]] "{effect}": tie: {what}')
 
 
 def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:

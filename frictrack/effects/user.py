@@ -29,16 +29,14 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from simpleeval import SimpleEval
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.units import is_coherent
-from frictrack.effects.definition import Effect, Parameter
-from frictrack.effects.path import Nonlinear, Path
+from frictrack.effects.definition import CONSTANTS, Effect, Nonlinear, Parameter, Path
 from frictrack.effects.ranges import Span, frequencies
 from frictrack.effects.registry import DECLARED, is_library
-from frictrack.records import GRAVITY, Array
+from frictrack.records import Array
 
 VARIABLES = ("t", "x", "v", "s", "L", "mass")  # of a `Path`; L is the load, s the direction of motion
-CONSTANTS = {"g": GRAVITY, "pi": np.pi}
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "tanh")},
     "atan": np.arctan,
@@ -91,7 +89,13 @@ def formula(
     count = int(FORMS ** (1 / searched))
     loads = {p: _loaded(name, tree, p, linear) for p in linear}
     made = [Parameter(p, units.get(p, "1"), bounds.get(p, OPEN), linear=True, loaded=loads[p]) for p in linear]
-    made += [_nonlinear(name, p, units.get(p, "1"), bounds.get(p), count) for p in parameters if p not in linear]
+    for p in parameters:
+        if p not in linear:
+            unknown = (
+                f"{WHERE.format(name)}expected bounds of {p}, which does not simply multiply the formula, or its unit, "
+                f'but got neither; give units = {{{p} = "m"}} or bounds = {{{p} = [low, high]}}'
+            )
+            made.append(_searched(p, units.get(p, "1"), bounds.get(p, OPEN), count, unknown))
     return Effect(
         name=name,
         acts_on=acts_on,
@@ -153,7 +157,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _refuse(name: str, what: str) -> NoReturn:
-    raise FrictrackError(WHERE.format(name) + what, usage=True)
+    raise UsageError(WHERE.format(name) + what)
 
 
 def _read(name: str, text: str) -> ast.expr:
@@ -292,22 +296,12 @@ def _joined(op: ast.operator, left: Degree, right: Degree) -> Degree:
     return 0 if left == right == 0 else None
 
 
-def _nonlinear(name: str, p: str, unit: str, bounds: tuple[float, float] | None, count: int) -> Parameter:
-    """A parameter inside the formula, with the scan in which it is first looked for."""
-    found = _searched(p, unit, bounds or OPEN, count)
-    if found is None:
-        _refuse(
-            name,
-            f"expected bounds of {p}, which does not simply multiply the formula, or its unit, but got neither; "
-            f'give units = {{{p} = "m"}} or bounds = {{{p} = [low, high]}}',
-        )
-    return found
-
-
-def _searched(p: str, unit: str, bounds: tuple[float, float], count: int) -> Parameter | None:
-    """A non-linear parameter; None where neither its unit nor its bounds say where to look for it."""
+def _searched(p: str, unit: str, bounds: tuple[float, float], count: int, unknown: str) -> Parameter:
+    """A non-linear parameter; refused with the sentence `unknown` where neither unit nor bounds say where it may be."""
     scan = Places(unit, bounds, count)
-    return Parameter(p, unit, bounds, scan=scan, signed=unit == "m") if scan.known else None
+    if not scan.known:
+        raise UsageError(unknown)
+    return Parameter(p, unit, bounds, scan=scan, signed=unit == "m")
 
 
 @dataclass(frozen=True)
@@ -445,24 +439,19 @@ def _checked_fields(name: str, about: Mapping[str, Any]) -> Mapping[str, Any]:
     allowed = {f.name for f in fields(Effect)} - {"name", "acts_on", "parameters", "columns", "scales_with", "formula"}
     unknown = [key for key in about if key not in allowed]
     if unknown:
-        raise FrictrackError(
-            f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}', usage=True
-        )
+        raise UsageError(f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}')
     return about
 
 
 def _check_declared(name: str, taken: tuple[str, ...], linear: list[str], parameters: dict[str, Declared]) -> None:
     if is_library(name):
-        raise FrictrackError(
-            f'expected a name of its own for your effect but "{name}" is one of the library', usage=True
-        )
+        raise UsageError(f'expected a name of its own for your effect but "{name}" is one of the library')
     lost = [p for p in taken if p not in parameters]
     if lost:
-        raise FrictrackError(f'{name}: expected every parameter with its unit, as in {lost[0]}="m"', usage=True)
+        raise UsageError(f'{name}: expected every parameter with its unit, as in {lost[0]}="m"')
     if not linear:
-        raise FrictrackError(
-            f'{name}: expected a coefficient of what it returns, such as F="N", which is no argument of the function',
-            usage=True,
+        raise UsageError(
+            f'{name}: expected a coefficient of what it returns, such as F="N", which is no argument of the function'
         )
 
 
@@ -474,7 +463,5 @@ def _declared_parameter(name: str, p: str, declared: Declared, linear: bool, loa
     )
     if linear:
         return Parameter(p, unit, bounds, linear=True, loaded=loaded)
-    found = _searched(p, unit, bounds, N_SCAN_VALUES)
-    if found is None:
-        raise FrictrackError(f'{name}: expected bounds of {p}, as in {p}=("{unit}", 0.0, 1.0)', usage=True)
-    return found
+    unknown = f'{name}: expected bounds of {p}, as in {p}=("{unit}", 0.0, 1.0)'
+    return _searched(p, unit, bounds, N_SCAN_VALUES, unknown)

@@ -11,7 +11,7 @@ from typing import Any, TypedDict, Unpack, overload
 import numpy as np
 
 from frictrack.base.distributions import RNG, accepts_seed
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
 from frictrack.effects import Effect, check_ties, models
 from frictrack.effects.models import Model
@@ -191,11 +191,11 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
 def _check_runs(given: object) -> None:
     """Raise an error for anything but a list of runs."""
     if isinstance(given, Run):
-        raise FrictrackError("expected a list of runs but got one run; write [run]", usage=True)
+        raise UsageError("expected a list of runs but got one run; write [run]")
     runs = list(given) if isinstance(given, Iterable) else [given]
     other = next((type(run).__name__ for run in runs if not isinstance(run, Run)), "none" if not runs else None)
     if other is not None:
-        raise FrictrackError(f"expected a list of runs, such as ft.samples.runs(), but got {other}", usage=True)
+        raise UsageError(f"expected a list of runs, such as ft.samples.runs(), but got {other}")
 
 
 def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float]:
@@ -205,7 +205,7 @@ def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float
         raise FrictrackError('expected at least one run to fit but all have role = "validation"')
     names = tuple(r.name for r in fitted)
     if twice := sorted({n for n in names if names.count(n) > 1}):
-        raise FrictrackError(f"expected every run to have its own name but got {', '.join(twice)} twice", usage=True)
+        raise UsageError(f"expected every run to have its own name but got {', '.join(twice)} twice")
     return fitted, names, float(1 / np.median(np.concatenate([np.diff(r.displacement.t) for r in fitted])))
 
 

@@ -32,7 +32,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ndtr
 
 from frictrack.base.distributions import chi2_ppf, f_sf, student_ppf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.records import Array
 from frictrack.settings.priors import Prior
 
@@ -84,9 +84,7 @@ def trend(laws: Sequence[Any], at: Sequence[float | str], condition: str = "cond
     """
     priors = [one if isinstance(one, Prior) else one.to_prior() for one in laws]
     if len(priors) != len(at):
-        raise FrictrackError(
-            f"expected one value of {condition} per law but got {len(at)} for {len(priors)}", usage=True
-        )
+        raise UsageError(f"expected one value of {condition} per law but got {len(at)} for {len(priors)}")
     design = design_of(at, condition)
     load = priors[0].load if priors else None
     converted = [one.at_load(load) for one in priors]
@@ -94,10 +92,9 @@ def trend(laws: Sequence[Any], at: Sequence[float | str], condition: str = "cond
     left_out = {name: reason for name in names if (reason := _too_few(name, converted, design))}
     kept = [name for name in names if name not in left_out]
     if not kept:
-        raise FrictrackError(
+        raise UsageError(
             f"expected a parameter that at least {len(design.terms) + MIN_DEGREES} studies determine, in every "
-            f"category, but got {len(priors)} studies of {condition}",
-            usage=True,
+            f"category, but got {len(priors)} studies of {condition}"
         )
     units = {name: unit for one in converted for name, unit in zip(one.names, one.units, strict=True)}
     fitted = fit_trends(converted, design, kept, units)
@@ -130,10 +127,8 @@ def design_of(at: Sequence[float | str], condition: str) -> Design:
         return Design(np.array([[float(one == term) for term in terms] for one in at]), terms, None, np.eye(len(terms)))
     numbers = [one for one in at if isinstance(one, int | float | np.number) and np.isfinite(one)]
     if len(numbers) != len(at) or len(set(numbers)) < 2:
-        raise FrictrackError(
-            f"expected finite numbers or names of categories, at least two different, of {condition} but got "
-            f"{list(at)}",
-            usage=True,
+        raise UsageError(
+            f"expected finite numbers or names of categories, at least two different, of {condition} but got {list(at)}"
         )
     values = np.array(numbers, dtype=np.float64)
     origin, scale = float(np.mean(values)), float(np.std(values))
@@ -336,7 +331,7 @@ class CovariateTrend:
         elif at in self.terms:
             row = np.array([float(term == at) for term in self.terms])
         else:
-            raise FrictrackError(f'expected one of {", ".join(self.terms)} but got "{at}"', usage=True)
+            raise UsageError(f'expected one of {", ".join(self.terms)} but got "{at}"')
         value, mean_std = float(row @ self.coefficients), float(np.sqrt(row @ self.covariance @ row))
         weight = np.array([one.weight for one in self.mixture])
         mean = np.array([row @ one.coefficients for one in self.mixture])

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.effects import Effect, Nonlinear, Parameter, Path, Span, Tie
 from frictrack.effects.models import Model
 from frictrack.records import Array, Mask, Run
@@ -33,6 +33,7 @@ Values = dict[str, dict[str, Any]]  # effect -> parameter -> value in one run; n
 LEVEL = "level"  # pseudo-effect: the run's own factor on dry friction
 MIN_RUNS_FOR_SCATTER = 4  # with fewer runs the scatter is not estimated; levels are free with mean one
 MIN_MASS_RATIO = 1e-6  # q at the largest mass that is searched
+PLACE_MARGIN = 0.1  # of the scanned places, by which a place may lie beyond them: most widths are below an eighth
 
 
 @dataclass(frozen=True)
@@ -401,7 +402,7 @@ class ParameterLayout:
                     if other in at:
                         matrix[i, at[other]] = matrix[at[other], i] = r
         if at and np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise FrictrackError("expected prior_correlation that can hold together (positive definite)", usage=True)
+            raise UsageError("expected prior_correlation that can hold together (positive definite)")
         return np.asarray(matrix * std * std[:, None], dtype=np.float64)
 
     @cached_property
@@ -448,15 +449,19 @@ def known_value(p: Parameter, span: Span) -> float | None:
 
 
 def search_bounds(p: Parameter, span: Span) -> tuple[float, float]:
-    """Compute the bounds of a parameter for these runs: its own, or one step beyond its scan where it has none."""
+    """Compute the bounds of a parameter for these runs: its own, or just beyond its scan where it has none.
+
+    That is one step of the scan; a place may lie farther off, for a run may stop in the flank of what acts there.
+    """
     low, high = p.bounds
     if p.scan is None:
         return low, high
     grid = np.sort(p.scan(span))
+    margin = PLACE_MARGIN * np.ptp(grid) if p.unit == "m" else 0.0
     if not np.isfinite(low):
-        low = float(grid[0] - (grid[1] - grid[0]) if p.signed else grid[0] ** 2 / grid[1])
+        low = float(grid[0] - max(grid[1] - grid[0], margin) if p.signed else grid[0] ** 2 / grid[1])
     if not np.isfinite(high):
-        high = float(grid[-1] + (grid[-1] - grid[-2]) if p.signed else grid[-1] ** 2 / grid[-2])
+        high = float(grid[-1] + max(grid[-1] - grid[-2], margin) if p.signed else grid[-1] ** 2 / grid[-2])
     return low, high
 
 
@@ -548,10 +553,9 @@ def with_mass(model: Model) -> Model:
     for effect in (e for e in model.effects if e.acts_on == "force"):
         for p in effect.linear:
             if any(np.isfinite(b) and b != 0 for b in p.bounds):
-                raise FrictrackError(
+                raise UsageError(
                     f"expected no bounds of {effect.name}.{p.name} where the mass is fitted too: forces are known "
-                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it",
-                    usage=True,
+                    f"only with it; give prior = {{{p.name} = [mean, std]}} instead, or fix it"
                 )
     return Model((*model.effects, MASS_EFFECT))
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import chi2_sf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import LIBRARY, Effect, Parameter, carries_over, scales_with_load
 from frictrack.effects.models import Model
@@ -63,7 +63,7 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
 
     """
     if domain == "force":
-        raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
+        raise UsageError(PRIOR_NEEDS_NOISE)
     here = prior.at_load(None if load is None or not np.isfinite(load) else load)
     std, correlation, taken = here.std, here.correlation, list[int]()
     changes: dict[str, dict[str, Any]] = {}
@@ -77,10 +77,9 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
         changes.setdefault(effect.name, {})[p.name] = own
         taken.append(i)
     if not taken:
-        raise FrictrackError(
+        raise UsageError(
             f"expected a model with a free parameter of the prior ({', '.join(here.names)}) but got "
-            f"{', '.join(model.names)}; leave the prior out, or choose another model",
-            usage=True,
+            f"{', '.join(model.names)}; leave the prior out, or choose another model"
         )
     return Model(tuple(e.adjusted(**changes[e.name]) if e.name in changes else e for e in model.effects))
 
@@ -112,16 +111,14 @@ def _free(model: Model, address: str) -> tuple[Effect, Parameter] | None:
 def _check(effect: Effect, p: Parameter, prior: Prior, i: int) -> None:
     """Raise FrictrackError (usage) for another unit or a mean outside the bounds."""
     if p.unit != prior.units[i]:
-        raise FrictrackError(
-            f"expected {prior.names[i]} of the prior in {p.unit} but got {prior.units[i]}; it is another effect",
-            usage=True,
+        raise UsageError(
+            f"expected {prior.names[i]} of the prior in {p.unit} but got {prior.units[i]}; it is another effect"
         )
     low, high = (-np.inf, np.inf) if p.name in effect.quoted else p.bounds
     if not low <= prior.values[i] <= high:
-        raise FrictrackError(
+        raise UsageError(
             f"expected a mean of {prior.names[i]} of the prior between {low:g} and {high:g} {p.unit} but got "
-            f"{prior.values[i]:g}; widen the bounds, or leave the prior out",
-            usage=True,
+            f"{prior.values[i]:g}; widen the bounds, or leave the prior out"
         )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.base.distributions import as_seed, normal_ppf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.lazy import imported
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.effects.models import Model
@@ -116,7 +116,7 @@ class StorableFit(NotebookView):
 
         """
         if kind not in FIGURES:
-            raise FrictrackError(f'plot: expected {" or ".join(FIGURES)} but got "{kind}"', usage=True)
+            raise UsageError(f'plot: expected {" or ".join(FIGURES)} but got "{kind}"')
         fitted: Any = self
         runs = (*fitted.weighed, *getattr(fitted, "validation", ()))
         figure: Figure = imported(f"frictrack.present.plots:{FIGURES[kind]}")(self, runs)
@@ -266,7 +266,7 @@ class Fit(FittedRuns, StorableFit):
         import pandas as pd  # noqa: PLC0415 - half a second
 
         if not 0 < alpha < 1:
-            raise FrictrackError(f"expected alpha between 0 and 1, such as 0.05, but got {alpha:g}", usage=True)
+            raise UsageError(f"expected alpha between 0 and 1, such as 0.05, but got {alpha:g}")
         frame, times = self.to_dataframe(), float(normal_ppf(1 - alpha / 2))
         ends = pd.DataFrame(
             {"lower": frame["value"] - times * frame["std"], "upper": frame["value"] + times * frame["std"]}
@@ -414,7 +414,8 @@ class Fit(FittedRuns, StorableFit):
             return {}
         std = found.reported_std
         if std is not None and all(run.drive is None and run.normal_load is None for run in self.runs):
-            weighing = max(run.sigma_mass / run.mass for run in self.runs if run.mass)  # load and force have the same
+            shares = (run.sigma_mass / run.mass for run in self.runs if run.mass)  # load and force have the same
+            weighing = max(shares, default=0.0)
             std = float(np.sqrt(max(std**2 - (weighing * found.value) ** 2, 0.0)))
         return {"mu": {"value": found.value / load, "std": None if std is None else std / load}}
 
@@ -536,10 +537,9 @@ def by_group(runs: Sequence[Run]) -> dict[str, list[Run]]:
 
     """
     if ungrouped := [r.name for r in runs if not r.group]:
-        raise FrictrackError(
+        raise UsageError(
             f"per group: expected every run to have a group but {', '.join(ungrouped)} has none; give it "
-            'group = "low", for example',
-            usage=True,
+            'group = "low", for example'
         )
     groups: dict[str, list[Run]] = {}
     for run in runs:

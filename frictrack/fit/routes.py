@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from frictrack.base.distributions import RNG
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.fit.cutting import Reference
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.parameters import with_fitted_mass
@@ -157,9 +157,8 @@ class FittedRuns:
 def require_one_fit(result: object) -> None:
     """Raise an error (usage) for fits of several groups."""
     if not isinstance(result, FittedRuns):
-        raise FrictrackError(
-            "expected the fit of one group but got several; take one of fits[name], or leave out --per group",
-            usage=True,
+        raise UsageError(
+            "expected the fit of one group but got several; take one of fits[name], or leave out --per group"
         )
 
 
@@ -181,12 +180,9 @@ def check_route(domain: str, search: str, per: str | None = None, over: str = "a
     for what, asked, known in arguments:
         if asked is not None and asked not in known:
             closest = get_close_matches(asked.lower(), known, 1, 0.0)[0]
-            raise FrictrackError(
-                f'expected a {what} among {", ".join(known)} but got "{asked}"; did you mean {closest}?', usage=True
-            )
+            raise UsageError(f'expected a {what} among {", ".join(known)} but got "{asked}"; did you mean {closest}?')
     if over != "all" and search == "varpro":
-        raise FrictrackError(
+        raise UsageError(
             f'expected over = "{over}" with a global search ({", ".join(METHODS)}) but got search = "varpro", which '
-            "works on the non-linear parameters anyway; leave it out",
-            usage=True,
+            "works on the non-linear parameters anyway; leave it out"
         )

@@ -9,7 +9,7 @@
     new_study                   make a study of recordings
     opening                     open and check a study before any work; bring its runs up to date
     pipeline, stages            bring the stages of one run up to date
-    film_stages, track_quality  from a film to its displacement
+    track_quality               faults of a film's tracks
     sensor_stage                what other instruments and further targets recorded
     plausibility_checks         check the numbers of a study
     tried_models                what was asked of a fit; models tried, and fits of candidates
@@ -28,7 +28,6 @@ from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.flow.command_history import Change, CommandHistory, SignificanceBudget, undo_stacks
-    from frictrack.flow.film_stages import contact_sheet_path
     from frictrack.flow.new_study import (
         Surveyed,
         check_entered,
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
     from frictrack.flow.plausibility_checks import Findings
     from frictrack.flow.session import Session
-    from frictrack.flow.stages import run_pipeline
+    from frictrack.flow.stages import contact_sheet_path, run_pipeline
     from frictrack.flow.stored_results import ResultsReader, preview_motion, read_results
     from frictrack.flow.study_edits import effect_of_formula
     from frictrack.flow.tried_models import FitRequest, user_effects

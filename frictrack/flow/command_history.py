@@ -30,7 +30,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
+
+from pydantic import AfterValidator, TypeAdapter
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, append_line, lock_folder, make_internal_folder, replace_text
@@ -73,12 +75,10 @@ class Change:
     @classmethod
     def from_json(cls, line: bytes) -> Change:
         """Read a line of the log."""
-        change = cls(**{_KEYS[key]: value for key, value in json.loads(line).items()})
-        texts, tables = (change.time, change.author, change.command), (change.arguments, change.before, change.after)
-        sound = isinstance(change.revision, int) and all(isinstance(text, str) for text in texts)  # type: ignore[redundant-expr]  # as read
-        if not (sound and all(isinstance(table, dict) for table in tables)):
-            raise ValueError("expected the types of a change")
-        return change
+        return _CHANGE.validate_python({_KEYS[key]: value for key, value in json.loads(line).items()})
+
+
+_CHANGE = TypeAdapter(Change)
 
 
 def undo_stacks(changes: Sequence[Change]) -> tuple[list[Change], list[Change]]:
@@ -199,25 +199,21 @@ class KeptRows(Generic[Row]):
     """Rows in ``.frictrack/<file_name>`` of the folder of the results."""
 
     file_name: ClassVar[str]
+    kind: ClassVar[Any]  # of a row
     after_loss: ClassVar[str]  # what follows from deleting a damaged file
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.path = folder / INTERNAL_FOLDER / self.file_name
 
-    @staticmethod
-    def read_row(entry: Any) -> Row:
-        """Read one entry of the file."""
-        raise NotImplementedError
-
     @property
     def rows(self) -> list[Row]:
         """All rows, oldest first; raises `FrictrackError` if the file is damaged."""
         try:
-            return [self.read_row(entry) for entry in json.loads(self.path.read_text(encoding="utf-8"))]
+            return TypeAdapter(list[self.kind]).validate_json(self.path.read_bytes(), strict=True)  # type: ignore[name-defined]
         except FileNotFoundError:
             return []
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as e:
+        except ValueError as e:
             raise FrictrackError(f"{self.path} is damaged; delete it, and {self.after_loss}") from e
 
     def _change(self, change: Callable[[list[Row]], list[Row]]) -> None:
@@ -290,18 +286,7 @@ def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
 class SignificanceBudget(KeptRows[CompletenessTest]):
     """The tests that were made of the models of one study, of which the verdict is known, in a file of the results."""
 
-    file_name, after_loss = "tests.json", "the tests are counted from now on"
-
-    @staticmethod
-    def read_row(entry: Any) -> CompletenessTest:
-        """Read one entry of the file."""
-        model, named = entry["model"], entry["named"]
-        texts = (entry["key"], entry["data"], entry["verdict"], *model, *(named or ()))
-        if not all(isinstance(text, str) for text in texts):
-            raise ValueError("expected names as text")
-        if not (isinstance(entry["sequence"], int) and isinstance(entry["alpha"], int | float)):
-            raise ValueError("expected numbers")
-        return CompletenessTest(**{**entry, "model": tuple(model), "named": None if named is None else tuple(named)})
+    file_name, kind, after_loss = "tests.json", CompletenessTest, "the tests are counted from now on"
 
     def record(self, test: CompletenessTest, diagnosis: Mapping[str, Any]) -> None:
         """Write a test, from `plan_test`, with its verdict; the same test again replaces the earlier entry."""
@@ -321,15 +306,17 @@ class SignificanceBudget(KeptRows[CompletenessTest]):
         return {"tests": lists, "alpha_spent": alpha_spent(tests)}
 
 
+def _prediction(row: dict[str, Any]) -> dict[str, Any]:
+    if not {"runs", "model", "realised", "predictions"} <= row.keys():
+        raise ValueError("expected the keys of a prediction")
+    return row
+
+
 class Predictions(KeptRows[dict[str, Any]]):
     """The runs that were named, in a file of the results; its rows are JSON `predictions` of `frictrack history`."""
 
     file_name, after_loss = "predictions.json", "predictions are kept from now on"
-
-    @staticmethod
-    def read_row(entry: Any) -> dict[str, Any]:
-        """Read one entry of the file."""
-        return {**entry, "runs": list(entry["runs"]), "model": list(entry["model"])}
+    kind = Annotated[dict[str, Any], AfterValidator(_prediction)]
 
     def record(self, named: Mapping[str, Any], model: Sequence[str], runs: Sequence[str]) -> None:
         """Keep the prediction of a named run; another one for the same model and runs replaces it."""

@@ -3,28 +3,37 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.files import replace_text
 from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
 from frictrack.measure.calibration import parse_scale
-from frictrack.measure.plausibility import EnteredValues, describe_shift, implausible_entries, shifted_swings
+from frictrack.measure.plausibility import (
+    EnteredValues,
+    describe_shift,
+    implausible_entries,
+    shifted_swings,
+    swing_centre,
+)
 from frictrack.measure.points import points_of_table
 from frictrack.records import Array
 from frictrack.study import (
+    COLUMNS,
     NewRun,
     Study,
     TableFile,
     columns_line,
     guess_points,
     has_units,
+    is_picture_folder,
     is_table,
     list_files,
     may_hold,
@@ -33,8 +42,10 @@ from frictrack.study import (
     read_points,
     read_table,
     refuse_existing,
+    stated,
     stated_unit,
     suggest,
+    with_effect,
     write_study,
 )
 
@@ -43,6 +54,8 @@ RATE_IN_NAME = re.compile(
 )  # "4000fps", "4 kHz"
 FROM_FILE, FROM_NAME = "stated by the file", "from its name"
 STANDARD = ("t_s", "x_m")
+SENSORS = {"drive": ("drive",), "sensor": ("friction", "a")}  # key of a run -> columns of its table
+SWINGING = ("coulomb", "viscous", "spring")  # the first model of masses that swing
 CAMERA_KEYS = {"scale": "px", "fps": "frames"}  # key of the camera -> unit of a table that needs it
 MAX_TRACKS_SHOWN = 6  # names in a list of tracks
 
@@ -71,6 +84,9 @@ class Surveyed:
     n_frames: int = 0
     shape: tuple[int, int] = (0, 0)
     positions: Array | None = None  # positions of a table that needs no camera, m, (n,)
+    stated: Mapping[str, str] = field(default_factory=dict)  # mass, fps and size of a count above the rows of a table
+    keys: Mapping[str, str] = field(default_factory=dict)  # further keys of its runs
+    sensor: str = ""  # "drive" or "sensor" of a table that has no positions but one of these, with its own clock
     needs_mass: bool = True  # whether its friction force is not measured, so that it follows from mass and acceleration
 
     @property
@@ -140,21 +156,20 @@ def _survey_table(path: Path) -> Surveyed:
             return _several_tracks(path, table)
         if points := guess_points(list(map(str, table.frame.columns))):
             return _survey_points(path, table, points)
-        columns = _columns(table)
-        if columns is None and not table.has_runs:
-            heads = ", ".join(map(str, table.frame.columns))
-            return Surveyed(path, problem=f"no column of times and no column of positions in it, but {heads[:60]}")
-        runs = [track.columns for track in table.tracks] if table.has_runs else [columns or {}]
-        measured = "friction_N" in table.frame.columns or all("friction" in one for one in runs)
+        runs, said = _runs_of_table(table), stated(table.above)
+        heads = list(map(str, table.frame.columns))
+        if not runs:
+            return _without_positions(path, heads)
+        measured = "friction_N" in heads or all("friction" in one for one in runs)
         if not all(has_units(one) or not one for one in runs):
             lines = [columns_line(one) for one in runs]
             bare = ", ".join(dict.fromkeys(h for one in runs for h in one.values() if not stated_unit(h)))
             words = f"{len(table.frame)} rows; the headers {bare} state no units"
-            return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured)
-        read = [read_table(path, one, pixel=1.0, fps=1.0) for one in runs]
+            return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured, stated=said)
+        needed = _camera_keys(runs[0] or table.columns)
+        read = [read_table(path, one, pixel=1.0, fps=1.0 if "fps" in needed else None) for one in runs]
     except FrictrackError as e:
         return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
-    needed = _camera_keys(runs[0] or table.columns)
     ends = [data.t[-1] - data.t[0] for data in read]
     lengths = ", ".join(f"{end + 1:.0f}" if "fps" in needed else f"{end:.3g}" for end in ends)
     words = f"{', '.join(str(len(data.t)) for data in read)} rows, {lengths} {'frames' if 'fps' in needed else 's'}"
@@ -163,14 +178,61 @@ def _survey_table(path: Path) -> Surveyed:
         words = f"{len(runs)} runs of {words}"
     for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
         named += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
-    force = next((h for h in map(str, table.frame.columns) if stated_unit(h) and may_hold(h, "friction")), None)
+    known = {header for header, _ in COLUMNS.values()} | {header for one in runs for header in one.values()}
+    force = next((h for h in heads if stated_unit(h) and may_hold(h, "friction") and h not in known), None)
     if measured:
         named += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
-    elif force and not any(force in one.values() for one in runs):
-        named += f'; is "{force}" the friction? Then name it in columns: friction = "{force}"'
-    positions = None if needed else read[0].x
-    words += named
-    return Surveyed(path, words, runs=runs, camera_keys=needed, positions=positions, needs_mass=not measured)
+    elif force:
+        named += (
+            f'; is "{force}" the friction? Then name it in columns: friction = "{force}"; if the drive: drive = ...'
+        )
+    words += named + "".join(f"; {key} {value} is stated above its rows" for key, value in said.items())
+    return Surveyed(
+        path,
+        words,
+        runs=runs,
+        camera_keys=tuple(key for key in needed if key not in said),
+        positions=None if needed else read[0].x,
+        stated=said,
+        needs_mass=not measured and "mass" not in said,
+    )
+
+
+def _runs_of_table(table: TableFile) -> list[Mapping[str, str]]:
+    """Return the columns of every run; none if it has no times and positions."""
+    if table.has_runs:
+        return [track.columns for track in table.tracks]
+    columns, count = _columns(table), stated(table.above).get("count")
+    if columns and count and stated_unit(columns["x"]) is None:
+        columns["x"] += f" ({count})"
+    return [] if columns is None else [columns]
+
+
+def _without_positions(path: Path, heads: Sequence[str]) -> Surveyed:
+    """Say what a table without positions holds, and what to do with it."""
+    shown = first_words(heads, MAX_TRACKS_SHOWN)
+    kind = next((kind for kind, keys in SENSORS.items() if any(COLUMNS[key][0] in heads for key in keys)), "")
+    if COLUMNS["t"][0] in heads and kind:
+        use = f'write {kind} = "{path.name}" in the [[run]] that it belongs to'
+        return Surveyed(path, problem=f"{shown}: a {kind} with its own clock; {use}", sensor=kind)
+    return Surveyed(path, problem=f"no column of times and no column of positions in it, but {shown}")
+
+
+def _with_sensors(found: Sequence[Surveyed], sensors: Sequence[Surveyed]) -> Iterator[Surveyed]:
+    """Yield the tables with the drive or sensor whose file name holds their own, or that is the only one of all."""
+    for one in found:
+        only = sensors if len(sensors) == len(found) == 1 else ()
+        own = [each for each in sensors if _names_run(each.path.stem, one.path.stem)] or only
+        if len(own) != 1 or not one.is_table:
+            yield one
+            continue
+        words = f'{one.words}; {own[0].sensor} is "{own[0].path.name}"'
+        yield replace(one, words=words, keys={own[0].sensor: own[0].path.name})
+
+
+def _names_run(name: str, run: str) -> bool:
+    """Whether the name of a file holds that of a run as a word: "drive_a" that of "a"."""
+    return run.casefold() in re.split(r"[\W_]+", name.casefold())
 
 
 def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Surveyed:
@@ -235,12 +297,15 @@ def expand_folders(paths: Sequence[Path]) -> list[Path]:
         f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]
     ]
     if missing or twice:
-        raise FrictrackError("; ".join(missing + twice), usage=True)
+        raise UsageError("; ".join(missing + twice))
     return found
 
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
-LEFT_OPEN = {"units": "with the units of the file in the brackets", "track": "with the name of the track"}
+LEFT_OPEN = {
+    "units": "with the units of the file, or the size of a count, in the brackets",
+    "track": "with the name of the track",
+}
 _KEY = re.compile(r'\b(mass|scale|fps) = (?="?[\d.])')
 
 
@@ -262,7 +327,7 @@ def check_entered(keys: Mapping[str, Any]) -> None:
     in_file = f"{checked} in a study file, which `frictrack init` writes"
     found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible_entries(read_keys(keys))]
     if found:
-        raise FrictrackError("; ".join(found), usage=True)
+        raise UsageError("; ".join(found))
 
 
 def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
@@ -273,7 +338,7 @@ def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
         kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
         return EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except FrictrackError as e:
-        raise FrictrackError(str(e), usage=True) from e
+        raise UsageError(str(e)) from e
 
 
 def _kilograms(mass: Any) -> tuple[float, float]:
@@ -370,7 +435,11 @@ def _to_confirm(one: Surveyed) -> str:
 
 def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[NewRun]:
     """Return the entries of its runs: the frame rate of its name, if nothing else tells it, and columns of a table."""
-    rate = {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
+    rate: dict[str, Any] = (
+        {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
+    )
+    rate |= one.keys
+    rate |= {key: one.stated[key] for key in ("mass", "fps") if key in one.stated and not keys.get(key)}
     if one.columns_to_confirm:
         return [NewRun(one.path, rate, f"FILL IN the {one.left_open}: {line}") for line in one.columns_to_confirm]
     return [NewRun(one.path, rate | ({"columns": columns} if columns else {})) for columns in one.runs]
@@ -381,13 +450,13 @@ def _whole(rate: float | None) -> float | None:
     return int(rate) if rate is not None and rate == int(rate) else rate
 
 
-def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Write a commented study file for what a folder holds: JSON of `frictrack init`.
+def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a commented study file for what a folder holds, or for some recordings: JSON of `frictrack init`.
 
     Parameters
     ----------
-    folder
-        Folder with recordings.
+    places
+        Folder with recordings; or recordings, beside the first of which the study file is written.
     keys
         Known keys of ``[study]`` and ``[camera]``: mass, fps, scale.
 
@@ -403,11 +472,17 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
         (usage) If there is no such folder, or the study file exists; otherwise if it has no recordings.
 
     """
-    if not folder.is_dir():
-        raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
+    paths = [places] if isinstance(places, Path) else list(places)
+    if lacking := [path for path in paths if not path.exists()]:
+        raise UsageError(f"expected a folder with recordings, or recordings, but got {lacking[0]}")
+    one_folder = len(paths) == 1 and paths[0].is_dir() and not is_picture_folder(paths[0]) and not is_table(paths[0])
+    folder = paths[0] if one_folder else paths[0].parent
     refuse_existing(folder / "study.toml")
-    seen = [survey_recording(path) for path in list_files(folder)]
+    seen = [survey_recording(path) for path in (list_files(folder) if one_folder else paths)]
     found = [one for one in seen if not one.problem]
+    found = list(_with_sensors(found, [one for one in seen if one.sensor]))
+    used = {name for one in found for name in one.keys.values()}
+    seen = [one for one in seen if one.path.name not in used]
     skipped = [{"file": one.path.name, "reason": one.problem} for one in seen if one.problem]
     if not found:
         reasons = "".join(f"; {one['file']}: {one['reason']}" for one in skipped)
@@ -418,6 +493,9 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
     common = {"fps": _whole(next(iter(rates)))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
     remarks = _remarks(found, known)
+    if swings and all(swing_centre(x) is not None for x in swings.values()) and not known.get("model"):
+        known["model"] = list(SWINGING)
+        remarks["model"] = "the positions swing about one place, so that a spring, or its weight, draws the mass back; "
     path = write_study(
         folder / "study.toml",
         [new for one in found for new in _new_runs(one, known)],
@@ -425,6 +503,8 @@ def propose_study(folder: Path, keys: Mapping[str, Any]) -> dict[str, Any]:
         commented=True,
         remarks=remarks,
     )
+    if "model" in remarks and shifts:
+        replace_text(path, with_effect(path.read_text(encoding="utf-8"), {"effect": "spring", "per_run": ["x_0"]}))
     return {
         "study": str(path),
         "runs": [one.path.name for one in found],

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.flow.pipeline import Progress, RunPipeline
 from frictrack.flow.stages import run_pipelines
 from frictrack.flow.tried_models import FitRequest
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
     from frictrack.flow.plausibility_checks import Findings
 
+_OF_A_RUN = re.compile(r'run ("[^"]*")(?:, \w+)?: (?:[^ :]+\.\w+: )?(.*)', re.DOTALL)
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 
 
@@ -50,7 +52,7 @@ def check_study(study: Study) -> Study:
     checks.append(("model", lambda: FitRequest(study.model).model(study.effects)))
     faults = [f"{what}: {error}" for what, check in checks for error in _errors(check)]
     if faults:
-        raise FrictrackError(f"{study.path.name}: {'; '.join(faults)}", usage=True)
+        raise UsageError(f"{study.path.name}: {'; '.join(faults)}")
     return study
 
 
@@ -67,7 +69,20 @@ def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
     """Make several checks; raise one error with those of all."""
     errors = [error for check in checks for error in _errors(check)]
     if errors:
-        raise FrictrackError("; ".join(map(str, errors)), usage=all(error.usage for error in errors))
+        raise FrictrackError("; ".join(_without_repeats(errors)), usage=all(error.usage for error in errors))
+
+
+def _without_repeats(errors: Iterable[FrictrackError]) -> Iterator[str]:
+    """Yield the errors of runs; what several have in common is told of the first, with the names of the others."""
+    runs: dict[str, list[str]] = {}
+    first: dict[str, str] = {}
+    for text in map(str, errors):
+        found = _OF_A_RUN.match(text)
+        what = found[2] if found else text
+        first.setdefault(what, text)
+        runs.setdefault(what, []).append(found[1] if found else "")
+    for what, text in first.items():
+        yield text + (f"; the same in {', '.join(runs[what][1:])}" if len(runs[what]) > 1 else "")
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
@@ -80,23 +95,22 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
 
 def table_needs_mass(run: RunTable) -> bool:
     """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
-    from frictrack.study import find_header, guess_points, table_headers  # noqa: PLC0415 - not needed for stored results
+    from frictrack.study import find_header, guess_points, open_table  # noqa: PLC0415 - not needed for stored results
 
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    headers = table_headers(run.table, [header for header, _ in COLUMNS.values()])
+    headers = list(map(str, open_table(run.table, [header for header, _ in COLUMNS.values()]).frame.columns))
     return find_header(written.lstrip("-"), headers) is None and not guess_points(headers)
 
 
 def _check_mass(pipeline: RunPipeline) -> None:
     """Raise an error if the run of a table needs a mass; films are checked when the study file is read."""
     if table_needs_mass(pipeline.run):
-        raise FrictrackError(
+        raise UsageError(
             f'run "{pipeline.run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its '
             "[[run]], or --mass 0.35kg; only runs with measured friction (columns = {friction = ...}), or with a "
-            'measured drive and mass = "fit", do without',
-            usage=True,
+            'measured drive and mass = "fit", do without'
         )
 
 
@@ -140,7 +154,7 @@ class MeasuredRuns:
     def bring_up_to(self, stage: str) -> list[RunPipeline]:
         """Bring every run up to date; see `frictrack.flow.session.Session.bring_up_to`."""
         if self._study.incomplete:
-            raise FrictrackError(f"{self._study.path.name}: {'; '.join(self._study.incomplete)}", usage=True)
+            raise UsageError(f"{self._study.path.name}: {'; '.join(self._study.incomplete)}")
         self.findings.check_study_file()
         if not self._inputs_checked:
             check_inputs(self.pipelines)
@@ -178,7 +192,7 @@ class MeasuredRuns:
 
     def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
         """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
-        from frictrack.flow.film_stages import write_overlay  # noqa: PLC0415
+        from frictrack.flow.stages import write_overlay  # noqa: PLC0415
         from frictrack.flow.stored_results import run_summaries  # noqa: PLC0415
 
         for pipeline in self.pipelines if overlay else ():

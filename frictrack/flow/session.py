@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
 from frictrack.base.version import __version__
 from frictrack.effects import models
@@ -139,7 +139,7 @@ class Session:
             return self._edit_study(command, **arguments)
         if command not in models:
             hint = suggest(command, (*models, *EDITS))
-            raise FrictrackError(f"expected a command but got {command!r}; {hint}", usage=True)
+            raise UsageError(f"expected a command but got {command!r}; {hint}")
         result: dict[str, Any] = models[command](**arguments)
         return result
 
@@ -639,10 +639,9 @@ class Session:
         """
         fitted = self._fitted()
         if not hasattr(fitted, "to_prior"):
-            raise FrictrackError(
+            raise UsageError(
                 "expected one law for all runs but the current model was fitted per group; `frictrack fit STUDY "
-                "--model ...` without --per fits one law",
-                usage=True,
+                "--model ...` without --per fits one law"
             )
         prior = fitted.to_prior(self.study.name)
         file = prior.save(self.study.output / f"{self.study.path.stem}.prior.toml" if path is None else path)

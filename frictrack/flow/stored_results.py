@@ -22,10 +22,10 @@ from frictrack.base.number_format import first_words, format_number, format_plus
 from frictrack.base.version import __version__
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.film_stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.plausibility_checks import duplicate_notes, find_duplicate_runs, stored_findings
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
+from frictrack.flow.stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import TriedModels, model_results, stored_models
 from frictrack.measure.error_budget import budget

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
@@ -58,7 +58,7 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
     folder = opened.study.folder
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
-        raise FrictrackError(f"expected a recording {', '.join(missing)} but there is no such file", usage=True)
+        raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
     return _edit(opened, "take_in", lambda text: with_runs(text, folder, paths), recordings=list(recordings))
 
 
@@ -77,7 +77,7 @@ def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
     """Make a model current that was tried before."""
     if model not in opened.models.groups:
         known = ", ".join(opened.models.groups) or "none"
-        raise FrictrackError(f'expected a model that was tried but got "{model}"; there are {known}', usage=True)
+        raise UsageError(f'expected a model that was tried but got "{model}"; there are {known}')
     with opened.history.record("use", model=model) as change:
         change.before, change.after = {"current": opened.models.current_group}, {"current": model}
         opened.models.select(model)
@@ -172,18 +172,15 @@ def choose_formula(
 ) -> dict[str, Any]:
     """Return the keys of the ``[[effect]]`` table of formula `number` of a diagnosis, counted from 1."""
     if diagnosis is None:
-        raise FrictrackError(
-            f"expected a diagnosis for formula:{number} but the current model has none; run frictrack diagnose first",
-            usage=True,
+        raise UsageError(
+            f"expected a diagnosis for formula:{number} but the current model has none; run frictrack diagnose first"
         )
     formulas = (diagnosis.get("unexplained") or {}).get("formulas") or []
     if not 1 <= number <= len(formulas):
         known = f"formula:1 to formula:{len(formulas)}" if formulas else "no formula, because none was needed or found"
-        raise FrictrackError(
-            f"expected a formula of the last diagnosis but got formula:{number}; it has {known}", usage=True
-        )
+        raise UsageError(f"expected a formula of the last diagnosis but got formula:{number}; it has {known}")
     one = formulas[number - 1]
     if absent := [name for name in one.get("beside") or [] if name not in model]:
         names = ", ".join(absent)
-        raise FrictrackError(f"formula:{number} was found beside {names}; add {names} first", usage=True)
+        raise UsageError(f"formula:{number} was found beside {names}; add {names} first")
     return effect_of_formula(one, taken)

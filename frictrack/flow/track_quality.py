@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frictrack.measure.calibration import MIN_ROTATION, estimate_shake, subtract_shake
 from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
-from frictrack.sampling import Slip
+from frictrack.sampling import Slip, correct_ticks
 from frictrack.tracking import checks
 
 Rows = NDArray[np.int64]
@@ -126,7 +126,7 @@ def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
         return track
     interval = float(np.median(np.diff(track.t)))
     ticks = np.rint((track.t - track.t[0]) / interval).astype(np.int64)
-    right, keep = checks.correct_ticks(ticks, faults)
+    right, keep = correct_ticks(ticks, faults)
     rows = kept_rows(len(track), faults)
     lost = ~keep[rows]
     columns: dict[str, Any] = {

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from frictrack import effects
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
 from frictrack.effects.models import Model
@@ -67,10 +67,9 @@ class FitRequest:
     def method(self) -> str | SearchMethod:
         """The search for `frictrack.fit`: its name, or with settings its record."""
         if self.search == "varpro" and self.settings:
-            raise FrictrackError(
+            raise UsageError(
                 f"expected settings ({', '.join(self.settings)}) with a global search ({', '.join(METHODS)}) but the "
-                "search is varpro; add --search mga, for example",
-                usage=True,
+                "search is varpro; add --search mga, for example"
             )
         return search_method(self.search, self.settings) if self.settings else self.search
 
@@ -273,7 +272,7 @@ class TriedModels:
         if self.study.prior is not None and self._prior(request) is None:
             from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
 
-            raise FrictrackError(PRIOR_NEEDS_NOISE, usage=True)
+            raise UsageError(PRIOR_NEEDS_NOISE)
         entry = self._attempted(request) or self._fitted(request, current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import is_busy
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -63,7 +63,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
     for path in paths:
         mine, named = _result_files(path), _study_files(path)
         if not mine and (path in named or not named):
-            raise FrictrackError(f"expected results of frictrack in {path} but found none", usage=True)
+            raise UsageError(f"expected results of frictrack in {path} but found none")
         files |= {p.resolve(): p for p in mine}
         studies |= {p.resolve(): p for p in named}
     faults: list[Fault] = []

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack import samples
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.flow import store
 from frictrack.flow.command_history import ALPHA_FIRST, CommandHistory
 from frictrack.flow.opening import open_study
@@ -183,7 +183,7 @@ def _setup_without_runs(study: Study) -> ExperimentSetup:
     if study.scale is None:
         faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px" (roughly is enough)')
     if faults:
-        raise FrictrackError(f"{study.path.name}, plan: " + "; ".join(faults), usage=True)
+        raise UsageError(f"{study.path.name}, plan: " + "; ".join(faults))
     assert study.mass is not None
     assert study.fps is not None
     pitch = parse_scale(study.scale)[0]

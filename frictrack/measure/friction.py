@@ -11,11 +11,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import noise_level
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
@@ -76,7 +78,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
         t = run.motion.t
         mask = valid & (t >= run.free[0]) & (t <= run.free[1])
         reason = f"{run.free[0]:g} s to {run.free[1]:g} s as given"
-    elif _has_measured_force(run):
+    elif has_measured_force(run):
         mask = valid & moving
         measured = "drive" if run.friction_N is None else "friction"
         stuck = int(np.sum(valid & ~moving))
@@ -95,7 +97,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
 def release_time(run: Run) -> float:
     """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
-    if run.free is None and not _has_measured_force(run):
+    if run.free is None and not has_measured_force(run):
         return float(run.motion.t[_section(run).release])
     return float(run.motion.t[np.argmax(free_section(run)[0])])
 
@@ -116,7 +118,7 @@ def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
     None if the mass rests in between, an impact reverses it, or one of the spans is too short to be distinguished from
     the end of the smoothed motion at a stop.
     """
-    if _has_measured_force(run):
+    if has_measured_force(run):
         return None
     v, a = run.motion.v, np.abs(run.motion.a)
     shorter = min(before.stop - before.start, after.stop - after.start)
@@ -176,7 +178,7 @@ def impact(run: Run) -> str:
     'the mass hits something at 0.59 s, which turns its velocity from 1.3 to -0.802 m/s'
 
     """
-    if run.free is not None or _has_measured_force(run):
+    if run.free is not None or has_measured_force(run):
         return ""
     section, (start, stop) = _section(run), _main_motion(run)
     bounces = [one for one in section.bounces if start < one.before]
@@ -251,12 +253,7 @@ def friction(run: Run) -> Friction:
     return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
 
 
-def white_noise(series: Array) -> float:
-    """Estimate the white noise of a measured force (n,), N, from its differences; 0 if that is not possible."""
-    return float(np.nan_to_num(noise_level(series, np.isfinite(series))[0]))
-
-
-def _has_measured_force(run: Run) -> bool:
+def has_measured_force(run: Run) -> bool:
     """Whether drive or friction was measured."""
     return run.drive is not None or run.friction_N is not None
 
@@ -277,7 +274,7 @@ def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
 
 def count_flights(run: Run) -> int:
     """Number of free flights of a run: one more with every bounce that is followed; 1 with a measured force."""
-    return 1 if run.free is not None or _has_measured_force(run) else len(_section(run).flights)
+    return 1 if run.free is not None or has_measured_force(run) else len(_section(run).flights)
 
 
 @dataclass(frozen=True)
@@ -410,13 +407,9 @@ def _event(run: Run, row: int) -> tuple[int, int] | None:
 
 def _events_at_ends(run: Run) -> Mask:
     """Frames (n,) of events at the ends of the record, where a push cannot be distinguished from a wrong sample."""
-    n = len(run.motion)
-    rows = np.arange(n)
-    out = np.zeros(n, dtype=bool)
-    for first, last in run.motion.events:
-        if first <= EVENT_REACH_FRAMES or last >= n - 1 - EVENT_REACH_FRAMES:
-            out |= (rows >= first - EVENT_REACH_FRAMES) & (rows <= last + EVENT_REACH_FRAMES)
-    return out
+    reach, n = EVENT_REACH_FRAMES, len(run.motion)
+    at_ends = [(first, last) for first, last in run.motion.events if first <= reach or last >= n - 1 - reach]
+    return _within([(max(first - reach, 0), last + reach) for first, last in at_ends], n)
 
 
 def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
@@ -424,9 +417,8 @@ def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
     speed, window = np.abs(run.motion.v), _impact_frames(run)
     i = np.arange(len(speed))
     neighbour_speed = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
-    return np.asarray(
-        (neighbour_speed < PUSH_SPEED_SHARE * speed) & (speed - neighbour_speed > _sudden_speed_loss(run, start, stop))
-    )
+    is_sudden = speed - neighbour_speed > _sudden_speed_loss(run, start, stop)
+    return np.asarray((neighbour_speed < PUSH_SPEED_SHARE * speed) & is_sudden)
 
 
 def _interval(run: Run) -> float:
@@ -473,18 +465,6 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     return int(begins), int(hardest + after[0]) if len(after) else len(a) - 1
 
 
-def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[Array], usable: Mask) -> bool:
-    """Return whether two parabolas describe positions better than one polynomial of degree 5, by five deviations."""
-    both = np.concatenate([rows[0][:-1], rows[1]])
-    both = both[usable[both]]
-    turn = t[rows[1][0]]
-    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
-        smooth = np.polyval(np.polyfit(t[both] - turn, x[both], 5), t[both] - turn)
-    parabolas = np.where(t[both] < turn, *(np.polyval(side.c, t[both] - turn) for side in sides))
-    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
-    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
-
-
 @dataclass(frozen=True)
 class _Bounce:
     """A reversal at which something hits the mass: velocities before and after, m/s, and the frames around it.
@@ -519,53 +499,63 @@ def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> _Side | No
     return _Side(c, float(covariance[1, 1]) * variance, float(np.sqrt(variance)))
 
 
-def _crossing(before: _Side, after: _Side) -> tuple[float, float, float, float] | None:
-    """Time at which two parabolas cross, s, their velocities there, and the standard deviation of their difference."""
-    roots = np.roots(after.c - before.c)
-    roots = roots[np.isreal(roots)].real
-    if not len(roots):
-        return None
-    t = float(roots[np.argmin(np.abs(roots))])
-    v_before, v_after = (float(np.polyval(np.polyder(side.c), t)) for side in (before, after))
-    return t, v_before, v_after, float(np.sqrt(before.slope_variance + after.slope_variance))
-
-
 def _bounces(run: Run) -> list[_Bounce]:
-    """Find the bounces of a run: reversals at which its way has a kink.
+    """Find the bounces of a run: reversals at which its way has a kink."""
+    v = run.motion.v
+    spans = split_by_direction(run, stretches(is_moving(run) | ~_is_measured(run)))
+    moves = [part for part in spans if is_motion(run, part)]
+    turns = []
+    for before, after in pairwise(moves):
+        sign = np.sign(v[before.stop - 1])
+        if sign != np.sign(v[after.start]):
+            between = slice(before.stop - 1, after.start + 1)
+            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
+    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
+    ends = [edge - _filter_frames(run) for edge in [*edges[3:], *edges[-1:]]]
+    found = [_bounce(run, *around) for around in zip(edges, edges[1:], edges[2:], ends, strict=False)]
+    return [bounce for bounce in found if bounce is not None]
+
+
+def _bounce(run: Run, low: int, turn: int, high: int, following: int) -> _Bounce | None:
+    """The bounce at a reversal `turn` between two others, if there is one.
 
     A parabola is fitted to the positions of either side, over half of the way to the neighbouring reversals; where they
     cross, their slopes differ by the blow. No smooth curve of as many parameters describes the way as well, as it does
     that of a swing. Smoothed velocities do not tell it in coarse records.
     """
-    x, t = run.displacement.x, run.motion.t
-    usable = run.displacement.valid & np.isfinite(x)
-    moves = [part for part in split_by_direction(run, stretches(is_moving(run) | ~usable)) if is_motion(run, part)]
-    turns = []
-    for before, after in pairwise(moves):
-        sign = np.sign(run.motion.v[before.stop - 1])
-        if sign != np.sign(run.motion.v[after.start]):
-            between = slice(before.stop - 1, after.start + 1)
-            turns.append(between.start + int(np.argmax(sign * run.motion.x[between])))
-    edges = [moves[0].start, *turns, moves[-1].stop - 1] if moves else []
-    out = []
-    for i, (low, turn, high) in enumerate(zip(edges, edges[1:], edges[2:], strict=False)):
-        rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
-        sides = [_parabola(t[r] - t[turn], x[r], usable[r], run.displacement.resolution) for r in rows]
-        known = [side for side in sides if side is not None]
-        crossing = _crossing(*known) if len(known) == len(sides) else None
-        if crossing is None:
-            continue
-        tau, v_before, v_after, sigma = crossing
-        least = min(t[turn] - t[rows[0][0]], t[rows[1][-1]] - t[turn]) / 4
-        is_kink = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * sigma and _is_kinked(t, x, known, rows, usable)
-        if v_before * v_after < 0 and is_kink and abs(tau) < least:
-            last, first = (
-                r[np.abs(x[r] - np.polyval(side.c, t[r] - t[turn])) < MIN_MOVING_SIGMAS * side.noise]
-                for r, side in zip(rows, known, strict=True)
-            )
-            ends = edges[min(i + 3, len(edges) - 1)] - _filter_frames(run)
-            out.append(_Bounce(v_before, v_after, int(last[-1]), int(first[0]), ends))
-    return out
+    x, t, usable = run.displacement.x, run.motion.t - run.motion.t[turn], _is_measured(run)
+    rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
+    sides = [side for r in rows if (side := _parabola(t[r], x[r], usable[r], run.displacement.resolution)) is not None]
+    roots = np.roots(sides[1].c - sides[0].c) if len(sides) == len(rows) else np.zeros(0)
+    roots = roots[np.isreal(roots)].real
+    if not len(roots):
+        return None
+    crossing = roots[np.argmin(np.abs(roots))]
+    v_before, v_after = (float(np.polyval(np.polyder(side.c), crossing)) for side in sides)
+    is_blow = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * np.sqrt(sum(side.slope_variance for side in sides))
+    is_near = abs(crossing) < min(-t[rows[0][0]], t[rows[1][-1]]) / 4
+    if not (v_before * v_after < 0 and is_blow and is_near and _is_kinked(t, x, sides, rows, usable)):
+        return None
+    last, first = (
+        r[np.abs(x[r] - np.polyval(side.c, t[r])) < MIN_MOVING_SIGMAS * side.noise]
+        for r, side in zip(rows, sides, strict=True)
+    )
+    return _Bounce(v_before, v_after, int(last[-1]), int(first[0]), following)
+
+
+def _is_measured(run: Run) -> Mask:
+    return np.asarray(run.displacement.valid & np.isfinite(run.displacement.x))
+
+
+def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[NDArray[Any]], usable: Mask) -> bool:
+    """Whether two parabolas describe positions, of a reversal at 0, better than one polynomial of degree 5 does."""
+    both = np.concatenate([rows[0][:-1], rows[1]])
+    both = both[usable[both]]
+    with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
+        smooth = np.polyval(np.polyfit(t[both], x[both], 5), t[both])
+    parabolas = np.where(t[both] < 0, *(np.polyval(side.c, t[both]) for side in sides))
+    gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
+    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
 
 
 def find_events(run: Run) -> RunEvents:
@@ -618,7 +608,7 @@ def find_events(run: Run) -> RunEvents:
 
 def _release(run: Run) -> float | None:
     """Time of the release of a run without a measured force, s, if it lies after the first frame."""
-    if run.free is not None or _has_measured_force(run):
+    if run.free is not None or has_measured_force(run):
         return None
     try:
         at = release_time(run)
@@ -639,12 +629,9 @@ def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, in
 
 def _rests(run: Run, motions: list[slice]) -> list[slice]:
     """Stretches between the motions that are long enough to show the noise."""
-    edges = [0, *[k for s in motions for k in (s.start, s.stop)], len(run.motion)]
-    between = [
-        slice(i + EDGE_FRAMES, max(j - EDGE_FRAMES, i + EDGE_FRAMES))
-        for i, j in zip(edges[::2], edges[1::2], strict=True)
-    ]
-    return [s for s in between if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
+    still = ~_within([(s.start, s.stop - 1) for s in motions], len(run.motion))
+    rests = [slice(s.start + EDGE_FRAMES, s.stop - EDGE_FRAMES) for s in stretches(still) if s.stop > 2 * EDGE_FRAMES]
+    return [s for s in rests if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
 
 
 def _noise(run: Run, rests: list[slice]) -> float:

@@ -49,10 +49,10 @@ def points_of_table(data: TableData) -> TableData:
     if (data.friction is None) == (data.mu is None):
         came = "none" if data.mu is None else "both"
         raise FrictrackError(f"expected a force (friction) or a coefficient (mu) for every speed but got {came}")
-    assert data.v is not None
+    v = np.asarray(data.v)
     given = [column for name in POINT_COLUMNS if (column := getattr(data, name)) is not None]
     known = np.all(np.isfinite(given), axis=0)
-    moving, notes = known & (data.v != 0), list(data.notes)
+    moving, notes = known & (v != 0), list(data.notes)
     if unknown := int(np.sum(~known)):
         notes.append(f"{unknown} of {len(known)} rows lack a value; left out")
     if still := int(np.sum(known & ~moving)):
@@ -61,7 +61,7 @@ def points_of_table(data: TableData) -> TableData:
         )
     if data.mu is not None and data.load is None:
         notes.append("coefficients of friction: forces are those at the normal load of the run, or at 1 N without it")
-    order = np.flatnonzero(moving)[np.argsort(data.v[moving], kind="stable")]
+    order = np.flatnonzero(moving)[np.argsort(v[moving], kind="stable")]
     data = select_rows(data, order)
     _check_points(data)
     force, words = _resisting(data)
@@ -69,10 +69,10 @@ def points_of_table(data: TableData) -> TableData:
 
 
 def _check_points(data: TableData) -> None:
-    assert data.v is not None
-    if len(data.v) < MIN_POINTS:
-        raise FrictrackError(f"expected at least {MIN_POINTS} points at speeds other than 0 but got {len(data.v)}")
-    if (fastest := float(np.max(np.abs(data.v)))) > MAX_SPEED:
+    speeds = np.abs(np.asarray(data.v))
+    if len(speeds) < MIN_POINTS:
+        raise FrictrackError(f"expected at least {MIN_POINTS} points at speeds other than 0 but got {len(speeds)}")
+    if (fastest := float(np.max(speeds))) > MAX_SPEED:
         raise FrictrackError(
             f'expected speeds in m/s but got {fastest:g} m/s; state their unit, as in v = "speed (mm/s)"'
         )
@@ -84,27 +84,23 @@ def _check_points(data: TableData) -> None:
 
 def _resisting(data: TableData) -> tuple[Array, tuple[str, ...]]:
     """Return forces or coefficients (n,) that have the sign of the speed where they resist the motion, and a note."""
-    force = data.friction if data.mu is None else data.mu
-    assert force is not None
-    assert data.v is not None
-    direction = np.sign(data.v)
+    force = np.asarray(data.friction if data.mu is None else data.mu)
+    direction = np.sign(np.asarray(data.v))
     if np.ptp(direction) and abs(float(np.mean(np.sign(force)))) > MIN_SAME_SIGN:
         words = "the forces have one sign for both directions: taken as forces against the motion"
         return np.sign(np.mean(force)) * direction * force, (words,)
     if float(np.mean(force * direction > 0)) < 1 - MIN_SAME_SIGN:
-        return -force, (
-            "the forces are opposite to the speed: taken as forces on the mass, of which friction is minus",
-        )
+        words = "the forces are opposite to the speed: taken as forces on the mass, of which friction is minus"
+        return -force, (words,)
     return force, ()
 
 
 def motion_of_points(data: TableData) -> tuple[Displacement, Motion]:
     """Make the records of points (v, F): t counts them, and nothing is known of the place."""
-    assert data.v is not None
-    n = len(data.v)
-    nan, still, small = np.full(n, np.nan), np.zeros(n), np.full(n, 1e-9 * float(np.min(np.abs(data.v))))
+    v, n = np.asarray(data.v), len(data.t)
+    nan, still, small = np.full(n, np.nan), np.zeros(n), np.full(n, 1e-9 * float(np.min(np.abs(v))))
     seen = Displacement(data.t, still, nan, nan, small, nan, np.ones(n, dtype=bool), notes=data.notes)
-    return seen, Motion(data.t, still, data.v, still, nan, small, small, small, nan)
+    return seen, Motion(data.t, still, v, still, nan, small, small, small, nan)
 
 
 def forces_of_points(data: TableData, load: float | None) -> dict[str, Any]:
@@ -112,10 +108,9 @@ def forces_of_points(data: TableData, load: float | None) -> dict[str, Any]:
 
     Coefficients are times the load of each point, else the `load` of the run, N, else 1 N.
     """
-    assert data.friction is not None
     loads = data.load
     if loads is None and data.mu is not None:
         loads = np.full(len(data.t), load or 1.0)
     factor = 1.0 if data.mu is None or loads is None else loads
     sigma = data.sigma_friction if data.sigma_mu is None or loads is None else data.sigma_mu * loads
-    return {"friction_N": data.friction * factor, "sigma_friction": sigma, "loads": loads}
+    return {"friction_N": np.asarray(data.friction) * factor, "sigma_friction": sigma, "loads": loads}

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frictrack import sampling
+from frictrack.base.distributions import noise_of_differences
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
-from frictrack.measure.motion import differentiate, low_pass, noise_level
+from frictrack.measure.motion import differentiate, low_pass, noise_level, white_noise
 from frictrack.measure.plausibility import (
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
@@ -39,9 +40,11 @@ MAX_GAP_FRAMES = 1000
 MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
 MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
+FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of positions, that stamps may add
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
 MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
+NEAR_SHARE = 0.5  # of the usual interval, below which a row is at nearly the time of the one before
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
 
@@ -54,6 +57,16 @@ class EvenTable:
     valid: Mask  # whether a row holds a sample of its own
     numbers: Rows  # of each row in the file, counted from 0
     notes: tuple[str, ...] = ()  # what was corrected
+
+    @classmethod
+    def of(cls, data: TableData, numbers: Rows | None = None, notes: tuple[str, ...] = ()) -> EvenTable:
+        """Make a table of which every row holds a sample, by default all rows of the file."""
+        n = len(data.t)
+        return cls(data, np.ones(n, dtype=bool), np.arange(n) if numbers is None else numbers, notes)
+
+    def changed(self, data: TableData, *notes: str) -> EvenTable:
+        """The same rows with other values, and further notes."""
+        return replace(self, data=data, notes=(*self.notes, *notes))
 
 
 def displacement_of_table(
@@ -76,14 +89,13 @@ def displacement_of_table(
 def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_offset: float = 0.0) -> Displacement:
     """Compute the displacement of a table whose clock is even; see `displacement_of_table`."""
     data = table.data
-    assert data.x is not None
     nan = np.full(len(data.t), np.nan)
     nan.setflags(write=False)  # so that the records share it
     pitch, relative = parse_scale(scale) if scale is not None else (None, 0.0)
     displacement = sampling.screened(
         Displacement(
             t=data.t,
-            x=data.x + x_offset,
+            x=np.asarray(data.x) + x_offset,
             y=nan if data.y is None or not np.any(data.y) else data.y,  # a column of zeros was not measured
             angle=nan,
             sigma_x=nan if data.sigma is None else data.sigma,
@@ -111,9 +123,8 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
     if not jitter:
         return displacement
     stated = np.isfinite(displacement.sigma_x)
-    at_rest = np.where(
-        stated, displacement.sigma_x, max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
-    )
+    level = max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
+    at_rest = np.where(stated, displacement.sigma_x, level)
     moved = jitter * np.abs(sampling.robust_speed(displacement.t, displacement.x))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return displacement
@@ -149,63 +160,59 @@ def _table_sigma(displacement: Displacement) -> Array:
     x = displacement.x
     steps, nothing = np.abs(np.diff(x)), 1e-12 * float(np.max(np.abs(x)))  # as the digits of a double add up
     rounding = float(np.min(steps[steps > nothing], initial=np.inf)) / np.sqrt(12.0)
-    sigma = max(
-        noise_level(x, displacement.valid, t=displacement.t)[0], sampling.rounding_noise(displacement.resolution)
-    )
+    level, _ = noise_level(x, displacement.valid, t=displacement.t)
+    sigma = max(level, sampling.rounding_noise(displacement.resolution))
     return np.full(len(x), sigma if sigma > nothing else rounding)
 
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
     n = len(data.t)
-    rows = np.arange(n)
     if data.x is not None:
         x, turned = sampling.unwrapped(data.x)
         data = replace(data, x=x, notes=(*data.notes, *turned)) if turned else data
     if data.x is None or (n < MIN_ROWS and not (fps and not sampling.is_even(data.t))):
-        return EvenTable(data, np.ones(n, dtype=bool), rows)
+        return EvenTable.of(data)
     if (rounding := _rounding(data)) and (table := _with_rounded_clock(data, rounding, fps)) is not None:
         return table
-    clocked = not sampling.is_even(data.t)
-    stamped = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else (data, rows, ())
-    if fps and (not sampling.is_even(stamped[0].t) or _lost_moving_rows(data, stamped[1])):
+    clocked = not sampling.is_even(data.t) or _stamps_add_noise(data)
+    table = _with_clock_of_stamps(data) if clocked and n >= MIN_ROWS else EvenTable.of(data)
+    if fps and (not sampling.is_even(table.data.t) or _lost_moving_rows(data, table.numbers)):
         words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
-        stamped, clocked = (_counted_at_rate(data, fps), rows, (words,)), False
-    data, rows, notes = stamped
-    if np.any(np.diff(data.t) <= 0):
+        table, clocked = EvenTable.of(_counted_at_rate(data, fps), notes=(words,)), False
+    table = _without_near_rows(table)
+    if repeated := int(np.sum(np.diff(table.data.t) <= 0)):
         raise FrictrackError(
-            f"time: {int(np.sum(np.diff(data.t) <= 0))} stamps repeat the one before, which rounding of an even clock "
-            "does not explain: the rate changes or rows are missing; give stamps with more digits"
+            f"time: {repeated} stamps repeat the one before, which rounding of an even clock does not explain: "
+            "the rate changes or rows are missing; give stamps with more digits"
         )
-    data, more = _at_rate(data, fps)
-    data, moved = _on_grid(data)
-    table = EvenTable(data, np.ones(len(rows), dtype=bool), rows, notes + more + moved)
-    return _without_slips(table, clocked=clocked) if _can_find_slips(data) else table  # else the smoother reports it
+    table = _on_grid(_at_rate(table, fps))
+    return _without_slips(table, clocked=clocked) if _can_find_slips(table.data) else table  # else the smoother reports
 
 
 def _rounding(data: TableData) -> float:
     """Return to what the time stamps are rounded, s; 0 where that leaves them even, or the motion confirms all gaps."""
-    assert data.x is not None
-    steps, moved = np.diff(data.t), np.diff(data.x)
+    steps, moved = np.diff(data.t), np.diff(np.asarray(data.x))
     twice = (steps == 0) & (moved == 0)  # rows that were written twice
     own = data.t[np.flatnonzero(np.r_[True, ~twice])] if np.mean(twice) < MAX_DOUBLED_SHARE else data.t
     rounding = sampling.stamp_rounding(own) if np.all(steps >= 0) and data.t[-1] > data.t[0] else 0.0
-    if rounding < MIN_ROUNDING * float(np.mean(steps)):
+    if not rounding:
         return 0.0
     if not sampling.is_even(data.t):
-        return rounding
+        return rounding if rounding > MIN_ROUNDING * float(np.mean(steps)) else 0.0
     intervals = np.diff(sampling.frame_numbers(data.t))
-    as_rows, as_gaps = (
-        np.abs(_second_differences(moved)),
-        intervals[1:-1] * np.abs(_second_differences(moved / intervals)),
-    )
+    as_rows, as_gaps = np.abs(np.diff(moved, 2)), intervals[1:-1] * np.abs(np.diff(moved / intervals, 2))
     wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
     return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
 
 
-def _second_differences(steps: Array) -> Array:
-    """Return by how much every step differs from the mean of its neighbours, (n - 2,)."""
-    return steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
+def _stamps_add_noise(data: TableData) -> bool:
+    """Whether even stamps are off their clock by so much that a fast mass moves by the noise of its positions."""
+    frames = sampling.frame_numbers(data.t)
+    off = float(np.std(data.t - np.polyval(np.polyfit(frames, data.t, 1), frames)))
+    assert data.x is not None
+    fast = float(np.quantile(np.abs(np.diff(data.x) / np.maximum(np.diff(data.t), off)), FAST_QUANTILE))
+    return fast * off > MIN_STAMP_NOISE_SHARE * noise_of_differences(np.diff(data.x, 3), 3)
 
 
 def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> EvenTable | None:
@@ -220,7 +227,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         if len(rows) < (1 - MAX_DOUBLED_SHARE) * len(every):
             continue
         moving = replace(select_rows(data, rows), t=ticks[rows].astype(float))
-        table = EvenTable(moving, np.ones(len(rows), dtype=bool), rows, _doubled_note(np.setdiff1d(every, rows)))
+        table = EvenTable.of(moving, rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
         if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
@@ -228,8 +235,8 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         clock = sampling.rounded_clock(stamps, counted, rounding, interval)
         clock = clock or sampling.jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
         if clock is not None:
-            found, notes = _at_rate(_at_clock(select_rows(data, table.numbers), clock), fps, rounding)
-            return replace(table, data=found, notes=(*clock.notes, *table.notes, *notes))
+            clocked = replace(table, data=_at_clock(select_rows(data, table.numbers), clock))
+            return _at_rate(replace(clocked, notes=(*clock.notes, *table.notes)), fps, rounding)
     if sampling.is_even(data.t):
         raise FrictrackError(
             f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
@@ -240,39 +247,44 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
 
 def _can_find_slips(data: TableData) -> bool:
     """Return whether the rows lie on an even clock without long gaps, and the target moves."""
-    assert data.x is not None
-    gaps = np.diff(data.t) / float(np.median(np.diff(data.t)))
-    return sampling.is_even(data.t) and float(np.max(gaps)) < MAX_GAP_FRAMES and float(np.ptp(data.x)) > MIN_TRAVEL_M
+    steps, travel = np.diff(data.t), float(np.ptp(np.asarray(data.x)))
+    longest = float(np.max(steps) / np.median(steps))
+    return sampling.is_even(data.t) and longest < MAX_GAP_FRAMES and travel > MIN_TRAVEL_M
 
 
-def _with_clock_of_stamps(data: TableData) -> tuple[TableData, Rows, tuple[str, ...]]:
-    """Return a table with uneven time stamps on an even clock, its row numbers, and notes."""
+def _with_clock_of_stamps(data: TableData) -> EvenTable:
+    """Return a table with uneven time stamps on an even clock, where these show one."""
     from frictrack.recording import read_stamps  # noqa: PLC0415 - loads OpenCV; even tables do without
 
-    rows = np.arange(len(data.t))
     read = read_stamps(data.t)
     if read is None:
-        return data, rows, ()
-    rows = np.setdiff1d(rows, read.doubled)
+        return EvenTable.of(data)
+    if np.any(data.t[read.doubled] - data.t[read.doubled - 1] > MIN_JITTER_SHARE * read.step):
+        return EvenTable.of(data)  # rows of their own, at uneven times
+    rows = np.setdiff1d(np.arange(len(data.t)), read.doubled)
     ticks = _fill_corrupt_ticks(read.ticks)[rows]
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
     taken = replace(select_rows(data, rows), t=stamps)
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
-        return data, np.arange(len(data.t)), ()
+        return EvenTable.of(data)
     notes = _doubled_note(read.doubled)
     if len(read.corrupt):
         notes += (f"the time stamp is wrong in {sampling.describe_frames(read.corrupt)}; the row stays in its place",)
-    assert taken.x is not None
-    clock = None if sampling.is_even(taken.t) else sampling.jittered_clock(taken.t, ticks, taken.x)
-    return (taken, rows, notes) if clock is None else (_at_clock(taken, clock), rows, notes + clock.notes)
+    good = sampling.is_even(taken.t) and not _stamps_add_noise(taken)
+    clock = None if good else sampling.jittered_clock(taken.t, ticks, np.asarray(taken.x))
+    table = EvenTable.of(taken, rows, notes)
+    return table if clock is None else table.changed(_at_clock(taken, clock), *clock.notes)
 
 
 def _doubled_note(rows: Rows) -> tuple[str, ...]:
-    if not len(rows):
-        return ()
-    count = "1 row has" if len(rows) == 1 else f"{len(rows)} rows have"
-    return (f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out",)
+    count = _count(len(rows), "row has", "rows have")
+    note = f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out"
+    return (note,) if len(rows) else ()
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"1 {one}" if n == 1 else f"{n} {many}"
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
@@ -291,15 +303,31 @@ def _at_clock(data: TableData, clock: sampling.EvenClock) -> TableData:
     return replace(data, t=clock.t, clock_error=clock.error, **moved)
 
 
-def _on_grid(data: TableData) -> tuple[TableData, tuple[str, ...]]:
-    """Return a table with uneven times at the nearest times of an even grid, and a note."""
+def _without_near_rows(table: EvenTable) -> EvenTable:
+    """Return the rows of an uneven clock that are not at nearly the time of the one before."""
+    data, rows = table.data, table.numbers
+    steps, usual = np.diff(data.t), float(np.median(np.diff(data.t)))
+    even = sampling.is_even(data.t) or np.min(steps) > sampling.MIN_SHORTEST * usual
+    if even or np.mean(steps <= 0) > MAX_DOUBLED_SHARE:
+        return table
+    stay = [0]
+    for i, one in enumerate(data.t.tolist()):
+        if one - data.t[stay[-1]] > NEAR_SHARE * usual:
+            stay.append(i)
+    note = f"{len(rows) - len(stay)} of {len(rows)} rows come at nearly the time of the row before: left out"
+    return EvenTable.of(select_rows(data, np.array(stay)), rows[stay], (*table.notes, note))
+
+
+def _on_grid(table: EvenTable) -> EvenTable:
+    """Return a table with uneven times at the nearest times of an even grid."""
+    data = table.data
     columns = {name: column for name in MEASURED_COLUMNS if (column := getattr(data, name)) is not None}
     moved = None if sampling.is_even(data.t) else sampling.moved_to_grid(data.t, list(columns.values()))
     if moved is None:
-        return data, ()
+        return table
     found: dict[str, Any] = dict(zip(columns, moved[1], strict=True))
     note = "the times are uneven; the columns are moved along their course to the nearest times of an even grid"
-    return replace(data, t=moved[0], **found), (note,)
+    return table.changed(replace(data, t=moved[0], **found), note)
 
 
 def select_rows(data: TableData, rows: Rows) -> TableData:
@@ -309,10 +337,11 @@ def select_rows(data: TableData, rows: Rows) -> TableData:
     return replace(data, **taken)
 
 
-def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple[TableData, tuple[str, ...]]:
+def _at_rate(table: EvenTable, fps: float | None, rounding: float = 0.0) -> EvenTable:
     """Return a table with the given frame rate, and a note if its stamps contradict it."""
+    data = table.data
     if fps is None:
-        return data, ()
+        return table
     span = float(data.t[-1] - data.t[0])
     frames = (data.t - data.t[0]) / float(np.median(np.diff(data.t)))
     frames = sampling.frame_numbers(data.t) if sampling.is_even(data.t) else frames
@@ -320,17 +349,17 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> tuple
     note = f"the time stamps say {rate:.6g} Hz but fps = {fps:.6g} is given; fps is used"
     differs = abs(rate / fps - 1) - rounding / span
     if time_unit(fps / rate):  # the times are in another unit; the check of the clocks says which
-        return data, ()
+        return table
     if differs > MAX_RELATIVE_DIFFERENCE:
         note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
-    return replace(data, t=data.t[0] + frames / fps, clock_error=0.0), (note,) if differs > MIN_RATE_DIFFERENCE else ()
+    notes = [note] if differs > MIN_RATE_DIFFERENCE else []
+    return table.changed(replace(data, t=data.t[0] + frames / fps, clock_error=0.0), *notes)
 
 
 def _lost_moving_rows(data: TableData, rows: Rows) -> bool:
     """Whether rows that are left out for their stamps have positions of their own."""
-    assert data.x is not None
-    lost = np.setdiff1d(np.arange(1, len(data.t)), rows)
-    return bool(np.any(data.x[lost] != data.x[lost - 1]))
+    x, lost = np.asarray(data.x), np.setdiff1d(np.arange(1, len(data.t)), rows)
+    return bool(np.any(x[lost] != x[lost - 1]))
 
 
 def _counted_at_rate(data: TableData, fps: float) -> TableData:
@@ -375,11 +404,10 @@ def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:
 
 def _sampled_path(data: TableData) -> sampling.SampledPath:
     """Return the positions of a table as a path; only identical positions can repeat each other."""
-    assert data.x is not None
-    x = data.x
+    x = np.asarray(data.x)
     own = x[np.concatenate(([True], np.diff(x) != 0))]
-    noise = float(np.nan_to_num(noise_level(own, np.ones(len(own), dtype=bool))[0]))
-    noise = max(noise, sampling.rounding_noise(sampling.quantum(x)), DOUBLE_RESOLUTION * float(np.max(np.abs(x))))
+    digits = DOUBLE_RESOLUTION * float(np.max(np.abs(x)))
+    noise = max(white_noise(own), sampling.rounding_noise(sampling.quantum(x)), digits)
     ticks = sampling.frame_numbers(data.t).astype(np.int64)
     every = np.ones(len(x), dtype=bool)
     return sampling.SampledPath(x, np.full(len(x), noise), ticks, every, MIN_JUMP_SIGMAS * noise, exact=True)
@@ -388,15 +416,13 @@ def _sampled_path(data: TableData) -> sampling.SampledPath:
 def _slip_notes(found: tuple[sampling.Slip, ...], numbers: Rows) -> tuple[str, ...]:
     """Return notes on repeated and missing samples."""
     again = [int(numbers[s.frame]) for s in found if s.doubled]
-    lost = [s for s in found if not s.doubled]
+    lost = {int(numbers[s.frame]): s.frames for s in found if not s.doubled}
     notes = []
     if again:
-        count = "1 sample repeats" if len(again) == 1 else f"{len(again)} samples repeat"
+        count = _count(len(again), "sample repeats", "samples repeat")
         notes.append(f"{count} the one before: {sampling.describe_frames(again)}; left out")
     if lost:
-        total = sum(s.frames for s in lost)
-        count = "1 sample is" if total == 1 else f"{total} samples are"
-        places = sampling.describe_frames([int(numbers[s.frame]) for s in lost])
+        count, places = _count(sum(lost.values()), "sample is", "samples are"), sampling.describe_frames([*lost])
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
 
@@ -433,10 +459,8 @@ def run_of_dataframe(
 def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
-        number = (
-            parse_quantity(values, (COLUMNS | POINT_COLUMNS)[name][1], name)[0] if isinstance(values, str) else values
-        )
-        array = np.asarray(number, dtype=np.float64)
+        unit = (COLUMNS | POINT_COLUMNS)[name][1]
+        array = np.asarray(parse_quantity(values, unit, name)[0] if isinstance(values, str) else values, np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
     if array.ndim == 0 and name not in ("t", "x", "v"):

@@ -8,12 +8,13 @@ a missing frame becomes a gap, and a corrupt stamp is ignored.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.sampling import count_intervals, rounded_clock, stamp_rounding
+from frictrack.sampling import count_intervals, describe_frames, rounded_clock, stamp_rounding
 
 
 @dataclass(frozen=True)
@@ -66,14 +67,12 @@ MIN_CHANGING_SHARE = 0.1  # of intervals that are longer: the rate changes, and 
 MAX_UNEVENNESS = 0.1  # rms deviation of stamps from whole frames, in frames, above which they are the times themselves
 _MAX_GAP_FRAMES = 10_000  # frames; nothing is believed to be missing for longer
 _MIN_AGREEING_STAMPS = 3  # stamps in a row that agree with each other, not with those before: the clock was set
-_MAX_LISTED_FRAMES = 5
 
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class AuditRow:
+class AuditRow(NamedTuple):
     """One line of the audit: the quantity, its value, and the verdict."""
 
     name: str
@@ -364,7 +363,7 @@ def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[A
         verdict = handled if count else "none"
         rows.append(AuditRow(f"time stamps, {what}", str(int(count)), verdict))
         if count:
-            notes.append(f"{_count_words(int(count), phrase)} {_list_frames(frames)}; {handled}")
+            notes.append(f"{_count_words(int(count), phrase)} {describe_frames(frames)}; {handled}")
     if parsed.uneven or parsed.changing:
         spacing = "changing" if parsed.changing else "uneven"
         rows.append(AuditRow("time stamps, spacing", spacing, "each frame has its own time"))
@@ -378,12 +377,6 @@ def _count_words(count: int, phrase: str) -> str:
         for many, one in (("frames are", "frame is"), ("frames have", "frame has"), ("stamps are", "stamp is")):
             phrase = phrase.replace(many, one)
     return f"{count} {phrase}"
-
-
-def _list_frames(frames: Ticks) -> str:
-    named = ", ".join(str(i) for i in frames[:_MAX_LISTED_FRAMES].tolist())
-    more = len(frames) - _MAX_LISTED_FRAMES
-    return f"frame{'s' if len(frames) > 1 else ''} {named}" + (f" and {more} more" if more > 0 else "")
 
 
 def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[AuditRow], list[str]]:

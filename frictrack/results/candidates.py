@@ -118,11 +118,6 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
     return [*rows.values(), *(row for row in rest if row.delta_bic > 0)]
 
 
-def find_row(diagnosis: Mapping[str, Any] | None, effect: str) -> CandidateRow | None:
-    """Find the row of an effect; None if it is not listed."""
-    return next((row for row in candidate_rows(diagnosis) if row.effect == effect), None)
-
-
 def not_passing(rows: Sequence[CandidateRow]) -> str:
     """Count the candidates with positive evidence that do not pass, in words; "" if there are none."""
     failing, implausible = (sum(row.kind == kind for row in rows) for kind in ("fails", "implausible"))

@@ -339,3 +339,17 @@ def describe_tests(history: Mapping[str, Any]) -> list[str]:
     parts = f" in {sequences} sequences of models" if sequences > 1 else ""
     spent = f"{100 * history['alpha_spent']:.3g} %"
     return [f"{made}{parts}: the probability that any effect named is false is at most {spent}."]
+
+
+def describe_lost(lost: int, frames: int) -> str:
+    """Say in how many frames of a film the target was lost.
+
+    Examples
+    --------
+    >>> describe_lost(3, 150), describe_lost(0, 150)
+    ('the target was lost in 3 of 150 frames', 'the target was found in all 150 frames')
+
+    """
+    return (
+        f"the target was lost in {lost} of {frames} frames" if lost else f"the target was found in all {frames} frames"
+    )

@@ -3,6 +3,7 @@
 # ruff: noqa: F401 - the imports are the interface
 
 from frictrack.sampling.clock import (
+    MIN_SHORTEST,
     EvenClock,
     base_interval,
     common_unevenness,
@@ -16,6 +17,7 @@ from frictrack.sampling.clock import (
     rounded_clock,
     rounding_noise,
     stamp_rounding,
+    uneven_noise,
     unevenness,
     unwrapped,
 )

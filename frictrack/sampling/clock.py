@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.distributions import noise_of_differences, robust_std, student_sf
@@ -28,6 +29,7 @@ ROWS_AT_ONCE = 1 << 14  # whose speeds or quantiles are computed together
 MAX_STEP_ERROR = 0.02  # of a step; positions may be off a whole multiple by this much
 MAX_PARTS = 1000  # of the smallest gap between two positions: a fast mass skips some steps
 MAX_CHANCE = 1e-6  # probability that gaps which are no multiples of a step seem to be, over all parts tried
+MAX_GAP_STEPS = 1e5  # times the smallest gap
 FIRST_GAPS = 8  # smallest gaps from which a step is first estimated
 MIN_POSITIONS = 3  # distinct positions that can show a step
 TURNS = (360.0, 2 * np.pi)  # of angles
@@ -88,10 +90,17 @@ def quantum(x: Array) -> float:
     if len(gaps) < MIN_POSITIONS - 1:
         return 0.0
     gaps = np.sort(gaps)
+    gaps = gaps[gaps < MAX_GAP_STEPS * gaps[0]]  # the digits of a double do not count the steps of a longer one
     for parts in range(1, _max_parts(len(gaps)) + 1):
         if step := _refine_step(gaps, float(gaps[0]) / parts):
-            return 0.0 if _is_even_motion(gaps, step, len(values) < len(x)) else step
+            return 0.0 if _is_even_motion(gaps, step, len(values) < len(x)) else _with_few_digits(step, digits / step)
     return 0.0
+
+
+def _with_few_digits(step: float, error: float) -> float:
+    """The number of fewest digits within a relative error of a step: 2^32 times it is then right, too."""
+    digits = (float(f"{step:.{n}g}") for n in range(1, 11))
+    return next((one for one in digits if abs(one / step - 1.0) < max(error, 1e-10)), float(f"{step:.10g}"))
 
 
 def _is_even_motion(gaps: Array, step: float, repeated: bool) -> bool:
@@ -117,7 +126,7 @@ def _refine_step(gaps: Array, near: float) -> float:
         if np.any(counts < 1) or np.max(np.abs(some - counts * step)) > MAX_STEP_ERROR * step:
             return 0.0
         step = float(np.sum(some) / np.sum(counts))
-    return float(f"{step:.10g}")
+    return step
 
 
 def rounding_noise(step: float) -> float:
@@ -283,6 +292,24 @@ def moved_to_grid(t: Array, columns: Sequence[Array]) -> tuple[Array, list[Array
     return grid, [c + np.einsum("nj,nji,ni->n", shift, inverse, _without_nan(t, c)[rows]) for c in columns]
 
 
+def uneven_noise(t: Array, x: Array, relative: Array | float = 1.0) -> float:
+    """White noise of positions x (n,) at uneven times t (n,), over `relative`, from fourth divided differences.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> t = np.sort(rng.uniform(0, 1, 800))
+    >>> 0.8e-3 < uneven_noise(t, t**2 + 1e-3 * rng.standard_normal(800)) < 1.2e-3
+    True
+
+    """
+    rows = np.arange(len(t) - 4)[:, None] + np.arange(5)
+    apart = t[rows][:, :, None] - t[rows][:, None, :] + np.eye(5)
+    weight = 1.0 / np.prod(apart / np.mean(np.diff(t)), axis=2)  # of a difference from which any cubic is gone
+    deviation = np.linalg.norm(weight * np.broadcast_to(relative, len(t))[rows], axis=1)
+    return float(robust_std(np.sum(weight * x[rows], axis=1) / deviation))
+
+
 def _without_nan(t: Array, column: Array) -> Array:
     """Interpolate unknown values of a column (n,); zeros where none is known."""
     known = np.isfinite(column)
@@ -354,18 +381,36 @@ def rounded_clock(t: Array, ticks: Ticks, rounding: float, interval: float | Non
 
     Returns None where the rows are not off the line as rounding makes them, uniformly, unless the `interval` is given.
     """
-    slope = float(interval or np.polyfit(ticks, t, 1)[0])
+    slope, error = (interval, 0.0) if interval else _interval_of_rounded(t, ticks, rounding)
     start = float(np.mean(t - slope * ticks))
     off = t - start - slope * ticks
     uniform = np.ptp(off) < MAX_ROUNDING_STEPS * rounding and np.std(off) > MIN_ROUNDING_RMS * rounding
     if not (uniform or interval) or slope <= 0:
         return None
-    error = 0.0 if interval else _slope_error(t, off)
     note = (
         f"time stamps are rounded to {rounding:.4g} s: the rows are taken as evenly spaced by {slope:.6g} s"
         f"{'' if interval else f', the slope of all stamps, known to {100 * error:.2g} %; fps would decide'}"
     )
     return EvenClock(start + slope * ticks.astype(np.float64), np.zeros(len(t)), (note,), error)
+
+
+def _interval_of_rounded(t: Array, ticks: Ticks, rounding: float) -> tuple[float, float]:
+    """Interval (s) of stamps t (n,), and its relative deviation: of all lines that rounding allows, the middle one.
+
+    Rounding errors that beat slowly with the interval shift the least-squares line more than white ones would.
+    """
+    slope, start = np.polyfit(ticks, t, 1)
+    off, span, place = t - start - slope * ticks, float(ticks[-1]), (ticks - 0.5 * ticks[-1]) / ticks[-1]
+
+    def width(turn: float) -> float:
+        return float(np.ptp(off - turn * place)) - rounding  # `turn`: of the line over the record, s
+
+    best = scipy.optimize.minimize_scalar(width, bounds=(-2 * rounding, 2 * rounding), method="bounded").x
+    if width(best) >= 0:  # the stamps jitter, too
+        return float(slope), _slope_error(t, off)
+    low, high = (scipy.optimize.brentq(width, best, best + side * 4 * rounding) for side in (-1, 1))
+    found = float(slope) + 0.5 * (low + high) / span
+    return found, rounding_noise(high - low) / span / found
 
 
 def _slope_error(t: Array, off: Array) -> float:

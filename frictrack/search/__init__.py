@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, UsageError, raise_faults
 from frictrack.records import Array
 from frictrack.search.adapters import CMAES, DA, DE
 from frictrack.search.genetic import GA, MGA, SA, SGA, code_length, code_length_as_printed
@@ -60,7 +60,7 @@ def search_method(method: str | SearchMethod, settings: Mapping[str, Any] | None
     if isinstance(method, SearchMethod):
         return replace(method, **read_settings(type(method), settings or {}))
     if method not in METHODS:
-        raise FrictrackError(f'expected a search among {", ".join(METHODS)} but got "{method}"', usage=True)
+        raise UsageError(f'expected a search among {", ".join(METHODS)} but got "{method}"')
     return METHODS[method](**read_settings(METHODS[method], settings or {}))
 
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.records import Array
 
 Cost = Callable[[Array], Array]
@@ -437,7 +437,7 @@ def read_settings(kind: type[SearchMethod], raw: Mapping[str, Any]) -> dict[str,
 def refuse(name: str, *faults: str) -> None:
     """Raise FrictrackError (usage) if there are faults in the settings of a method."""
     if faults:
-        raise FrictrackError(f"search {name}: {'; '.join(faults)}", usage=True)
+        raise UsageError(f"search {name}: {'; '.join(faults)}")
 
 
 def _read(value: Any) -> Any:

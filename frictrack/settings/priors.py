@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 from frictrack.records import Array
 
@@ -82,17 +82,16 @@ class Prior:
         k, matrix = len(self.names), np.array(self.covariance, dtype=np.float64)
         others = (self.values, self.units, self.loaded)
         if k == 0 or any(len(one) != k for one in others) or matrix.shape != (k, k):
-            raise FrictrackError("expected one value, unit and row of the covariance for every parameter", usage=True)
+            raise UsageError("expected one value, unit and row of the covariance for every parameter")
         std = np.sqrt(np.diag(matrix))
         if not (np.all(np.isfinite(self.values)) and np.all(np.isfinite(matrix)) and np.all(std > 0)):
-            raise FrictrackError("expected finite values and standard deviations above 0", usage=True)
+            raise UsageError("expected finite values and standard deviations above 0")
         if np.min(np.linalg.eigvalsh(matrix / std / std[:, None])) < MIN_EIGENVALUE:
-            raise FrictrackError(
-                "expected correlations that can hold together (a positive definite matrix); export the law again",
-                usage=True,
+            raise UsageError(
+                "expected correlations that can hold together (a positive definite matrix); export the law again"
             )
         if any(self.loaded) and self.load is not None and not 0 < self.load < math.inf:
-            raise FrictrackError(f"expected a load above 0 N but got {self.load:g}", usage=True)
+            raise UsageError(f"expected a load above 0 N but got {self.load:g}")
 
     def __str__(self) -> str:
         rows = zip(self.names, self.values, self.std, self.units, strict=True)
@@ -127,9 +126,8 @@ class Prior:
 
         """
         if not (0 < scale < math.inf and 0 <= scatter < math.inf):
-            raise FrictrackError(
-                f"expected prior_scale above 0 and prior_scatter of at least 0 but got {scale:g} and {scatter:g}",
-                usage=True,
+            raise UsageError(
+                f"expected prior_scale above 0 and prior_scatter of at least 0 but got {scale:g} and {scatter:g}"
             )
         own = np.diag((scatter * np.array(self.values)) ** 2)
         return replace(self, covariance=_rows(scale**2 * np.array(self.covariance) + own))
@@ -152,10 +150,9 @@ class Prior:
             return replace(self, load=load)
         if load is None or self.load is None or not math.isfinite(load):
             which = "this study" if self.load is not None else f'the study of the prior ("{self.study}")'
-            raise FrictrackError(
+            raise UsageError(
                 f"expected a known normal load, with which {self.names[self.loaded.index(True)]} of the prior scales, "
-                f"but {which} has none; give mass or normal_load there",
-                usage=True,
+                f"but {which} has none; give mass or normal_load there"
             )
         factor = np.where(self.loaded, load / self.load, 1.0)
         values = tuple(map(float, factor * np.array(self.values)))
@@ -223,16 +220,15 @@ class Prior:
         path = Path(path)
         try:
             if (size := path.stat().st_size) > MAX_PRIOR_BYTES:
-                raise FrictrackError(
+                raise UsageError(
                     f"{path.name}: expected a prior file of at most {MAX_PRIOR_BYTES >> 10} kB but got "
-                    f"{size / 1e3:.0f} kB",
-                    usage=True,
+                    f"{size / 1e3:.0f} kB"
                 )
             text = path.read_text(encoding="utf-8")
         except UnicodeDecodeError as e:
-            raise FrictrackError(f"{path.name}: expected a text in UTF-8; export the law again", usage=True) from e
+            raise UsageError(f"{path.name}: expected a text in UTF-8; export the law again") from e
         except OSError as e:
-            raise FrictrackError(f"expected a prior file {path} but cannot read it", usage=True) from e
+            raise UsageError(f"expected a prior file {path} but cannot read it") from e
         return cls.from_toml(text, path.name)
 
     @classmethod
@@ -255,9 +251,9 @@ class Prior:
         try:
             return _read(tomllib.loads(text))
         except (ValueError, RecursionError) as e:
-            raise FrictrackError(f"{name} is not valid TOML: {e}; export the law again", usage=True) from e
+            raise UsageError(f"{name} is not valid TOML: {e}; export the law again") from e
         except FrictrackError as e:
-            raise FrictrackError(f"{name}: {e}", usage=True) from e
+            raise UsageError(f"{name}: {e}") from e
 
 
 def _read(raw: Mapping[str, Any]) -> Prior:
@@ -341,7 +337,7 @@ def _check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> N
 
 
 def _refuse(what: str) -> NoReturn:
-    raise FrictrackError(what, usage=True)
+    raise UsageError(what)
 
 
 def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:

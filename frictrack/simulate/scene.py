@@ -37,7 +37,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from frictrack.base.distributions import RNG, accepts_seed, as_seed
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import is_file_name
 from frictrack.effects import models
 from frictrack.effects.models import Model
@@ -132,13 +132,13 @@ def read_scene(text: str) -> Scene:
     raw = read_toml("scene", text)
     faults = _type_faults(raw) or _key_faults(raw) + [f for run in raw["run"] for f in _run_faults(run)]
     if faults:
-        raise FrictrackError("scene: " + "; ".join(faults), usage=True)
+        raise UsageError("scene: " + "; ".join(faults))
     try:
         return _scene(raw)
     except FrictrackError:
         raise
     except (TypeError, ValueError, AttributeError, OverflowError) as fault:
-        raise FrictrackError(f"scene: expected numbers but {fault}", usage=True) from None
+        raise UsageError(f"scene: expected numbers but {fault}") from None
 
 
 def _type_faults(raw: dict[str, Any]) -> list[str]:
@@ -164,10 +164,12 @@ def _is_number(value: Any, low: float = -MAX_NUMBER, high: float = MAX_NUMBER) -
 
 def _key_faults(raw: dict[str, Any]) -> list[str]:
     """Name unknown keys and pictures that are too large."""
-    faults = [f'unknown key "{k}"' for k in raw if k not in SCENE_KEYS]
-    faults += [f'unknown key "{k}" in a run' for run in raw["run"] for k in run if k not in RUN_KEYS]
-    faults += [f'unknown key "{k}" in [camera]' for k in raw.get("camera", {}) if k not in CAMERA_KEYS]
-    faults += [f'unknown key "{k}" in [target]' for k in raw.get("target", {}) if k not in TARGET_KEYS]
+    tables = [("", SCENE_KEYS, raw), *((" in a run", RUN_KEYS, run) for run in raw["run"])]
+    tables += [
+        (" in [camera]", CAMERA_KEYS, raw.get("camera", {})),
+        (" in [target]", TARGET_KEYS, raw.get("target", {})),
+    ]
+    faults = [f'unknown key "{k}"{place}' for place, known, given in tables for k in given if k not in known]
     for key in ("width", "height"):
         value = raw.get("camera", {}).get(key, 8)
         if not isinstance(value, int) or not _is_number(value, 8, MAX_SIDE_PX):
@@ -230,8 +232,8 @@ def _read_element(kind: type[SceneElement], name: str, given: Any) -> SceneEleme
     try:
         return kind(**{key: float(value) for key, value in given.items()})
     except (TypeError, ValueError, AttributeError):
-        raise FrictrackError(
-            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}", usage=True
+        raise UsageError(
+            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}"
         ) from None
 
 
@@ -266,9 +268,9 @@ def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | No
     try:
         scene = read_scene(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError as fault:
-        raise FrictrackError(f"{path.name} is not a text in UTF-8 (byte {fault.start})", usage=True) from None
+        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {fault.start})") from None
     except FrictrackError as fault:
-        raise FrictrackError(f"{path.name}: {fault}", usage=True) from None
+        raise UsageError(f"{path.name}: {fault}") from None
     film_scene(scene, out, rng=rng, progress=progress)
 
 
@@ -293,14 +295,8 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
     """
     generator = np.random.default_rng(rng)
     folder.mkdir(parents=True, exist_ok=True)
-    truth: dict[str, Any] = {
-        "scene": scene.name,
-        "mass": scene.mass,
-        "law": scene.law,
-        "seed": as_seed(rng),
-        "runs": [],
-    }
-    truth["target"] = asdict(scene.target)
+    truth: dict[str, Any] = {"scene": scene.name, "mass": scene.mass, "law": scene.law, "seed": as_seed(rng)}
+    truth |= {"runs": [], "target": asdict(scene.target)}
     earlier: EarlierRuns = ()
     motion: Trajectory | None = None
     for i, run in enumerate(scene.runs):
@@ -316,8 +312,7 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
         film = f"{run['name']}.{scene.format}"
         write_film(_render_frames(scene, run, camera, motion, generator), folder / film, camera.fps)
         if _is_driven(scene, run):
-            drive = push_force(mass, float(run["v"]), float(run["push"]))(motion.t)
-            table = np.column_stack([motion.t, drive])
+            table = np.column_stack([motion.t, push_force(mass, float(run["v"]), float(run["push"]))(motion.t)])
             np.savetxt(folder / f"{run['name']}_drive.csv", table, "%.9g", ",", header="t_s,drive_N", comments="")
         about = {"name": run["name"], "mass": mass, "level": level, "v": run["v"], "camera": asdict(camera)}
         truth["runs"].append(about | {"x_m": motion.x.tolist()})
@@ -364,7 +359,7 @@ def true_trajectory(
         True motion at the frames.
 
     """
-    mass = float(run.get("mass", scene.mass))
+    mass, rotation = float(run.get("mass", scene.mass)), scene.target.rotation
     v, push = float(run["v"]), float(run.get("push", 0.0))
     t = np.arange(int(run["frames"])) / camera.fps
     ratio = mass / scene.mass
@@ -375,26 +370,15 @@ def true_trajectory(
         pixel_pitch=camera.scale,
         incline=float(run.get("incline", 0.0)),
         drive=push_force(mass, v, push) if push else None,
-        lift=None if scene.lift is None else scene.lift.second_derivative(),
-        angle=_counterclockwise(scene.target.rotation),
+        lift=scene.lift and scene.lift.second_derivative(),
+        angle=rotation and replace(rotation, amplitude=-rotation.amplitude),  # the picture's y points down
         clamp_x=scene.beam.get("clamp_x"),
         beam_length=scene.beam.get("beam_length"),
         earlier=earlier,
     )
-    return simulate(
-        scene.model, _effect_values(scene), conditions, t, (_start_x(scene, run, camera), 0.0 if push else v)
-    )
-
-
-def _counterclockwise(rotation: Oscillation | None) -> Oscillation | None:
-    """Rotation with the angle counter-clockwise in space: the picture's y points down."""
-    return None if rotation is None else replace(rotation, amplitude=-rotation.amplitude)
-
-
-def _start_x(scene: Scene, run: dict[str, Any], camera: Camera) -> float:
-    """Start of the block's centre, m; x is counted from the left edge of the picture in all runs."""
     edge = MARGIN_PX + scene.target.width / 2
-    return camera.scale * (edge if run["v"] > 0 else camera.width - 1 - edge)
+    start = camera.scale * (edge if v > 0 else camera.width - 1 - edge)  # x counts from the left edge of the picture
+    return simulate(scene.model, _effect_values(scene), conditions, t, (start, 0.0 if push else v))
 
 
 def _effect_values(scene: Scene) -> dict[str, dict[str, float]]:
@@ -405,7 +389,7 @@ def _effect_values(scene: Scene) -> dict[str, dict[str, float]]:
         known = {p.name for p in effect.parameters}
         wrong = [k for k in given if k not in known]
         if wrong:
-            raise FrictrackError(f"scene: {effect.name} has {', '.join(known)} but not {wrong[0]}", usage=True)
+            raise UsageError(f"scene: {effect.name} has {', '.join(known)} but not {wrong[0]}")
         out[effect.name] = {p.name: float(given.get(p.name, p.fixed or 0.0)) for p in effect.parameters}
     if "stribeck" in out and "coulomb" in out:
         out["stribeck"]["F_s"] -= out["coulomb"]["F_c"]

@@ -394,12 +394,7 @@ def simulate(model: Model, values: Values, conditions: Conditions, t: Array, sta
 
 
 def simulate_displacement(
-    model: Model,
-    values: Values,
-    conditions: Conditions,
-    t: Array,
-    start: Start,
-    tolerance: float,
+    model: Model, values: Values, conditions: Conditions, t: Array, start: Start, tolerance: float
 ) -> Array:
     """Simulate the recorded displacement of a long motion to a given accuracy.
 
@@ -461,12 +456,9 @@ def _integrate(state: SimulationState, t: Array, start: tuple[float, float], per
         next_one = int(np.searchsorted(edges, now + 1e-12, side="right"))
         ahead = np.concatenate([[now], edges[next_one : next_one + count]])
         state.history.add(np.array([now]), np.array([x]), np.array([v]), 0.0)
-        if state.smooth:
-            now, x, v = _follow_smooth(state, ahead, (x, v))
-            continue
-        s = np.sign(v) if v else _start_direction(state, x, now)
+        s = 1.0 if state.smooth else np.sign(v) if v else _start_direction(state, x, now)
         now, x, v = _slide_until_stop(state, ahead, (x, v), float(s)) if s else _stick(state, ahead, x)
-        can_grow = v and not state.model.memory and not state.model.turns
+        can_grow = v and not (state.smooth or state.model.memory or state.model.turns)
         count = min(2 * count, MAX_WINDOW_PANELS) if can_grow else _first_window(state)
     return state.history.rows
 
@@ -515,53 +507,39 @@ def _release(state: SimulationState, ahead: Array, x: float, s: float) -> float:
 def _slide_until_stop(
     state: SimulationState, ahead: Array, start: tuple[float, float], s: float
 ) -> tuple[float, float, float]:
-    """Slide in direction s through one window of panels, or to the stop; return time, position and velocity there."""
+    """Slide in direction s through one window of panels, or to the stop; return time, position and velocity there.
+
+    A smooth law is followed through its reversals.
+    """
     motion = _solve_window(state, Panels(ahead), start, s)
-    panels = motion.panels
-    stopped = np.flatnonzero(s * motion.v_edge[1:] <= 0)
-    last = int(stopped[0]) if len(stopped) else len(panels.h)  # edge before the stop
+    edges, x, v = motion.panels.edges, motion.x_edge, motion.v_edge
+    stops = [] if state.smooth else np.flatnonzero(s * v[1:] <= 0).tolist()
+    last = stops[0] if stops else len(edges) - 1  # edge before the stop
     state.advance(motion, last + 1, s)
-    if not len(stopped):
-        return float(panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
-    piece = panels.edges[last : last + 2]
-    return _locate_stop(state, s, piece, (motion.x_edge[last], motion.v_edge[last]), motion.a[3 * last : 3 * last + 3])
-
-
-def _follow_smooth(state: SimulationState, ahead: Array, start: tuple[float, float]) -> tuple[float, float, float]:
-    """Integrate a smooth law through the times ahead, reversals included."""
-    motion = _solve_window(state, Panels(ahead), start, 1.0)
-    state.advance(motion, len(motion.x_edge), 1.0)
-    return float(motion.panels.edges[-1]), float(motion.x_edge[-1]), float(motion.v_edge[-1])
+    if not stops:
+        return float(edges[-1]), float(x[-1]), float(v[-1])
+    return _locate_stop(state, s, edges[last : last + 2], (x[last], v[last]), motion.a[3 * last : 3 * last + 3])
 
 
 def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> CollocationSolution:
-    """Solve the motion on the panels, or on as many of the first as converge."""
-    guess = _predict_accelerations(state, panels, start, s)
+    """Solve the motion on the panels, or on as many of the first as converge: far beyond a stop none may."""
+    guess, law, count = _predict_accelerations(state, panels, start, s), state.acceleration(s), len(panels.h)
     if state.tolerance is None:
-        return _solve_first_panels(state, panels, start, guess, s)
-    count = len(panels.h)
+        while count > WINDOW_PANELS:
+            try:
+                return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count])[0]
+            except FrictrackError:
+                count //= 2
+        some = Panels(panels.edges[: count + 1])
+        return solve_motion(law, some, start, guess[: 3 * count], memory=state.model.memory)[0]
     while count:
         some = Panels(panels.edges[: count + 1])
-        law = state.acceleration_at_nodes(some, s)
-        motion = solve_simplified_newton(law, some, start, guess[: 3 * count], state.tolerance)
+        law_at_nodes = state.acceleration_at_nodes(some, s)
+        motion = solve_simplified_newton(law_at_nodes, some, start, guess[: 3 * count], state.tolerance)
         if motion is not None:
             return motion
         count //= 2
-    one = Panels(panels.edges[:2])
-    return solve_motion(state.acceleration(s), one, start, guess[:3], memory=state.model.memory)[0]
-
-
-def _solve_first_panels(
-    state: SimulationState, panels: Panels, start: tuple[float, float], guess: Array, s: float
-) -> CollocationSolution:
-    """Solve the motion on the first panels; fewer where Newton's method fails, as it may far beyond a stop."""
-    law, count = state.acceleration(s), len(panels.h)
-    while count > WINDOW_PANELS:
-        try:
-            return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count])[0]
-        except FrictrackError:
-            count //= 2
-    return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count], memory=state.model.memory)[0]
+    return solve_motion(law, Panels(panels.edges[:2]), start, guess[:3], memory=state.model.memory)[0]
 
 
 def _predict_accelerations(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> Array:
@@ -573,12 +551,8 @@ def _predict_accelerations(state: SimulationState, panels: Panels, start: tuple[
     by_x = (float(law(x + np.array([0.0, step[0]]), np.full(2, v), t)[-1]) - first) / step[0]
     by_v = (float(law(np.full(2, x), v + np.array([0.0, step[1]]), t)[-1]) - first) / step[1]
     one = np.ones_like(panels.t)
-    rest = (
-        first
-        - by_x * x
-        - by_v * v
-        + (state.driving_force(panels.t) - state.driving_force(t)[0]) / state.conditions.mass
-    )
+    driven = (state.driving_force(panels.t) - state.driving_force(t)[0]) / state.conditions.mass
+    rest = first - by_x * x - by_v * v + driven
     a, _ = LinearResponse(panels, by_x * one, by_v * one).respond(rest[:, None], np.array([[x], [v]]))
     return a[:, 0]
 

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
         suggest,
         to_si,
     )
-    from frictrack.study.table_files import open_table, table_headers
-    from frictrack.study.table_layout import TableFile
+    from frictrack.study.table_files import open_table
+    from frictrack.study.table_layout import TableFile, stated
     from frictrack.study.writing import (
         NewRun,
         find_recordings,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
@@ -12,26 +13,44 @@ from frictrack.base.units import parse_quantity
 from frictrack.study.schema import COLUMNS as RECORD_COLUMNS
 from frictrack.study.schema import POINT_COLUMNS
 
-UNIT = re.compile(r"[(\[]\s*([^()\[\]]+?)\s*[)\]](?=\s*$|\s+(?:run|trial|set|data set)?\s*#?\d+\s*$)", re.IGNORECASE)
-"""Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"."""
+_LABEL = r"(?:(?:run|trial|set|data set|versuch|messung|essai)\s*#?\s*\w+|#?\d+)"
+UNIT = re.compile(
+    rf"[(\[（]\s*([^()\[\]（）]*[^\W\d_°][^()\[\]（）]*?|°)\s*[)\]）](?=\s*$|\s+{_LABEL}\s*$)", re.IGNORECASE
+)
+"""Unit in a header: "pos (mm)", "Position [mm]", "Time (s) Run #1"; or the size of a count: "encoder (5 um)"."""
 _LAST_WORD_UNIT = re.compile(r"(?<=\w)\s*(?:_|/|\s(?:in|en)\s)\s*(m?s|[µu]s|[mcµun]?m|[mk]?N|px)$")
 """Unit without brackets: "Weg / mm", "time in ms", "force_N"."""
 # What tells one of several runs in a table: "Data Set 1: Time (s)", "Time (s) Run #1", and a repeated "Time (s).1".
-_RUN_LABEL = re.compile(r"^.*:|(?:\b(?:run|trial|set|data set))?\s*#?\d+$|\.\d+$", re.IGNORECASE)
-# Usual names of a column, in English, German, French and Spanish; "/x" ends the names of one program.
+_RUN_LABEL = re.compile(rf"^.*:|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGNORECASE)
+_COUNT = re.compile(
+    r"\s*/?\s*\b(counts?|cts?|inc(rements?)?|inkremente?|pulses?|imp(ulse)?|ticks?|digits?|lsb|steps?)\b", re.I
+)
+_DEGREE = math.pi / 180
+ANGLES = {"rad": 1.0, "mrad": 1e-3, "rev": math.tau, "turns": math.tau} | dict.fromkeys(
+    ("deg", "°", "degree", "degrees", "Grad"), _DEGREE
+)  # units of a position that is an angle, in rad
+# Usual names of a column, in English, German, French, Spanish, Chinese and Japanese; "/x" ends those of one program.
 _USUAL_NAMES = {
-    "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit|temps|tiempo"),
-    "x": re.compile(r"x|pos(ition)?|x[ _]?pos(ition)?|pos(ition)?[ _]?x|disp(lacement)?|distance|weg|.*/x|x_target"),
+    "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit(stempel)?|temps|tiempo|时间|時間"),
+    "x": re.compile(
+        r"x|pos(ition)?|x[ _]?pos(ition)?|pos(ition)?[ _]?x|disp(lacement)?|d[ée]placement|distance|weg|.*/x|x_target"
+        r"|verschiebung|位移|位置|距离|変位"
+    ),
     "y": re.compile(r"y|y[ _]?pos(ition)?|pos(ition)?[ _]?y|.*/y"),
-    "friction": re.compile(r"friction([ _]force)?|reib(ungs)?kraft|tangential[ _](force|kraft)"),
+    "friction": re.compile(r"friction([ _]force)?|reib(ungs)?kraft|tangential[ _](force|kraft)|摩擦力"),
+    "drive": re.compile(r"driv(e|ing)([ _]force)?|antriebs?(kraft)?|zugkraft|pull(ing)?[ _]force|驱动力"),
 }
 TURNS = re.compile(
     r"rpm|drehzahl|(r|rev|u|1)/min|min\^?-1|rps|1/s|hz|(rad|deg|°)/s", re.IGNORECASE
 )  # of a turning speed
 _NAMES_OF_POINTS = {
-    "v": re.compile(r"v|(sliding |set )?(speed|velocity)|v_m_s|(gleit)?geschwindigkeit|vitesse|velocidad|rpm|drehzahl"),
-    "friction": re.compile(r"f|f_?[frtx]|(friction|tangential|mean)?[ _]?(force|friction)|friction_n|reibkraft"),
-    "mu": re.compile(r"mu|[µμ]|co?f|cof|(friction coefficient|coefficient of friction)|reibwert|reib(ungs)?zahl"),
+    "v": re.compile(
+        r"v|(sliding |set )?(speed|velocity)|v_m_s|(gleit)?geschwindigkeit|vitesse|velocidad|速度|rpm|drehzahl"
+    ),
+    "friction": re.compile(r"f|f_?[frtx]|(friction|tangential|mean)?[ _]?(force|friction)|friction_n|reibkraft|摩擦力"),
+    "mu": re.compile(
+        r"mu|[µμ]|co?f|cof|(friction coefficient|coefficient of friction)|reibwert|reib(ungs)?zahl|摩擦系数"
+    ),
     "sigma_friction": re.compile(r"std|sd|sigma(_f(riction)?)?(_n)?|uncertainty|error|standard deviation"),
     "load": re.compile(r"load|normal (load|force)|f_?[nz]|load_n|normalkraft|last"),
 }
@@ -47,10 +66,37 @@ def stated_unit(header: str) -> str | None:
     --------
     >>> stated_unit("Position (mm)"), stated_unit("Weg / mm"), stated_unit("force_N"), stated_unit("mass_A")
     ('mm', 'mm', 'N', None)
+    >>> stated_unit("encoder (counts)"), stated_unit("encoder (5 um/count)")
+    (None, '5 um')
 
     """
     found = UNIT.search(header) or _LAST_WORD_UNIT.search(header)
-    return found[1] if found else None
+    return (_COUNT.sub("", found[1]).strip() or None) if found else None
+
+
+def unit_size(unit: str, si: str, what: str) -> float:
+    """Return the size of a unit, or of a count such as "5 um", in an SI unit; an angle for a length is in rad.
+
+    Examples
+    --------
+    >>> unit_size("5 um", "m", "encoder"), unit_size("rad", "m", "angle")
+    (5e-06, 1.0)
+
+    """
+    number, name = _number_and_unit(unit)
+    if si == "m" and name in ANGLES:
+        return ANGLES[name] * float(number or 1)
+    return parse_quantity(f"{number or 1} {name}", si, what)[0]
+
+
+def _number_and_unit(size: str) -> tuple[str, str]:
+    unit = size.lstrip("0123456789.,")
+    return size[: len(size) - len(unit)], unit.strip()
+
+
+def is_angle(header: str) -> bool:
+    """Return whether a column of positions holds angles, by its unit."""
+    return _number_and_unit(stated_unit(header) or "")[1] in ANGLES
 
 
 def base_name(header: str) -> str:
@@ -89,6 +135,11 @@ def runs_of_columns(present: Sequence[str]) -> list[dict[str, str]]:
 
     """
     clocks = [i for i, header in enumerate(present) if _USUAL_NAMES["t"].fullmatch(quantity(header))]
+    labelled = [
+        h for h in present if re.search(rf"\b{_LABEL}$", base_name(h), re.I) and stated_unit(h) and may_hold(h, "x")
+    ]
+    if len(clocks) == 1 and len(labelled) > 1 and len({re.sub(r"\w+$", "", base_name(h)) for h in labelled}) == 1:
+        return [{"t": present[clocks[0]], "x": header} for header in labelled]  # one clock for all
     blocks = [present[i:j] for i, j in pairwise([*clocks, len(present)])]
     lengths = [next((h for h in block if stated_unit(h) and may_hold(h, "x")), None) for block in blocks]
     found = [guess_columns(block, quantity) for block in blocks]
@@ -162,7 +213,7 @@ def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name
     """
     found = {}
     for key, names in _USUAL_NAMES.items():
-        alike = [header for header in present if names.fullmatch(name(header).casefold())]
+        alike = [h for h in present if names.fullmatch(name(h).casefold()) and may_hold(h, key)]
         if len(alike) == 1 or (alike and key in REQUIRED and alike[0].endswith("/X")):
             found[key] = alike[0]
     return found
@@ -181,7 +232,7 @@ def may_hold(header: str, key: str) -> bool:
     if unit is None or CAMERA_UNITS.get(unit) == COLUMNS[key][1]:
         return True
     try:
-        parse_quantity(f"1 {unit}", COLUMNS[key][1], header)
+        unit_size(unit, COLUMNS[key][1], header)
     except FrictrackError:
         return False
     return True

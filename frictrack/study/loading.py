@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
@@ -121,7 +121,7 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
         reader.faults += reader.lacks
     if reader.faults or study is None:
         more = ["there may be more faults"] if len(reader.faults) >= MAX_FAULTS else []
-        raise FrictrackError(f"{path.name}: " + "; ".join(reader.faults[:MAX_FAULTS] + more), usage=True)
+        raise UsageError(f"{path.name}: " + "; ".join(reader.faults[:MAX_FAULTS] + more))
     return study
 
 
@@ -160,11 +160,11 @@ def read_toml(name: str, text: str) -> dict[str, Any]:
     """
     for number, line in enumerate(text.splitlines(), 1):
         if line.count(".") > MAX_DOTS_PER_LINE and _NO_KEY.sub("", line).count(".") > MAX_DOTS_PER_LINE:
-            raise FrictrackError(f"{name} is not valid TOML: line {number} has too many dots", usage=True)
+            raise UsageError(f"{name} is not valid TOML: line {number} has too many dots")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as e:  # a number of more digits than Python reads, brackets without end
-        raise FrictrackError(f"{name} is not valid TOML: {e}{_toml_hint(str(e), text)}", usage=True) from e
+        raise UsageError(f"{name} is not valid TOML: {e}{_toml_hint(str(e), text)}") from e
 
 
 def _toml_hint(message: str, text: str) -> str:
@@ -188,18 +188,16 @@ def _toml_hint(message: str, text: str) -> str:
 def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
         way = f"frictrack run {shlex.quote(path.name)} --mass 0.35kg --scale 0.5mm/px --fps 4000"
-        raise FrictrackError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one", usage=True)
+        raise UsageError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one")
     try:
         if path.exists() and not path.is_file():
-            raise FrictrackError(f"expected a study file but {path} is none", usage=True)
+            raise UsageError(f"expected a study file but {path} is none")
         if (size := path.stat().st_size) > MAX_STUDY_BYTES:
             most = f"expected a study file of at most {MAX_STUDY_BYTES >> 10} kB"
-            raise FrictrackError(f"{path.name}: {most} but got {size / 1e3:.0f} kB", usage=True)
+            raise UsageError(f"{path.name}: {most} but got {size / 1e3:.0f} kB")
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as e:
-        raise FrictrackError(
-            f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8", usage=True
-        ) from e
+        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8") from e
     except OSError as e:
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         hint = (
@@ -208,7 +206,7 @@ def _read(path: Path) -> str:
             else f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
         )
         state = "cannot read it" if path.exists() else "there is none"
-        raise FrictrackError(f"expected a study file {path} but {state}; {hint}", usage=True) from e
+        raise UsageError(f"expected a study file {path} but {state}; {hint}") from e
 
 
 class _Reader:

@@ -46,6 +46,17 @@ DAY_S = 86400.0
 MAX_STEP_OF_DAYS = 1e-6  # between times without a unit: closer ones are days, as Excel counts them
 _ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]\d")
+_AFTERNOON = re.compile(r"\s*([ap])\.?m\.?$", re.IGNORECASE)
+_ROW_COUNTER = re.compile(
+    r"(frame|sample|image|picture|bild|index|row|point|nr|no)?s?[ _.]*(#|no\.?|nr\.?|number|id)?", re.I
+)
+EPOCHS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+EPOCH_S = (9e8, 4.2e9)  # since 1970: the years 1998 to 2103
+MAX_EPOCH_STEP_S = 10.0  # between rows whose times count from 1970
+ANGLE_NOTE = (
+    "the positions are angles: x counts radians, mass stands for the moment of inertia in kg m^2, forces for torques "
+    "in N m"
+)
 NO_COLUMNS: Mapping[str, str] = {}
 CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
     ("px", "m"): ("pixel", "scale", 'scale = "0.5 mm/px"'),
@@ -239,13 +250,18 @@ def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> No
 
 
 def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> tuple[TableFile, str]:
-    """Return the rows that have a position, and a note on those between them that have none."""
+    """Return the rows that have a time and a position, and a note on those between them that have none."""
     present = [str(header).strip() for header in table.frame.columns]
-    header = _header_of_x(columns, present, COLUMNS["x"][0])
-    if header is None or present.count(header) > 1:
+    needed = [(key, COLUMNS[key][0]) for key in column_names.REQUIRED]
+    headers = [column_names.find_header(_unsigned(columns.get(k, s), present)[0], present) for k, s in needed]
+    if None in headers or any(present.count(str(header)) > 1 for header in headers):
         return table, ""
-    filled = table.frame.iloc[:, present.index(header)].notna().to_numpy()
-    if filled.all() or not filled.any():
+    timed, placed = (table.frame.iloc[:, present.index(str(header))].notna().to_numpy() for header in headers)
+    if not (timed.any() and placed.any()):
+        return table, ""
+    end = len(timed) - int(np.argmax(timed[::-1]))  # summary lines at the end have no time
+    filled = placed & (np.arange(len(timed)) < end)
+    if filled.all():
         return table, ""
     inside = np.flatnonzero(filled)
     gaps = int(inside[-1] - inside[0] + 1 - len(inside))
@@ -299,6 +315,7 @@ def _read(
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
+    notes += (ANGLE_NOTE,) * column_names.is_angle(columns.get("x", ""))
     return values | ({"notes": notes} if notes else {})
 
 
@@ -318,7 +335,9 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
     bare = any(column_names.stated_unit(proposed[key]) is None for key in missing)
-    return f"{expected}; to name them, write {where}" + (", with the units of the file in the brackets" if bare else "")
+    return f"{expected}; to name them, write {where}" + (
+        ", with the units of the file, or the size of a count, in the brackets" if bare else ""
+    )
 
 
 def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS) -> dict[str, str]:
@@ -360,11 +379,28 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
         )
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
-    if "t" in found and column_names.stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
-        steps = np.diff(_numbers(frame.iloc[:, present.index(found["t"])]))
-        if len(steps) and 0 < np.median(steps) < MAX_STEP_OF_DAYS:
-            found["t"] += " (d)"
+    if found.get("t") in present and column_names.stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
+        unit = _clock_unit(frame.iloc[:, present.index(found["t"])])
+        found["t"] += f" ({unit})" if unit else ""
     return {key: found[key] for key in COLUMNS if key in found and found[key] != COLUMNS[key][0]}
+
+
+def _clock_unit(series: pd.Series[Any]) -> str:
+    """Return the unit of times whose header states none, where the values tell: dates, days, since 1970, frames."""
+    if series.dtype.kind not in "fiu":
+        return "s"  # dates and time codes are read as seconds
+    times = _numbers(series)
+    times = times[np.isfinite(times)]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if 0 < step < MAX_STEP_OF_DAYS:
+        return "d"
+    since_1970 = (
+        unit
+        for unit, size in EPOCHS.items()
+        if step and EPOCH_S[0] < times[0] * size < EPOCH_S[1] and step * size < MAX_EPOCH_STEP_S
+    )
+    counts_rows = step == 1.0 and _ROW_COUNTER.fullmatch(column_names.base_name(str(series.name)).strip())
+    return next(since_1970, "frames" if counts_rows else "")
 
 
 def _rises_evenly(series: pd.Series[Any]) -> bool:
@@ -386,8 +422,7 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
-    chosen = column_names.UNIT.search(written)
-    named = chosen[1] if chosen else column_names.stated_unit(header)
+    named = column_names.stated_unit(written if column_names.UNIT.search(written) else header)
     if unit == "m/s" and column_names.TURNS.fullmatch(named or header):
         raise FrictrackError(
             f'expected a sliding speed in m/s or mm/s but got "{header}", a turning speed; add a column of '
@@ -405,7 +440,7 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: CameraU
                 f'expected the {what} of "{header}" in {named} but got none; give {example} in [camera]'
             )
         return size
-    return parse_quantity(f"1 {named}", unit, header)[0]
+    return column_names.unit_size(named, unit, header)
 
 
 def _numbers(series: pd.Series[Any]) -> Array:
@@ -435,15 +470,19 @@ def _seconds_of_day(series: pd.Series[Any]) -> Array:
 
     texts = series.astype(str).str.replace(",", ".")
     iso = bool(_ISO_DATE.match(str(texts.iloc[0]).strip()))
-    how: dict[str, Any] = {"format": "ISO8601"} if iso else {"format": "mixed", "dayfirst": True}
-    moments = pd.to_datetime(texts, errors="coerce", utc=True, **how)
+    orders = ({"format": "ISO8601"},) if iso else ({"format": "mixed", "dayfirst": first} for first in (True, False))
+    read = [pd.to_datetime(texts, errors="coerce", utc=True, **how) for how in orders]
+    moments = min(read, key=np.ptp)  # a day that is read as a month leaps at midnight
     return np.array((moments - moments.min().normalize()).dt.total_seconds(), dtype=float)
 
 
 def _seconds(text: str) -> float:
-    """Return the seconds of a time code h:mm:ss:cc, mm:ss.ccc or h:mm:ss; NaN for another text."""
+    """Return the seconds of a time code h:mm:ss:cc, mm:ss.ccc, h:mm:ss or h:mm:ss pm; NaN for another text."""
     negative, text = text.startswith("-"), text.lstrip("- ")
-    parts = text.replace(",", ".").split(":")
+    half = _AFTERNOON.search(text)
+    parts = _AFTERNOON.sub("", text).replace(",", ".").split(":")
+    if half and parts[0].isdigit():
+        parts[0] = str(int(parts[0]) % 12 + 12 * (half[1] in "pP"))
     if len(parts) == 4:  # the last part are hundredths or thousandths of a second
         parts = [*parts[:2], f"{parts[2]}.{parts[3]}"]
     try:

@@ -21,7 +21,6 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,16 +29,16 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.study import table_layout
-from frictrack.study.column_names import runs_of_columns
+from frictrack.study.column_names import guess_columns, may_hold, runs_of_columns
 from frictrack.study.schema import COLUMNS
 from frictrack.study.track_formats import find_track_format
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_COLUMNS, MAX_ROWS = 256, 1 << 20  # of a sheet; Excel ends at that row
-KINOVEA_TEXT = "#Kinovea Trajectory"  # first line of its text export
-KINOVEA_COLUMNS = ("T", "X", "Y")
+MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that else holds a few words
+GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")  # 1,234.5 or 1.234,5
+MAX_COLUMNS, MAX_ROWS, MAX_SHEETS = 256, 1 << 20, 32  # of a sheet, which Excel ends at that row, and of a workbook
 SHEET_XML = "{urn:schemas-microsoft-com:office:spreadsheet}"
 _COORDINATES = re.compile(r"Coords \(x,y:\s*([^;]*?)\s*; *t:\s*([^)]*?)\s*\)")
 _TRACKER_COLUMNS = {"t": "t (s)", "x": "x (m)", "y": "y (m)"}
@@ -81,12 +80,9 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
         if path.is_dir():
             raise ValueError("a folder without solutions of DICe")
         if path.suffix.lower() in (".xlsx", ".xls"):
-            return _table_of_rows(_workbook_rows(path), wanted)
+            return _table_of_sheets(_workbook_sheets(path), wanted)
         if path.suffix.lower() == ".xml":
             return _table_of_rows(_xml_rows(path), wanted)
-        with path.open(encoding=table_layout.text_encoding(path)) as file:
-            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
-                return _kinovea_text(KINOVEA_TEXT + file.read())
         return _text_table(path, wanted)
     except ImportError as e:
         extra = {"openpyxl": "xlsx", "nptdms": "tdms"}.get(str(e.name), "xlsx")
@@ -96,66 +92,49 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
         raise FrictrackError(f"{path.name}: expected {expected} but cannot read it ({reason})") from e
 
 
-def table_headers(path: Path, wanted: Collection[str] = ()) -> tuple[str, ...]:
-    """Return the headers of a table; those of a text are read without its rows.
-
-    Parameters
-    ----------
-    path
-        The table.
-    wanted
-        Names that only stand in a header.
-
-    Raises
-    ------
-    FrictrackError
-        If it cannot be read as a table.
-
-    """
-    if path.suffix.lower() in (".xlsx", ".xls", ".xml") or _has_tracks(path):
-        return tuple(map(str, open_table(path, wanted).frame.columns))
-    try:
-        with path.open(encoding=table_layout.text_encoding(path)) as file:
-            if file.read(len(KINOVEA_TEXT)) == KINOVEA_TEXT:
-                return KINOVEA_COLUMNS
-        return table_layout.find_layout(path, wanted).header
-    except (OSError, ValueError) as e:
-        raise FrictrackError(f"{path.name}: expected a table with a header line but cannot read it ({e})") from e
-
-
-def _has_tracks(path: Path) -> bool:
-    """Return whether another program wrote its tracks into a file; a fault is reported when it is read."""
-    with suppress(OSError):
-        return find_track_format(path) is not None
-    return False
-
-
 def _text_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
     layout = table_layout.find_layout(path, wanted)
-    how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "skiprows": layout.skipped or None}
-    by_place = layout.in_comment or any("#" in name for name in layout.header)  # pandas would skip what follows a #
-    if by_place:
-        how |= {"header": None, "skiprows": (*(layout.skipped or ()), layout.line)}
-    frame = _named(pd.read_csv(path, comment="#", encoding=layout.encoding, skipinitialspace=True, **how))
-    if by_place:
-        frame.columns = [*layout.header, *map(str, frame.columns[len(layout.header) :])][: len(frame.columns)]
-    if all(table_layout.is_number(name) for name in layout.header if name) and layout.header:
-        raise ValueError(f"the first line holds numbers; write the names {', '.join(_STANDARD_UNITS)} above them")
-    if layout.units or layout.groups:
-        names = _column_names(layout.header, layout.units, layout.groups)[: len(frame.columns)]
+    header = layout.header
+    with path.open(encoding=layout.encoding) as file:  # pandas would cut a line at a # within it
+        skipped = {*layout.skipped, *(i for i, line in enumerate(file) if line.startswith("#"))}
+    how: dict[str, Any] = {"sep": layout.separator, "decimal": layout.decimal, "encoding": layout.encoding}
+    if layout.in_comment:
+        how["header"] = None
+    elif header and all(table_layout.is_number(name) for name in header if name):
+        header, how["header"] = tuple(f"column {i + 1}" for i in range(len(header))), None
+    how |= {"skiprows": sorted(skipped), "skipinitialspace": True}
+    try:
+        frame = _named(pd.read_csv(path, **how))
+        if written := _numbers_in_texts(frame, layout.decimal):
+            frame = _named(pd.read_csv(path, **how, **written))
+    except pd.errors.ParserError as e:
+        found = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(e))
+        words = "expected {0} cells in line {1} but got {2}; take out lines that are no rows" if found else str(e)
+        raise ValueError(words.format(*(found.groups() if found else ()))) from e
+    names = _column_names(header, layout.units, layout.groups)[: len(frame.columns)]
+    if "header" in how or layout.units or layout.groups:
         frame.columns = [*names, *map(str, frame.columns[len(names) :])]
-    return _recognised(frame, layout.groups)
-
-
-def _recognised(frame: pd.DataFrame, groups: Sequence[str]) -> table_layout.TableFile:
-    """Return a table with the columns of Tracker, if it has its form: a name above the columns t, x, ..."""
     names = list(map(str, frame.columns))
-    if len({group for group in groups if group}) == 1 and names[:1] == ["t"] and "x" in names:
+    if len({group for group in layout.groups if group}) == 1 and names[:1] == ["t"] and "x" in names:
         columns = {key: header for key, header in _TRACKER_COLUMNS.items() if key in names}
         return table_layout.TableFile(frame, columns, "Tracker")  # a frame that was not marked has no position
-    return table_layout.TableFile(frame)
+    return table_layout.TableFile(frame, above=layout.above)
+
+
+def _numbers_in_texts(frame: pd.DataFrame, decimal: str) -> dict[str, Any]:
+    """Return how else to read columns of numbers that pandas took for texts: words for gaps, thousands separators."""
+    texts = [column.dropna().astype(str) for _, column in frame.items() if column.dtype.kind not in "fiub"]
+    numeric = [text for text in texts if text.str.contains(r"\d").mean() > MIN_NUMBERS_SHARE]
+    words = {  # a force that is "off" is no gap
+        text.name: sorted(text[~text.str.contains(r"\d")].unique())
+        for text in numeric
+        if may_hold(str(text.name), "x") or may_hold(str(text.name), "t")
+    }
+    groups = {g[1] for text in numeric for cell in text if (g := GROUPED.fullmatch(cell)) and g[1] != decimal}
+    how: dict[str, Any] = {"na_values": words} if any(words.values()) else {}
+    return how | ({"thousands": groups.pop()} if len(groups) == 1 else {})
 
 
 def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[str]) -> list[str]:
@@ -169,21 +148,16 @@ def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[
     return names
 
 
-def _kinovea_text(text: str) -> table_layout.TableFile:
-    """Read the rows of the one trajectory of Kinovea's export for gnuplot."""
+def _table_of_sheets(sheets: dict[str, list[tuple[Any, ...]]], wanted: Collection[str]) -> table_layout.TableFile:
+    """Return the table of the first sheet; of several with times and positions all, side by side."""
     import pandas as pd  # noqa: PLC0415
 
-    blocks = [
-        [line.split() for line in block.splitlines()]
-        for block in re.split(r"\n\s*(?:#.*)?(?=\n|$)", f"\n{text}")
-        if block.strip() and not block.lstrip().startswith("#")
-    ]
-    if len(blocks) != 1:
-        raise ValueError(f"it holds {len(blocks)} trajectories; export one trajectory per file")
-    rows = [[cell.replace(",", ".") for cell in row] for row in blocks[0] if row]
-    return table_layout.TableFile(
-        pd.DataFrame([row[:3] for row in rows], columns=list(KINOVEA_COLUMNS)), program="Kinovea"
-    )
+    read = {name: _table_of_rows(rows, wanted) for name, rows in sheets.items() if rows}
+    runs = {name: one.frame for name, one in read.items() if guess_columns(list(one.frame.columns)).keys() >= set("tx")}
+    if len(runs) > 1:
+        cells = {f"{name}: {header}": values for name, frame in runs.items() for header, values in frame.items()}
+        return table_layout.TableFile(pd.DataFrame(cells))
+    return next((read[name] for name in runs or read), None) or _table_of_rows([], wanted)
 
 
 def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> table_layout.TableFile:
@@ -192,6 +166,8 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
 
     if not rows:
         raise ValueError("no rows")
+    width = max(i for row in rows for i, cell in enumerate(row, 1) if cell is not None)
+    rows = [row[:width] for row in rows]
     texts = [tuple("" if cell is None else str(cell).strip() for cell in row) for row in rows]
     at = table_layout.header_row(texts, wanted)
     header = texts[at]
@@ -205,7 +181,12 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
-    return table_layout.TableFile(frame) if coordinates is None else _kinovea_sheet(frame, texts, *coordinates.groups())
+    above = "\n".join(" ".join(row) for row in texts[:at])
+    return (
+        table_layout.TableFile(frame, above=above)
+        if coordinates is None
+        else _kinovea_sheet(frame, texts, *coordinates.groups())
+    )
 
 
 def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> table_layout.TableFile:
@@ -228,8 +209,8 @@ def _xml_rows(path: Path) -> list[tuple[Any, ...]]:
     return [row for row in rows if any(row)]
 
 
-def _workbook_rows(path: Path) -> list[tuple[Any, ...]]:
-    """Return the rows of the first sheet of a workbook that have content."""
+def _workbook_sheets(path: Path) -> dict[str, list[tuple[Any, ...]]]:
+    """Return the rows of the sheets of a workbook that have content."""
     import openpyxl  # noqa: PLC0415 - optional
 
     try:
@@ -238,7 +219,8 @@ def _workbook_rows(path: Path) -> list[tuple[Any, ...]]:
         if unpacked > table_layout.MAX_UNPACKED_BYTES:
             raise ValueError(f"{unpacked / 1e6:.0f} MB when unpacked")
         with path.open("rb") as file:
-            return list(_filled(openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[0]))
+            sheets = openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets[:MAX_SHEETS]
+            return {sheet.title: list(_filled(sheet)) for sheet in sheets}
     except OSError:
         raise
     except Exception as e:  # damaged parts make openpyxl fail in many ways

@@ -45,6 +45,7 @@ class TableFile:
     # position is missing in this track
     tracks: Sequence[TrackColumns] = ()
     has_runs: bool = False  # whether the tracks are runs of their own
+    above: str = ""  # lines above the rows, in which a mass or a rate may be stated
 
 
 def read_limited(file: IO[bytes]) -> bytes:
@@ -82,6 +83,16 @@ _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _TIME_CODE = re.compile(r"-? ?\d+(?::\d+){1,3}(?:[.,]\d+)?")  # 0:00:01:25, 00:01.25
 _UNIT_CELL = re.compile(r"[(\[]?\s*([^()\[\]]{1,12}?)\s*[)\]]?")
 
+_STATED = {  # what an owner writes above a table
+    "mass": re.compile(r"\b(?:mass[ae]?|m|质量|質量)\b[^\d\n]{0,12}?([\d.,]*\d\s*k?g)\b", re.IGNORECASE),
+    "fps": re.compile(
+        r"(?:rate|fps|frequency|frequenz|fréquence|采样率)\b[^\d\n]{0,12}?([\d.,]*\d)\s*(?:Hz|fps|1/s|S/s|samples)",
+        re.IGNORECASE,
+    ),
+    "count": re.compile(
+        r"([\d.,]*\d\s*[nuµm]m)\s*(?:/|per|pro|par)\s*(?:count|inc|imp|pulse|tick|digit|lsb|step)", re.I
+    ),
+}
 Line = tuple[int, str]  # its number in the file, from 0, and its text
 
 
@@ -99,6 +110,7 @@ class TableLayout:
     encoding: str = "utf-8-sig"  # encoding of the text
     line: int = 0  # number of the line of the header, from 0
     in_comment: bool = False  # whether the header is a comment
+    above: str = ""  # the lines up to the header
 
 
 def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
@@ -112,7 +124,9 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         seen = list(itertools.islice(lines, MAX_HEAD_LINES))
         head = [(i, line) for i, line in seen if not line.startswith("#")]
         in_comment = bool(head) and _ONLY_NUMBERS.fullmatch(head[0][1].strip()) is not None
-        above = [(i, line.lstrip("# ")) for i, line in seen if i < head[0][0]][-1:] if in_comment else []
+        first = len(split(head[0][1], _separator([head[0][1]]))) if head else 0
+        named = [(i, line.lstrip("# ")) for i, line in seen if in_comment and i < head[0][0]]
+        above = [one for one in named if len(split(one[1], _separator([one[1]]))) == first][-1:] or named[-1:]
         head = [*above, *head]
         at = find_header([line for _, line in head], wanted)
         separator = _separator([line for _, line in head[at : at + 3]])
@@ -134,6 +148,7 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         encoding,
         number,
         bool(above) and at == 0 and len(rows) > 1 and len(rows[0]) == len(rows[1]),
+        "".join(line for i, line in seen if i <= number),
     )
 
 
@@ -146,7 +161,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def text_encoding(path: Path) -> str:
-    """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in the West.
+    """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in China or the West.
 
     Instruments still write the letters of "µm" and "°" in the last one.
     """
@@ -160,7 +175,9 @@ def text_encoding(path: Path) -> str:
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
-        return "utf-8-sig" if b"\0" in head else "cp1252"
+        letters = re.findall(rb"[\x80-\xff]+", head)  # those of Chinese come in pairs, those of Europe mostly alone
+        chinese = all(len(one) % 2 == 0 for one in letters)
+        return "utf-8-sig" if b"\0" in head else "gb18030" if chinese else "cp1252"
     return "utf-8-sig"
 
 
@@ -242,6 +259,19 @@ def bare_unit(cell: str) -> str:
     """
     found = _UNIT_CELL.fullmatch(cell.strip())
     return found[1] if found else ""
+
+
+def stated(above: str) -> dict[str, str]:
+    r"""Return what lines above a table state: "mass", "fps", and "count", the size of a count.
+
+    Examples
+    --------
+    >>> stated("Masse;0,42 kg\nscale: 5 um/count\nSample rate: 500 Hz")
+    {'mass': '0.42 kg', 'fps': '500', 'count': '5 um'}
+
+    """
+    found = {key: what.search(above) for key, what in _STATED.items()}
+    return {key: one[1].replace(",", ".") for key, one in found.items() if one}
 
 
 def _is_header(row: Sequence[str]) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
@@ -75,7 +75,7 @@ def find_recordings(folder: Path) -> list[Path]:
 
     """
     if not folder.is_dir():
-        raise FrictrackError(f"expected a folder with recordings but got {folder}", usage=True)
+        raise UsageError(f"expected a folder with recordings but got {folder}")
     found = [p for p in folder.iterdir() if _is_recording(p)]
     if not found:
         known = ", ".join((*FILMS, *TABLES))
@@ -173,7 +173,7 @@ def refuse_existing(path: Path) -> None:
     """Raise `FrictrackError` (usage) if there is a study file already."""
     if path.exists():
         use = f"`frictrack run {shlex.quote(str(path))}` uses it"
-        raise FrictrackError(f"{path} is already there; {use}, or move it away", usage=True)
+        raise UsageError(f"{path} is already there; {use}, or move it away")
 
 
 def toml_item(value: Any) -> Any:
@@ -203,18 +203,15 @@ def _holds_times_and_positions(path: Path) -> bool:
     """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
     from frictrack.study.column_names import REQUIRED, guess_columns  # noqa: PLC0415 - only for such files
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
-    from frictrack.study.table_files import table_headers  # noqa: PLC0415
-    from frictrack.study.track_formats import find_track_format  # noqa: PLC0415
+    from frictrack.study.table_files import open_table  # noqa: PLC0415
 
     try:
-        headers = table_headers(path)
-        found = find_track_format(path)
-        if found is not None and found.programs != "MATLAB":  # which keeps anything in its files
-            return True
+        table = open_table(path)
     except FrictrackError:
         return False
+    headers = list(map(str, table.frame.columns))
     standard = {key for key in REQUIRED if COLUMNS[key][0] in headers}
-    return standard | guess_columns(headers).keys() >= set(REQUIRED)
+    return bool(table.tracks) or table.columns.keys() | standard | guess_columns(headers).keys() >= set(REQUIRED)
 
 
 def _many_pages(path: Path) -> bool:
@@ -343,7 +340,7 @@ def _parse(text: str) -> tomlkit.TOMLDocument:
     try:
         return tomlkit.parse(text)
     except TOMLKitError as e:
-        raise FrictrackError(f"the study file is not valid TOML: {e}", usage=True) from e
+        raise UsageError(f"the study file is not valid TOML: {e}") from e
 
 
 def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -> Any:
@@ -356,7 +353,7 @@ def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -
             return one
     if table == "run":
         known = ", ".join(f'"{name_of_table(one, table)}"' for one in tables) or "none"
-        raise FrictrackError(f'expected a run of the study file but got "{which}"; it has {known}', usage=True)
+        raise UsageError(f'expected a run of the study file but got "{which}"; it has {known}')
     tables.append(with_blank_line(tomlkit.item({ARRAY_TABLES[table]: which})))
     return tables[-1]
 

@@ -25,7 +25,6 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
-from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.measure import MIN_REMAINING_SHARE, refine_predicted
 from frictrack.tracking.subpixel_fit import (
     FLAT,
@@ -36,7 +35,7 @@ from frictrack.tracking.subpixel_fit import (
     refine_positions,
     template_products,
 )
-from frictrack.tracking.template import FixedPattern, TargetModel, Template
+from frictrack.tracking.template import MAX_SHIFT_PX, FixedPattern, TargetModel, Template
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool

@@ -9,7 +9,7 @@ rectangles differ, so that positions along the course refer to the same point of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -467,16 +467,6 @@ def _mean_difference(residuals: Array, weight: Array) -> float:
     return float(np.mean(np.mean(used, axis=0) ** 2)) / max(noise, 1e-300) - 1 / len(used)
 
 
-@dataclass(frozen=True)
-class TargetOffset:
-    """Offset from the centre of one target's picture to the centre of the other's, with its error, px."""
-
-    dx: float
-    dy: float
-    sigma_x: float
-    sigma_y: float
-
-
 def align_track(track: Track, reference: Track, name: str = "the reference") -> Track:
     """Move a track to the point of the body that a reference track follows.
 
@@ -509,16 +499,14 @@ def align_track(track: Track, reference: Track, name: str = "the reference") -> 
             "with the other only as well as the two rectangles do, about a pixel; x_offset corrects it"
         )
         return replace(track, notes=(*track.notes, note))
-    if np.hypot(found.dx, found.dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(found.sigma_x, found.sigma_y)):
+    (dx, dy), sigma = found
+    if np.hypot(dx, dy) < max(MIN_CORRECTION_PX, 2 * np.hypot(*sigma)):
         return track
-    note = (
-        f"tracked point moved by ({found.dx:+.3f} +/- {found.sigma_x:.3f}, {found.dy:+.3f} +/- {found.sigma_y:.3f}) px "
-        f"to that of {name}"
-    )
-    return replace(track, x_px=track.x_px + found.dx, y_px=track.y_px + found.dy, notes=(*track.notes, note))
+    note = f"tracked point moved by ({dx:+.3f} +/- {sigma[0]:.3f}, {dy:+.3f} +/- {sigma[1]:.3f}) px to that of {name}"
+    return replace(track, x_px=track.x_px + dx, y_px=track.y_px + dy, notes=(*track.notes, note))
 
 
-def target_offset(picture: Array | None, reference: Array | None) -> TargetOffset | None:
+def target_offset(picture: Array | None, reference: Array | None) -> tuple[Array, Array] | None:
     """Measure the offset between two pictures of the same body.
 
     The middle of one picture is located in the other by cross-correlation, then refined as a target in a frame is.
@@ -530,8 +518,9 @@ def target_offset(picture: Array | None, reference: Array | None) -> TargetOffse
 
     Returns
     -------
-    TargetOffset or None
-        None where they do not show the same body or are too small.
+    offset, sigma : array (2,)
+        From the centre of the first picture to that of the reference, with standard deviations, px. None instead of
+        both where they do not show the same body or are too small.
 
     """
     if picture is None or reference is None:
@@ -549,5 +538,5 @@ def target_offset(picture: Array | None, reference: Array | None) -> TargetOffse
     cut = reference_image[None, y : y + core.shape[0], x : x + core.shape[1]]
     fit = refine_positions(template_products(cut, template), np.zeros((1, 2)), template)
     # The core has the same centre as the picture from which it was cut.
-    dx, dy = (np.array(reference_image.shape[::-1]) - core.shape[::-1]) / 2 - (x, y) - fit.position[0]
-    return TargetOffset(float(dx), float(dy), float(fit.sigma[0, 0]), float(fit.sigma[0, 1]))
+    offset = (np.array(reference_image.shape[::-1]) - core.shape[::-1]) / 2 - (x, y) - fit.position[0]
+    return offset, fit.sigma[0, :2]

@@ -11,10 +11,9 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.areas import with_obstacles
 from frictrack.tracking.correlation import Patch, nearest_corner
-from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.measure import measure_frames, model_images, sigma_inflation, systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
-from frictrack.tracking.template import FixedPattern, TargetModel, Template, fit_fixed_pattern, pattern_sums
+from frictrack.tracking.template import MAX_SHIFT_PX, FixedPattern, TargetModel, Template, fit_pattern, pattern_sums
 from frictrack.tracking.template_learning import (
     WIDE_RIM_PX,
     SmoothPath,
@@ -275,7 +274,7 @@ def _estimate_pattern(found: _Round) -> FixedPattern | None:
     # Differences at the target's edge come from the scene behind it and not from an obstacle.
     inside = np.asarray(template.weight > 0.5 * typical_misfit, dtype=np.float64)
     sums = pattern_sums(used.film.shape, used.corner, model.reshape(cuts.shape), difference.reshape(cuts.shape), inside)
-    return fit_fixed_pattern(sums, 1 / typical_misfit)
+    return fit_pattern(sums, 1 / typical_misfit)
 
 
 def _median_background(film: Recording) -> Array | None:

@@ -25,9 +25,8 @@ from frictrack.base.distributions import robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array
 from frictrack.tracking.correlation import Patch, nearest_corner
-from frictrack.tracking.cosine_basis import MAX_SHIFT_PX
 from frictrack.tracking.subpixel_fit import SubpixelFit, refine_positions, template_products
-from frictrack.tracking.template import TargetModel, Template
+from frictrack.tracking.template import MAX_SHIFT_PX, TargetModel, Template
 
 MISFIT_RATIO = 1.5  # to the typical misfit; above it the frame shows more than the target
 MAX_REWEIGHTINGS = 4  # rounds of weighting pixels by their residuals

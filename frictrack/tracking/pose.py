@@ -17,7 +17,6 @@ from scipy.ndimage import map_coordinates, spline_filter
 from frictrack.base.distributions import robust_std
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
-from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.measure import (
     MAX_REWEIGHTINGS,
     MIN_REMAINING_SHARE,
@@ -26,7 +25,7 @@ from frictrack.tracking.measure import (
     unexplained_share,
 )
 from frictrack.tracking.subpixel_fit import MIN_GAIN, N_UNKNOWNS, NormalEquations
-from frictrack.tracking.template import Template
+from frictrack.tracking.template import REFLECTION_PX, Template
 
 SAMPLES_PER_PX = 3  # of the table: cubic splines through it err by less than 1e-4 of the contrast
 MAX_STEPS = 12  # of Gauss-Newton

@@ -18,12 +18,11 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE, Progress
 from frictrack.tracking.correlation import Patch
-from frictrack.tracking.cosine_basis import REFLECTION_PX
 from frictrack.tracking.followed_target import MAX_UNEXPLAINED_SHARE, OCCLUDED
 from frictrack.tracking.measure import MISFIT_RATIO, unexplained_share
 from frictrack.tracking.pose import Pose, RotatableTemplate, derotate, refine_pose, to_target_frame
 from frictrack.tracking.subpixel_fit import FLAT, LEAVES, NOT_CONVERGED, UNREAD, RawTrack, SubpixelFit, empty_track
-from frictrack.tracking.template import Template
+from frictrack.tracking.template import REFLECTION_PX, Template
 from frictrack.tracking.template_learning import learn_template, template_from_frame, without_border
 
 MAX_ANGULAR_STEP = np.radians(25.0)  # rad per frame

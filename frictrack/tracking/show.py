@@ -65,13 +65,11 @@ class Canvas:
         self.pixels: NDArray[np.uint8] = np.full((height, width, 3), 255, np.uint8)
         self._texts: list[tuple[Point, str, ImageFont.FreeTypeFont, str, str]] = []
 
-    def text(self, at: Point, text: str, size: float, anchor: str = "mm", colour: str = BLACK) -> None:
+    def text(
+        self, at: Point, text: str, size: float, anchor: str = "mm", colour: str = BLACK, name: str = "DejaVuSans"
+    ) -> None:
         """Write a text above everything drawn; `anchor` is the point of it, as Pillow names them, that lies at `at`."""
-        self._texts.append((at, text, _font(size), anchor, colour))
-
-    def code(self, at: Point, text: str, size: float) -> None:
-        """Write a text centred at a point, in a font of fixed width."""
-        self._texts.append((at, text, _font(size, fixed_width=True), "mm", BLACK))
+        self._texts.append((at, text, _font(size, name), anchor, colour))
 
     def line(self, start: Point, end: Point) -> None:
         """Draw a thin black line."""
@@ -190,10 +188,9 @@ def _rgb(colour: str) -> tuple[int, ...]:
 
 
 @cache
-def _font(size: float, *, fixed_width: bool = False) -> ImageFont.FreeTypeFont:
+def _font(size: float, name: str = "DejaVuSans") -> ImageFont.FreeTypeFont:
     """Return the font of the figures, which matplotlib brings."""
-    name = "DejaVuSansMono.ttf" if fixed_width else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(_font_folder() / name), size)
+    return ImageFont.truetype(str(_font_folder() / f"{name}.ttf"), size)
 
 
 @cache
@@ -290,7 +287,7 @@ def _sheet(recording: Recording, track: Track, others: Sequence[Track]) -> Canva
         canvas.text((WIDTH_PX / 2, 18 + 20 * k), line, TITLE_PX)
     line = target_line(track).replace("\n", "      ")
     size = min(float(LINE_PX), 0.98 * WIDTH_PX / (CHARACTER_WIDTH * len(line)))
-    canvas.code((WIDTH_PX / 2, canvas.height - 18), line, size)
+    canvas.text((WIDTH_PX / 2, canvas.height - 18), line, size, name="DejaVuSansMono")
     return canvas
 
 

@@ -5,7 +5,7 @@ With the template T known, a frame is
     I(u) = b + a [T(u - p) + theta R(u - p)] + noise        R: change per rad of rotation
 
 Maximum likelihood for white noise is weighted least squares in a, b, p and theta. T and R at any shift are sums of
-fixed pictures (`cosine_basis`), so that a frame enters only by its products with these pictures and by its power. The
+fixed pictures (`ShiftExpansion`), so that a frame enters only by its products with these pictures and by its power. The
 template is shifted and not the frame (Baker & Matthews 2004, Int. J. Comput. Vis. 56:221, discuss both choices): frames
 are never interpolated, their noise stays white, and the estimate reaches the Cramer-Rao bound (Pham et al. 2005,
 EURASIP J. Appl. Signal Process. 2005:2199).

@@ -2,7 +2,7 @@
 
 One noisy frame as the template costs accuracy (Clement et al. 2018, arXiv:1809.05583). The template is therefore fitted
 to frames from the whole path. For known shifts this is linear least squares, and the frames enter it by sums alone:
-with h_i the expansion of the shift of frame i (`cosine_basis`), sum h_i h_i' and sum h_i I_i represent all frames.
+with h_i the expansion of the shift of frame i (`ShiftExpansion`), sum h_i h_i' and sum h_i I_i represent all frames.
 
 Learn the template of a target that is sharper than the sensor resolves, with waves shorter than two pixels.
 
@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
-from frictrack.tracking.cosine_basis import BAND_LIMIT, SUPER_RESOLUTION_BAND, ShiftExpansion, shift_expansion
 from frictrack.tracking.subpixel_fit import SubpixelFit
-from frictrack.tracking.template import Template
+from frictrack.tracking.template import BAND_LIMIT, SUPER_RESOLUTION_BAND, ShiftExpansion, Template, shift_expansion
 
 MAX_CG_STEPS = 15  # of conjugate gradients
 # Border without weight, px: of a single frame, and where all frames show the same part of the target. There slopes
@@ -462,7 +461,7 @@ def _deviations(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -
 
     The deviations of positions and harmonics (k, 5) are those of the rows in which there is a path.
     """
-    series = np.column_stack([at, _pixel_harmonics(at)])
+    series = np.column_stack([at, pixel_harmonics(at)])
     path = _parabolas(frames, at, series, rows)
     known = np.isfinite(path[:, 0])
     return series, path[:, 0], (series[rows] - path)[known]
@@ -570,7 +569,7 @@ def _fit_parabolas(
     return series[middle] + parabolas[:, 0], np.sqrt(np.maximum(variance, 0.0))
 
 
-def _pixel_harmonics(at: Array) -> Array:
+def pixel_harmonics(at: Array) -> Array:
     """Sine and cosine of one and two cycles per pixel, (n, 4)."""
     turns = [2 * np.pi * k * at for k in (1, 2)]
     return np.column_stack([f(u) for u in turns for f in (np.sin, np.cos)])

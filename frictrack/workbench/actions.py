@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench import jobs
 from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.live_study import LiveStudy
@@ -27,13 +27,6 @@ JOBS: dict[str, tuple[str, ...]] = {  # with the arguments that the page may giv
     "background": (),
 }
 CHANGED_INPUT = ("edit", "take_in", "leave_out", "define")  # changes after which running measurements begin again
-
-
-def list_effects(snapshot: Any) -> Any:
-    """List all effects, and those that the study defines."""
-    from frictrack.workbench.summaries import effect_library  # noqa: PLC0415
-
-    return effect_library(snapshot.study if snapshot else None)
 
 
 def check(snapshot: Any, fields: Any, run: str | None) -> Any:
@@ -76,7 +69,7 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
     from frictrack.workbench.summaries import change_words, refuse_implausible  # noqa: PLC0415
 
     if do not in CHANGES:
-        raise FrictrackError(f"expected one of the changes {', '.join(CHANGES)} but got {do!r}", usage=True)
+        raise UsageError(f"expected one of the changes {', '.join(CHANGES)} but got {do!r}")
     _need_study(live)
     given = _mapping(arguments, "arguments")
     if do == "edit":
@@ -89,7 +82,7 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
         _check_revision(study.output, seen)
         raise
     except TypeError as e:
-        raise FrictrackError(f"expected other arguments of {do}: {e}", usage=True) from e
+        raise UsageError(f"expected other arguments of {do}: {e}") from e
     history = CommandHistory(study.output)
     live.resumes_background = False
     _end_useless_work(live, do, history.revision)
@@ -131,7 +124,7 @@ def start_job(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, 
 
     """
     if do not in tuple(JOBS):  # a list or an object cannot be looked up in a dictionary
-        raise FrictrackError(f"expected one of the jobs {', '.join(JOBS)} but got {do!r}", usage=True)
+        raise UsageError(f"expected one of the jobs {', '.join(JOBS)} but got {do!r}")
     _need_study(live)
     given = _mapping(arguments, "arguments")
     if unknown := [key for key in given if key not in JOBS[do]]:
@@ -188,7 +181,7 @@ def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
     from frictrack.workbench.summaries import new_study  # noqa: PLC0415
 
     if not isinstance(recordings, list) or not recordings or not all(isinstance(one, str) for one in recordings):
-        raise FrictrackError("expected the names of recordings in this folder but got none; choose some", usage=True)
+        raise UsageError("expected the names of recordings in this folder but got none; choose some")
     for name in recordings:
         need_plain_name(name)
     if live.path.exists():
@@ -222,7 +215,7 @@ def need_plain_name(name: str) -> str:
 
     """
     if not name or name.startswith(".") or "\\" in name or Path(name).name != name or not name.isprintable():
-        raise FrictrackError(f'expected the name of a recording in the folder but got "{name}"', usage=True)
+        raise UsageError(f'expected the name of a recording in the folder but got "{name}"')
     return name
 
 
@@ -236,7 +229,7 @@ def _check_revision(output: Path, seen: Any) -> None:
     from frictrack.flow import CommandHistory  # noqa: PLC0415
 
     if seen is not None and not isinstance(seen, int):
-        raise FrictrackError(f"expected the revision of the study as a number but got {seen!r}", usage=True)
+        raise UsageError(f"expected the revision of the study as a number but got {seen!r}")
     try:
         CommandHistory(output, expected_revision=seen).check_revision()
     except FrictrackError as e:
@@ -248,5 +241,5 @@ def _mapping(value: Any, what: str) -> dict[str, Any]:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise FrictrackError(f"expected {what} as a JSON object but got {value!r}", usage=True)
+        raise UsageError(f"expected {what} as a JSON object but got {value!r}")
     return value

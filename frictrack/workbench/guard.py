@@ -99,8 +99,8 @@ class RequestGuard:
         return host in {name.lower() for name in own} or _is_address(host)
 
 
-class RefusedRequest(Matcher):
-    """Match every request that the guard refuses."""
+class GuardedRequest(Matcher):
+    """Match every request that the guard refuses, and the page when its address carries the token."""
 
     def __init__(self, guard: RequestGuard) -> None:
         self.guard = guard
@@ -108,47 +108,29 @@ class RefusedRequest(Matcher):
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
         """Arguments of the handler (Tornado's interface); None if the request does not match."""
         fault = self.guard.fault(request)
-        return {"target_kwargs": {"fault": fault}} if fault else None
-
-
-class TokenRequest(Matcher):
-    """Match the page when its address carries the token."""
-
-    def __init__(self, guard: RequestGuard) -> None:
-        self.guard = guard
-
-    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """Arguments of the handler (Tornado's interface); None if the request does not match."""
         plain = request.method == "GET" and "Upgrade" not in request.headers
-        return {"target_kwargs": {"guard": self.guard}} if plain and self.guard.has_token(request) else None
+        if fault or (plain and self.guard.has_token(request)):
+            return {"target_kwargs": {"guard": self.guard, "fault": fault}}
+        return None
 
 
-class RefusalHandler(RequestHandler):
-    """Answer a refused request."""
-
-    def initialize(self, fault: str) -> None:
-        """Store the reason."""
-        self.fault = fault
-
-    def prepare(self) -> None:
-        """Answer before the request is processed."""
-        self.set_status(403)
-        self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(self.fault)
-
-
-class TokenHandler(RequestHandler):
-    """Set the cookie of a browser that has the token, and forward it to the address without the token.
+class GuardHandler(RequestHandler):
+    """Answer a refused request; set the cookie of a browser that has the token, and forward it to the bare address.
 
     The page forwards by itself. After a redirect from a link on another page, the browser would not send the cookie.
     """
 
-    def initialize(self, guard: RequestGuard) -> None:
-        """Store the guard."""
-        self.guard = guard
+    def initialize(self, guard: RequestGuard, fault: str) -> None:
+        """Store the guard, and why the request is refused."""
+        self.guard, self.fault = guard, fault
 
-    def get(self) -> None:
-        """Set the cookie."""
+    def prepare(self) -> None:
+        """Answer before the request is processed."""
+        if self.fault:
+            self.set_status(403)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish(self.fault)
+            return
         name = self.guard.cookie(self.request)
         self.set_cookie(name, self.guard.secret, path="/", httponly=True, samesite="Strict")
         self.set_header("Referrer-Policy", "no-referrer")
@@ -158,10 +140,7 @@ class TokenHandler(RequestHandler):
 
 def protect(application: Application, guard: RequestGuard) -> None:
     """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
-    application.default_router.rules[:0] = [
-        Rule(RefusedRequest(guard), RefusalHandler),
-        Rule(TokenRequest(guard), TokenHandler),
-    ]
+    application.default_router.rules.insert(0, Rule(GuardedRequest(guard), GuardHandler))
 
 
 def address_of(host: str, port: int, token: str = "") -> str:

@@ -1,7 +1,4 @@
-"""The addresses of the page: its files, the state of the study, changes and jobs.
-
-Films, plots and downloads are in `data_handlers`.
-"""
+"""The addresses of the page: its files, the state of the study, changes, jobs, films, plots and downloads."""
 
 from __future__ import annotations
 
@@ -9,20 +6,37 @@ import asyncio
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+import zipfile
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from tempfile import SpooledTemporaryFile
+from typing import IO, TYPE_CHECKING, Any
 
 from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from frictrack.base.errors import FrictrackError
-from frictrack.workbench.actions import check, list_effects, need_plain_name, try_effect
-from frictrack.workbench.downloads import CONTENT_TYPES, make_download, page_figure
+from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.workbench.actions import (
+    cancel,
+    change,
+    check,
+    copy_sample,
+    need_plain_name,
+    start_job,
+    take_in,
+    try_effect,
+)
 from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from frictrack.results import Results
+    from frictrack.study import Study
 
 MAX_UNREAD_S = 20.0  # that a tab may leave a message unread
 STATIC = Path(__file__).parent / "static"
@@ -33,6 +47,9 @@ SECURITY = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+
+
+Act = Callable[["Api"], Awaitable[None]]
 
 
 class PageFiles(StaticFileHandler):
@@ -68,9 +85,9 @@ class PageFiles(StaticFileHandler):
 class Api(RequestHandler):
     """A request with an answer in JSON; an error is one sentence under `error`."""
 
-    def initialize(self, live: LiveStudy, act: Callable[..., Any] | None = None, keys: Sequence[str] = ()) -> None:
-        """Store the study, and of an `ActionHandler` what acts and the keys of the request that are its arguments."""
-        self.live, self.act, self.keys = live, act, keys
+    def initialize(self, live: LiveStudy, act: Act | None = None) -> None:
+        """Store the study, and what answers."""
+        self.live, self.act = live, act
 
     def set_default_headers(self) -> None:
         """Set the headers of every answer."""
@@ -95,6 +112,15 @@ class Api(RequestHandler):
         self.set_status(status)
         self.answer({"error": words})
 
+    def asked(self, key: str, default: str = "") -> str:
+        """A part of the address."""
+        return self.get_query_argument(key, default)
+
+    def send(self, content: bytes, kind: str = "application/octet-stream") -> None:
+        """Send bytes."""
+        self.set_header("Content-Type", kind)
+        self.finish(content)
+
     def body(self) -> dict[str, Any]:
         """The JSON object of the request."""
         try:
@@ -102,7 +128,7 @@ class Api(RequestHandler):
         except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict):
-            raise FrictrackError("expected a JSON object but got another body; reload the page", usage=True)
+            raise UsageError("expected a JSON object but got another body; reload the page")
         return found
 
 
@@ -135,12 +161,22 @@ class UnknownHandler(Api):
         raise HTTPError(404)
 
 
-class StateHandler(Api):
-    """The state of the study."""
+class GetHandler(Api):
+    """A request that changes nothing."""
 
     async def get(self) -> None:
-        """Answer with the newest state."""
-        self.answer(await self.live.state_json())
+        """Answer."""
+        assert self.act is not None
+        await self.act(self)
+
+
+class PostHandler(Api):
+    """A request with a JSON object."""
+
+    async def post(self) -> None:
+        """Answer."""
+        assert self.act is not None
+        await self.act(self)
 
 
 class EventsHandler(WebSocketHandler):
@@ -184,105 +220,81 @@ class EventsHandler(WebSocketHandler):
         self.end()
 
 
-class EffectsHandler(Api):
+async def _state(api: Api) -> None:
+    """The newest state of the study."""
+    api.answer(await api.live.state_json())
+
+
+async def _effects(api: Api) -> None:
     """The catalogue of effects, with those that the study defines."""
+    from frictrack.workbench.summaries import effect_library  # noqa: PLC0415 - loads NumPy
 
-    async def get(self) -> None:
-        """Answer with all effects."""
-        self.answer({"effects": await self.live.read(list_effects, self.live.snapshot)})
-
-
-class GlossaryHandler(Api):
-    """The words that the page explains where they stand."""
-
-    def get(self) -> None:
-        """Answer with words and meanings, and the pattern that finds them in a text."""
-        from frictrack.base.glossary import hover_pattern, hover_words  # noqa: PLC0415
-
-        self.answer({"meanings": hover_words(), "pattern": hover_pattern().pattern})
+    snapshot = api.live.snapshot
+    api.answer({"effects": await api.live.read(effect_library, snapshot.study if snapshot else None)})
 
 
-class CheckHandler(Api):
-    """Numbers as they are being typed."""
+async def _glossary(api: Api) -> None:
+    """Words that the page explains, their meanings, and the pattern that finds them in a text."""
+    from frictrack.base.glossary import hover_pattern, hover_words  # noqa: PLC0415
 
-    async def post(self) -> None:
-        """Answer how they are read; nothing is written."""
-        given = self.body()
-        self.answer({"fields": await self.live.read(check, self.live.snapshot, given.get("fields"), given.get("run"))})
+    api.answer({"meanings": hover_words(), "pattern": hover_pattern().pattern})
 
 
-class ActionHandler(Api):
-    """What changes the study or its work: recordings, the sample, a quick change, a long job, its end."""
+async def _check(api: Api) -> None:
+    """How numbers are read as they are being typed; nothing is written."""
+    given = api.body()
+    api.answer({"fields": await api.live.read(check, api.live.snapshot, given.get("fields"), given.get("run"))})
 
-    async def post(self) -> None:
-        """Act, and answer with what it returns."""
-        given = self.body()
-        assert self.act is not None
-        self.answer(await self.live.write(self.act, *(given.get(key) for key in self.keys)))
+
+def _action(act: Callable[..., Any], *keys: str) -> Act:
+    """What changes the study or its work, with the keys of the request that are its arguments."""
+
+    async def answer(api: Api) -> None:
+        given = api.body()
+        api.answer(await api.live.write(act, *(given.get(key) for key in keys)))
+
+    return answer
 
 
 YEAR_S = 31_536_000
 PART_BYTES = 262_144  # of a download that are read at once
 
 
-class FilmApi(Api):
-    """A request about a film: of a run, or of a file in the folder of the study."""
-
-    async def film(self) -> FilmFile:
-        """The film that the address names."""
-        run, file = self.get_query_argument("run", ""), self.get_query_argument("file", "")
-        return await asyncio.to_thread(_find_film, self.live, run, file)
+async def _film(api: Api) -> None:
+    """Frames, width, height, rate and version of a film."""
+    api.answer(await asyncio.wrap_future(api.live.films.open(await asyncio.to_thread(_find_film, api)).info()))
 
 
-def _find_film(live: LiveStudy, run: str, file: str) -> FilmFile:
+async def _frame(api: Api) -> None:
+    """One frame of a film as a JPEG; the browser keeps it if the address has the version of the film."""
+    number = api.asked("n", "0")
+    if not re.fullmatch(r"-?[0-9]{1,18}", number):
+        raise UsageError(f'expected the number of a frame but got "{number[:40]}"')
+    file = await asyncio.to_thread(_find_film, api)
+    picture = await asyncio.wrap_future(api.live.films.open(file).frame(int(number)))
+    if api.asked("v") == file.version:
+        api.set_header("Cache-Control", f"private, max-age={YEAR_S}, immutable")
+    api.send(picture, "image/jpeg")
+
+
+def _find_film(api: Api) -> FilmFile:
+    """The film that the address names: of a run, or of a file in the folder of the study."""
+    live, run, file = api.live, api.asked("run"), api.asked("file")
     study = live.snapshot.study if live.snapshot else None
-    if run:
-        table = next((one for one in study.runs if one.name == run), None) if study else None
-        if table is None or table.video is None:
-            raise MissingError(f'expected a run with a film but got "{run}"; reload the page')
-        if not isinstance(table.video, Path):
-            raise MissingError(f"expected a film of this machine but {table.video} is an address; fetch it to see it")
-        return film_file(table.video, table.fps)
-    return film_file(live.path.parent / need_plain_name(file))
+    if not run:
+        return film_file(live.path.parent / need_plain_name(file))
+    table = next((one for one in study.runs if one.name == run), None) if study else None
+    if table is None or table.video is None:
+        raise MissingError(f'expected a run with a film but got "{run}"; reload the page')
+    if not isinstance(table.video, Path):
+        raise MissingError(f"expected a film of this machine but {table.video} is an address; fetch it to see it")
+    return film_file(table.video, table.fps)
 
 
-class FilmHandler(FilmApi):
-    """Number of frames, size and rate of a film."""
-
-    async def get(self) -> None:
-        """Answer with frames, width, height, fps and version."""
-        self.answer(await asyncio.wrap_future(self.live.films.open(await self.film()).info()))
-
-
-class FrameHandler(FilmApi):
-    """One frame of a film as a JPEG."""
-
-    async def get(self) -> None:
-        """Answer with the picture; the browser keeps it if the address has the version of the film."""
-        number = self.get_query_argument("n", "0")
-        if not re.fullmatch(r"-?[0-9]{1,18}", number):
-            raise FrictrackError(f'expected the number of a frame but got "{number[:40]}"', usage=True)
-        file = await self.film()
-        picture = await asyncio.wrap_future(self.live.films.open(file).frame(int(number)))
-        if self.get_query_argument("v", "") == file.version:
-            self.set_header("Cache-Control", f"private, max-age={YEAR_S}, immutable")
-        self.set_header("Content-Type", "image/jpeg")
-        self.finish(picture)
-
-
-class PlotsHandler(Api):
-    """Scene and columns of linked plots."""
-
-    async def get(self) -> None:
-        """Answer with the packed plots of a view."""
-        query = {key: self.get_query_argument(key, "") for key in ("view", "run", "cutoff", "model", "background")}
-        snapshot = await self.live.read_snapshot()
-        self.send(await asyncio.to_thread(packed_plots, snapshot, query))
-
-    def send(self, packed: bytes) -> None:
-        """Send packed plots."""
-        self.set_header("Content-Type", "application/octet-stream")
-        self.finish(packed)
+async def _plots(api: Api) -> None:
+    """The packed plots of a view."""
+    query = {key: api.asked(key) for key in ("view", "run", "cutoff", "model", "background")}
+    api.send(await asyncio.to_thread(packed_plots, await api.live.read_snapshot(), query))
 
 
 def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
@@ -305,7 +317,7 @@ def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
     if view == "track":
         return plot_data.track_plots(run, index).pack()
     if view != "motion":
-        raise FrictrackError(f"expected the view track, motion or compare but got {view!r}", usage=True)
+        raise UsageError(f"expected the view track, motion or compare but got {view!r}")
     if not cutoff:
         return plot_data.motion_plots(run, index=index).pack()
     frequency = _frequency(cutoff)
@@ -326,69 +338,172 @@ def _frequency(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise FrictrackError(f"expected a cut-off frequency above 0 Hz but got {text!r}", usage=True)
+        raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
     return value
 
 
-class CandidateHandler(PlotsHandler):
-    """The curve of the current model with one more effect."""
+async def _candidate(api: Api) -> None:
+    """The curve of the current model with one more effect; 202 while it is fitted, from the first request on."""
+    from frictrack.workbench.summaries import candidate_curves  # noqa: PLC0415
 
-    async def get(self) -> None:
-        """Answer with the packed curve; 202 while it is being fitted, which begins with the first request."""
-        from frictrack.workbench.summaries import candidate_curves  # noqa: PLC0415
-
-        name, snapshot = self.get_query_argument("name", ""), await self.live.read_snapshot()
-        if snapshot is None or snapshot.results is None or snapshot.results.current is None:
-            raise MissingError("expected a fitted model but there is none yet; press Run")
-        curves = await self.live.read(candidate_curves, snapshot, name)
-        if curves is None:
-            await self.live.write(try_effect, name)
-            self.set_status(202)
-            self.answer({"pending": True})
-        else:
-            self.send(curves.pack())
+    name, snapshot = api.asked("name"), await api.live.read_snapshot()
+    if snapshot is None or snapshot.results is None or snapshot.results.current is None:
+        raise MissingError("expected a fitted model but there is none yet; press Run")
+    curves = await api.live.read(candidate_curves, snapshot, name)
+    if curves is not None:
+        api.send(curves.pack())
+        return
+    await api.live.write(try_effect, name)
+    api.set_status(202)
+    api.answer({"pending": True})
 
 
-class PictureHandler(Api):
-    """Pictures that are made from the results."""
+# --- files that are made of the results
 
-    async def sheet(self) -> tuple[bytes, str]:
-        """The contact sheet of a run."""
-        from frictrack.flow import contact_sheet_path  # noqa: PLC0415
-
-        run, snapshot = self.get_query_argument("run", ""), await self.live.read_snapshot()
-        study: Any = snapshot.study if snapshot else None
-        path = contact_sheet_path(study, _named(study.runs if study else (), run, "run of the study").name)
-        if not path.exists():
-            raise MissingError(f"expected the contact sheet {path.name} but it does not exist; track the film first")
-        return await asyncio.to_thread(path.read_bytes), "image/png"
-
-    async def figure(self) -> tuple[bytes, str]:
-        """A figure that Matplotlib draws."""
-        name, snapshot = self.get_query_argument("name", ""), await self.live.read_snapshot()
-        return await self.live.draw(page_figure, name, snapshot), "image/svg+xml"
-
-    async def get(self, kind: str) -> None:
-        """Answer with the picture."""
-        content, kind = await (self.sheet() if kind == "sheet" else self.figure())
-        self.set_header("Content-Type", kind)
-        self.finish(content)
+DOWNLOADS = ("report.html", "report.pdf", "tables.zip", "hdf5.zip", "repeat.py", "figures.zip")
+FIGURE_FORMATS = ("svg", "png", "pdf")
+MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
+CONTENT_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".pdf": "application/pdf",
+    ".zip": "application/zip",
+    ".py": "text/x-python; charset=utf-8",
+}
+Content = IO[bytes]
 
 
-class DownloadHandler(Api):
-    """A file to keep."""
+def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | None = None) -> Content:
+    """Make a file for download."""
+    if what not in DOWNLOADS or form not in FIGURE_FORMATS:
+        known = f"{', '.join(DOWNLOADS)} (figures as {', '.join(FIGURE_FORMATS)})"
+        raise UsageError(f"expected one of the files {known} but got {what!r} as {form!r}")
+    if snapshot is None or snapshot.study is None or (snapshot.results is None and what != "repeat.py"):
+        raise MissingError(f"expected results for {what} but there are none; press Run first")
+    if what.startswith("report") and outdated:
+        raise OutdatedError(f"{outdated.rstrip('.')}; write it again or download it as it is")
+    return _content(what, snapshot.study, snapshot.results, form)
 
-    async def get(self) -> None:
-        """Send the file in parts."""
-        what, form = self.get_query_argument("what", ""), self.get_query_argument("format", "svg")
-        snapshot = await self.live.read_snapshot()
-        reason = None if self.get_query_argument("anyway", "") else self.live.state["report"]["outdated"]
-        file = await self.live.draw(make_download, what, snapshot, form, reason)
-        try:
-            self.set_header("Content-Type", CONTENT_TYPES[Path(what).suffix])
-            self.set_header("Content-Disposition", f'attachment; filename="{what}"')
-            while part := await asyncio.to_thread(file.read, PART_BYTES):
-                self.write(part)
-                await self.flush()
-        finally:
-            file.close()
+
+def _content(what: str, study: Study, results: Results, form: str) -> Content:
+    """Make one of the files that exist or can be made of the results."""
+    from frictrack.flow import replay_script  # noqa: PLC0415
+    from frictrack.present import export  # noqa: PLC0415
+
+    if what == "repeat.py":
+        return BytesIO(replay_script(study).encode())
+    if what == "tables.zip":
+        return zip_files((path.name, path) for path in export.write(results, "csv"))
+    if what == "hdf5.zip":
+        return zip_files((path.name, path) for path in sorted(results.output.glob("[!.]*.h5")))
+    from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
+
+    if what == "figures.zip":
+        return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
+    path = study.output / "report.html"
+    if not path.exists():
+        raise MissingError(f"expected the report {path} but it does not exist; write it first")
+    return (report.print_pdf(path) if what == "report.pdf" else path).open("rb")
+
+
+def figure_bytes(made: Figure, form: str) -> bytes:
+    """Convert a figure to the content of a file."""
+    from frictrack.present import plots  # noqa: PLC0415
+
+    if form == "svg":
+        return plots.svg_file(made).encode()
+    return plots.png(made, dpi=200) if form == "png" else plots.pdf(made)
+
+
+def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
+    """Pack files into one ZIP archive."""
+    sheet: Any = SpooledTemporaryFile(MEMORY_BYTES)  # noqa: SIM115 - the caller closes it
+    with zipfile.ZipFile(sheet, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files:
+            if isinstance(content, Path):
+                archive.write(content, name)
+            else:
+                archive.writestr(name, content)
+    sheet.seek(0)
+    return sheet
+
+
+def page_figure(name: str, snapshot: Any) -> bytes:
+    """Draw a figure that the page shows."""
+    results = snapshot.results if snapshot else None
+    made = _draw(name, results) if results is not None else None
+    if made is None:
+        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
+    return figure_bytes(made, "svg")
+
+
+# Kinds of figures of the page: name in the list of figures, and how the page draws it.
+PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
+    "law": ("law", {"title": False, "width": 4.8}),
+    "search": ("convergence", {}),
+    "cutoff": ("cutoff", {}),
+    "filters": ("filters", {}),
+}
+
+
+def _draw(name: str, results: Results) -> Figure | None:
+    from frictrack.present import plots  # noqa: PLC0415
+
+    kind, _, which = name.partition(":")
+    if kind == "scan":  # of any candidate; the list has that of the best
+        curves = results.figures.get(which, {})
+        return plots.scan(which, curves, width=5.0) if plots.has_scan(curves) else None
+    listed, options = PAGE_FIGURES.get(kind, ("", {}))
+    draw = dict(plots.study_figures(results)).get(f"{listed} {which}")
+    return None if draw is None else draw(**options)
+
+
+async def _sheet(api: Api) -> None:
+    """The contact sheet of a run."""
+    from frictrack.flow import contact_sheet_path  # noqa: PLC0415
+
+    snapshot = await api.live.read_snapshot()
+    study: Any = snapshot.study if snapshot else None
+    path = contact_sheet_path(study, _named(study.runs if study else (), api.asked("run"), "run of the study").name)
+    if not path.exists():
+        raise MissingError(f"expected the contact sheet {path.name} but it does not exist; track the film first")
+    api.send(await asyncio.to_thread(path.read_bytes), "image/png")
+
+
+async def _figure(api: Api) -> None:
+    """A figure that Matplotlib draws."""
+    api.send(await api.live.draw(page_figure, api.asked("name"), await api.live.read_snapshot()), "image/svg+xml")
+
+
+async def _download(api: Api) -> None:
+    """A file to keep, sent in parts."""
+    what, snapshot = api.asked("what"), await api.live.read_snapshot()
+    reason = None if api.asked("anyway") else api.live.state["report"]["outdated"]
+    file = await api.live.draw(make_download, what, snapshot, api.asked("format", "svg"), reason)
+    try:
+        api.set_header("Content-Type", CONTENT_TYPES[Path(what).suffix])
+        api.set_header("Content-Disposition", f'attachment; filename="{what}"')
+        while part := await asyncio.to_thread(file.read, PART_BYTES):
+            api.write(part)
+            await api.flush()
+    finally:
+        file.close()
+
+
+ANSWERS: dict[str, tuple[type[Api], Act]] = {
+    "state": (GetHandler, _state),
+    "effects": (GetHandler, _effects),
+    "glossary": (GetHandler, _glossary),
+    "film": (GetHandler, _film),
+    "frame": (GetHandler, _frame),
+    "plots": (GetHandler, _plots),
+    "candidate": (GetHandler, _candidate),
+    "sheet": (GetHandler, _sheet),
+    "figure": (GetHandler, _figure),
+    "download": (GetHandler, _download),
+    "check": (PostHandler, _check),
+    "study": (PostHandler, _action(take_in, "recordings", "fields")),
+    "sample": (PostHandler, _action(copy_sample)),
+    "do": (PostHandler, _action(change, "do", "arguments", "seen")),
+    "job": (PostHandler, _action(start_job, "do", "arguments", "seen")),
+    "cancel": (PostHandler, _action(cancel)),
+}  # by address, below /api

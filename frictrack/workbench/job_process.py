@@ -109,7 +109,7 @@ def _perform(session: Any, do: str, arguments: dict[str, Any], verdict_stored: C
 IMPORTED_FIRST = tuple(  # what most jobs need; the process that waits has it ready
     f"frictrack.{name}"
     for name in (
-        *("flow.session", "flow.stored_results", "flow.film_stages", "flow.stages", "flow.opening", "fit", "diagnose"),
+        *("flow.session", "flow.stored_results", "flow.stages", "flow.opening", "fit", "diagnose"),
         *(
             "flow.plausibility_checks",
             "diagnose.compare",

@@ -192,45 +192,27 @@ def motion_plots(run: RunResults, other: Array | None = None, label: str = "", i
     """Prepare plots of displacement, velocity, acceleration and force; the free section has handles to drag."""
     m, d, f = run.motion, run.displacement, run.friction
     columns: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v, "a": m.a, "raw": 1e6 * (d.x - m.x)}
-    bands = {
-        name: _add_band(columns, name, columns[name], sigma) for name, sigma in (("v", m.sigma_v), ("a", m.sigma_a))
-    }
-    around = _add_band(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
-    columns |= target_positions(run)
-    previews: dict[str, list[dict[str, Any]]] = {"v": [], "a": []}
+    sigmas: dict[str, Array] = {"v": m.sigma_v, "a": m.sigma_a}
+    if f is not None:
+        columns["F"], sigmas["F"] = f.F, f.sigma_F
     if other is not None:
         columns |= {"v_other": other[1], "a_other": other[2]}
-        previews = {
-            q: [line(f"{q}_other", "candidate", "preview", label, dash=[6, 3], width=2, loose=True)] for q in previews
-        }
-    free = _span_of(f)
+    free, clean = _span_of(f), _span_of(f, m.guard)
     shade = [span(*free, "free", "free section")] if free else []
-    clean = _span_of(f, run.motion.guard)
-    near: dict[str, Any] = {"focus": list(clean)} if clean else {}  # the push, and what the filter smears, are larger
     grip: dict[str, Any] = {"handles": [{"name": "free", "span": list(free)}]} if free else {}
-
-    def measured(y: str) -> dict[str, Any]:
-        return line(y, "measured", "measured", "measured", by_run=True)
-
-    shown = [
-        plot("Displacement", TIME, ("x", "mm"), *shade, measured("x"), brush="x", **grip),
-        plot("Velocity", TIME, ("v", "m/s"), *shade, bands["v"], measured("v"), *previews["v"], brush="x", **grip),
-        plot(
-            "Acceleration",
-            TIME,
-            ("a", "m/s²"),
-            *(*shade, bands["a"], measured("a"), *previews["a"]),
-            brush="x",
-            **near,
-            **grip,
-        ),
-        plot("Measured minus smoothed", TIME, ("x", "µm"), around, dots("raw", "measured", "raw")),
-    ]
-    if f is not None:
-        columns["F"] = f.F
-        layer = _add_band(columns, "F", f.F, f.sigma_F)
-        force = plot("Friction force", TIME, ("F", "N"), *shade, layer, measured("F"), brush="x", **near, **grip)
-        shown.insert(3, force)
+    near: dict[str, Any] = {"focus": list(clean)} if clean else {}  # the push, and what the filter smears, are larger
+    shown = []
+    for name, (title, unit) in (MOTION_TITLES | {"F": ("Friction force", "N")}).items():
+        if name in columns:
+            layers = [_add_band(columns, name, columns[name], sigmas[name])] if name in sigmas else []
+            layers.append(line(name, "measured", "measured", "measured", by_run=True))
+            if f"{name}_other" in columns:
+                layers.append(line(f"{name}_other", "candidate", "preview", label, dash=[6, 3], width=2, loose=True))
+            more = grip | (near if name in ("a", "F") else {})
+            shown.append(plot(title, TIME, (name, unit), *shade, *layers, brush="x", **more))
+    around = _add_band(columns, "raw", np.zeros(len(m)), 1e6 * d.sigma_x)
+    shown.append(plot("Measured minus smoothed", TIME, ("x", "µm"), around, dots("raw", "measured", "raw")))
+    columns |= target_positions(run)
     return PlotData(len(m), columns, shown, [_run_entry(run, 0, len(m), index, first_frame(run))], {"view": "motion"})
 
 

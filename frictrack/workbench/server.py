@@ -19,56 +19,11 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application
 
-from frictrack.base.errors import FrictrackError
-from frictrack.workbench.actions import cancel, change, copy_sample, start_job, take_in
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, protect
-from frictrack.workbench.handlers import (
-    STATIC,
-    ActionHandler,
-    CandidateHandler,
-    CheckHandler,
-    DownloadHandler,
-    EffectsHandler,
-    EventsHandler,
-    FilmHandler,
-    FrameHandler,
-    GlossaryHandler,
-    PageFiles,
-    PictureHandler,
-    PlotsHandler,
-    StateHandler,
-    UnknownHandler,
-)
+from frictrack.workbench.handlers import ANSWERS, STATIC, EventsHandler, PageFiles, UnknownHandler
 from frictrack.workbench.live_study import LiveStudy
 from frictrack.workbench.uploads import UploadHandler
-
-
-def routes(live: LiveStudy) -> list[Any]:
-    """Addresses and their handlers."""
-    more: dict[str, Any] = {"live": live}
-    return [
-        (r"/api/state", StateHandler, more),
-        (r"/api/events", EventsHandler, more),
-        (r"/api/effects", EffectsHandler, more),
-        (r"/api/glossary", GlossaryHandler, more),
-        (r"/api/check", CheckHandler, more),
-        (r"/api/study", ActionHandler, more | {"act": take_in, "keys": ("recordings", "fields")}),
-        (r"/api/sample", ActionHandler, more | {"act": copy_sample}),
-        (r"/api/do", ActionHandler, more | {"act": change, "keys": ("do", "arguments", "seen")}),
-        (r"/api/job", ActionHandler, more | {"act": start_job, "keys": ("do", "arguments", "seen")}),
-        (r"/api/cancel", ActionHandler, more | {"act": cancel}),
-        (r"/api/upload", UploadHandler, more),
-        (r"/api/film", FilmHandler, more),
-        (r"/api/frame", FrameHandler, more),
-        (r"/api/plots", PlotsHandler, more),
-        (r"/api/candidate", CandidateHandler, more),
-        (r"/api/(sheet|figure)", PictureHandler, more),
-        (r"/api/download", DownloadHandler, more),
-        (r"/static/(.*)", PageFiles, {"path": str(STATIC)}),
-        (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
-        (r".*", UnknownHandler, more),
-    ]
-
 
 MAX_BODY_BYTES = 4_000_000  # of a request that is no upload
 SHOWN_S = 60.0  # that a browser has to read the file which forwards it to the page
@@ -110,7 +65,7 @@ def serve(
     """
     path = path / "study.toml" if path.is_dir() else path
     if not path.parent.is_dir():
-        raise FrictrackError(f"expected the folder {path.parent} but it does not exist", usage=True)
+        raise UsageError(f"expected the folder {path.parent} but it does not exist")
     guard = RequestGuard(token or secrets.token_urlsafe(24), host, tuple(name.strip().lower() for name in names))
     with suppress(KeyboardInterrupt):
         asyncio.run(_serve(path.resolve(), guard, port, show))
@@ -162,6 +117,16 @@ async def open_browser(address: str) -> None:
 def application(live: LiveStudy, guard: RequestGuard) -> Application:
     """Create the application of a page, in which the guard checks every request."""
     logging.getLogger("tornado.access").setLevel(logging.ERROR)  # refusals and missing films are told to the page
-    made = Application(routes(live), websocket_ping_interval=PING_INTERVAL_S)
+    more: dict[str, Any] = {"live": live}
+    answers = [(rf"/api/{name}", kind, more | {"act": act}) for name, (kind, act) in ANSWERS.items()]
+    addresses: list[Any] = [
+        *answers,
+        (r"/api/events", EventsHandler, more),
+        (r"/api/upload", UploadHandler, more),
+        (r"/static/(.*)", PageFiles, {"path": str(STATIC)}),
+        (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
+        (r".*", UnknownHandler, more),
+    ]
+    made = Application(addresses, websocket_ping_interval=PING_INTERVAL_S)
     protect(made, guard)
     return made

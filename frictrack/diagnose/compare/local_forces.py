@@ -229,7 +229,7 @@ def _fit_bumps(found: LocalForces) -> LocalForces:
         if theta.tobytes() not in computed:
             columns = bump_columns(found, moved(theta))
             columns = without_model(law, columns.reshape(len(columns), -1)).reshape(columns.shape)
-            computed[theta.tobytes()] = columns, solve_sizes(law, columns[:, :, 0])[0]
+            computed[theta.tobytes()] = columns, solve_sizes(law, columns[:, :, 0])
         return computed[theta.tobytes()]
 
     def residual(theta: Array) -> Array:
@@ -255,11 +255,9 @@ def _fit_bumps(found: LocalForces) -> LocalForces:
     return replace(found, bumps=fitted, residual=law.with_columns(columns[:, :, 0]))
 
 
-def solve_sizes(law: ModelProjection, columns: Array) -> tuple[Array, float]:
-    """Fit sizes (K,) of columns (N + m, K) together with the model; sizes and chi-squared."""
-    clean = without_model(law, columns)
-    sizes = np.asarray(np.linalg.lstsq(clean, law.r, rcond=1e-10)[0], dtype=np.float64)
-    return sizes, float(np.sum((law.r - clean @ sizes) ** 2))
+def solve_sizes(law: ModelProjection, columns: Array) -> Array:
+    """Fit sizes (K,) of columns (N + m, K) together with the model."""
+    return np.asarray(np.linalg.lstsq(without_model(law, columns), law.r, rcond=1e-10)[0], dtype=np.float64)
 
 
 def joint_significance(law: ModelProjection, columns: Array) -> Array:

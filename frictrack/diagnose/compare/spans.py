@@ -108,12 +108,12 @@ def _failing_speeds(solution: Solution, runs: Sequence[Run]) -> Iterator[dict[st
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
     """Extent of the bumps of a search in every piece."""
     columns = bump_columns(found, found.bumps, derivatives=False)[:, :, 0]
-    sizes, best = solve_sizes(found.law, columns)
+    sizes = solve_sizes(found.law, columns)
     total, spans = excess_chi2(found.law), list[FailingSpan]()
     for k, bump in enumerate(found.bumps):
         others = np.delete(columns, k, axis=1)
-        likely = replace(bump, width=_likely_width(found, bump, others))
-        unresolved = not bump.at_place and _is_unresolved(found, bump, others, best)
+        width, is_short = _likely_width(found, bump, others)
+        likely, unresolved = replace(bump, width=width), is_short and not bump.at_place
         for i, rows in enumerate(found.law.rows):
             if bump.acts_in(i):
                 share = float(sizes[k] * (columns[rows, k] @ found.law.r[rows])) / total
@@ -171,23 +171,18 @@ def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
     return 0.5 / float(cutoff) if known else 0.0
 
 
-def _is_unresolved(found: LocalForces, bump: Bump, others: Array, best: float) -> bool:
-    """Whether a bump in time is as short as the shortest that the frames resolve, next to `others` (N + m, k)."""
-    shortest = replace(bump, width=width_limits(found.law, bump)[0])
-    column = bump_columns(found, [shortest], derivatives=False)[:, 0]
-    return solve_sizes(found.law, np.hstack([others, column]))[1] - best < MIN_CHI2_RESOLVED
+def _likely_width(found: LocalForces, bump: Bump, others: Array) -> tuple[float, bool]:
+    """Mean of the log width, weighted by the likelihood of the widths, and whether the shortest is as likely as any.
 
-
-def _likely_width(found: LocalForces, bump: Bump, others: Array) -> float:
-    """Mean of the log width, weighted by the likelihood of the widths, next to `others` (N + m, k).
-
-    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
+    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary. `others`
+    (N + m, k) are the traces of the other bumps.
     """
     law = found.law.with_columns(others)
     widths = np.geomspace(*width_limits(found.law, bump), N_WIDTHS)
     tried = [replace(bump, width=width) for width in widths.tolist()]
     gains = bump_grid(law, found.model.pieces, tried).significances(law) ** 2
-    return float(np.exp(np.average(np.log(widths), weights=np.exp((gains - gains.max()) / 2))))
+    behind = gains.max() - gains
+    return float(np.exp(np.average(np.log(widths), weights=np.exp(-behind / 2)))), bool(behind[0] < MIN_CHI2_RESOLVED)
 
 
 def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> list[FailingSpan]:
@@ -239,17 +234,12 @@ def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:
 def _expected_peaks(solution: Solution, effect: Effect, forces: Sequence[Array]) -> list[float]:
     """Largest expected force of an effect in every piece, N, whatever part of it the piece passes."""
     own = [float(np.max(np.abs(f), initial=0.0)) for f in forces]
-    if _has_size_per_run(effect):
+    if any(p.per_run and p.is_size for p in effect.parameters):
         return own
     paths = [(r.piece.path, solution.problem.layout.values(solution.p, r.piece.run)[1]) for r in solution.responses]
     factors = [{"load": path.load * level, "mass": path.mass_ratio} for path, level in paths]
     scales = np.array([float(f.get(effect.scales_with, 1.0)) for f in factors])
     return list(np.max(np.array(own) / scales) * scales)
-
-
-def _has_size_per_run(effect: Effect) -> bool:
-    """Whether every run has its own size of the effect."""
-    return any(p.per_run and p.is_size for p in effect.parameters)
 
 
 def _close_gaps(acts: Mask) -> Mask:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -37,16 +36,7 @@ STRIBECK_VELOCITY = 0.3  # m/s
 VISCOUS_RATIO = 0.1  # viscous friction per m/s, over Coulomb friction
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One experiment: a key, the instruction without its reason, and the design of the run."""
-
-    key: str
-    words: str
-    design: RunDesign
-
-
-def plain_run(course: tuple[float, float], velocity: float, frames: float, drive: float = 1.0) -> RunDesign:
+def _plain_run(course: tuple[float, float], velocity: float, frames: float, drive: float = 1.0) -> RunDesign:
     """Design of a run over the whole course; negative velocities, m/s, go the other way."""
     return RunDesign((course[0] if velocity > 0 else course[1], velocity), course, drive=drive, frames=frames)
 
@@ -56,102 +46,76 @@ def _speed_to_stop(deceleration: float, distance: float) -> float:
     return float(np.sqrt(2 * deceleration * distance))
 
 
-def _changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[Experiment]:
+def _changed_runs(plain: RunDesign, other_mass: str, otherwise: str) -> Iterator[RunDesign]:
     """List a plain run with another mass, a tilted course, and more frames per second; two sentences have a gap."""
-    yield Experiment("double mass", other_mass.format("with the mass doubled"), replace(plain, mass=2.0))
-    yield Experiment("half mass", other_mass.format("with half the mass"), replace(plain, mass=0.5))
+    yield plain.changed("double mass", other_mass.format("with the mass doubled"), mass=2.0)
+    yield plain.changed("half mass", other_mass.format("with half the mass"), mass=0.5)
     for sign, word in ((1.0, "raised"), (-1.0, "lowered")):
         tilted = f"with the far end of the course {word} by 5 degrees (give incline)"
-        yield Experiment(f"tilt {sign:+.0f}", otherwise.format(tilted), replace(plain, tilt=sign * TILT_RAD))
+        yield plain.changed(f"tilt {sign:+.0f}", otherwise.format(tilted), tilt=sign * TILT_RAD)
     faster = "at twice the frame rate, as long as the light allows"
-    yield Experiment("frame rate", otherwise.format(faster), replace(plain, rate=2.0))
+    yield plain.changed("frame rate", otherwise.format(faster), rate=2.0)
 
 
 def candidate_experiments(
     solution: Solution, costs: Costs = DEFAULT_COSTS, *, combined: bool = False
-) -> list[Experiment]:
+) -> list[RunDesign]:
     """List runs that could be filmed next, within what the set-up has shown in a fit of its runs.
 
     Slower, faster, to a stop, reversed, repeated; other mass, tilt, frame rate, zoom and length. With `combined`, runs
     that combine speed, direction and mass follow.
     """
-    setup = _FilmedRuns.of_fit(solution, costs)
-    entries = [*setup.speed_changes(*costs.speeds), *setup.other_changes()]
+    pieces, span = solution.problem.pieces, solution.problem.layout.span
+    starts = dict(reversed([(p.run, float(s[1])) for p, s in zip(pieces, solution.starts, strict=True)]))
+    velocities, course = list(starts.values()), (span.x_min, span.x_max)
+    a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
+    what = "Drive and film" if any(p.path.drive is not None for p in pieces) else "Film"
+    frames, typical = max_frames_of_film(solution, costs), float(np.median(np.abs(velocities)))
+    direction = 1.0 if np.sum(np.sign(velocities)) >= 0 else -1.0
+
+    def design(speed: float, sign: float = 1.0) -> RunDesign:
+        """A plain run at a speed, in the direction of most runs or (sign -1) in the other."""
+        return _plain_run(course, sign * direction * speed, frames, sign * speed / typical)
+
+    def speed_changes(low: float, high: float) -> Iterator[RunDesign]:
+        slowest, fastest = min(map(abs, velocities)), max(map(abs, velocities))
+        slow, fast = max(SLOWER_FACTOR * slowest, low), min(FASTER_FACTOR * fastest, high)
+        if slow < (1 - MIN_SPEED_DIFFERENCE) * slowest:
+            yield design(slow).changed("slower", f"{what} a slower run, at about {slow:.1f} m/s")
+        if fast > (1 + MIN_SPEED_DIFFERENCE) * fastest:
+            yield design(fast).changed("faster", f"{what} a faster run, at about {fast:.1f} m/s")
+        stop = _speed_to_stop(max(-float(np.median(a)), 0.1), STOP_WITHIN_SHARE * (course[1] - course[0]))
+        if what == "Film" and low < stop < high:  # a drive would go on
+            words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
+            yield design(stop).changed("to a stop", words)
+        turned = len(set(np.sign(velocities).tolist())) > 1
+        text = "the other way" if turned else "in the other direction, which no run has had so far,"
+        yield design(typical, -1.0).changed("reversed", f"{what} a run {text} at about {typical:.1f} m/s")
+        yield design(typical).changed("repeat", f"{what} another run like those at about {typical:.1f} m/s")
+
+    plain, run, at = design(typical), f"{what} a run", f"at about {typical:.1f} m/s"
+    entries = [*speed_changes(*costs.speeds), *_changed_runs(plain, f"{run} {{}}, {at}", f"{run} {at} {{}}")]
+    longer = f"{what} a longer run: half as far again, {at}, the camera moved back"
+    for key, pitch, text in (
+        ("zoom", 0.7, f"{run} {at} at another zoom, a pixel being 0.7 times as large"),
+        ("longer", 1.5, longer),
+    ):
+        begin, way = plain.start[0], pitch * (course[1] - course[0])
+        low, high = sorted((begin, begin + plain.direction * way))
+        entries.append(plain.changed(key, text, pitch=pitch, course=(low, high)))
     if not combined:
         return entries
     mass = RunConditions.of_fit(solution).mass
     ratios = [one / mass for one in costs.masses] or [1.0, 2.0]
-    speeds = {abs(e.design.start[1]) for e in entries if e.key in SPEED_KEYS}
-    known = {e.design for e in entries}
+    speeds = {abs(e.start[1]) for e in entries if e.key in SPEED_KEYS}
+    known = set(entries)
     for speed, sign, ratio in product(sorted(speeds), (1, -1), ratios):
-        design = replace(setup.design(speed, sign), mass=1.0 if abs(ratio - 1) < SAME_RATIO else ratio)
-        if design not in known:
-            load = "" if design.mass == 1 else f" with {mass * ratio:.3g} kg"
-            words = f"{setup.verb} a run{'' if sign > 0 else ' the other way'} at about {speed:.1f} m/s{load}"
-            entries.append(Experiment(f"{design.start[1]:.1f} m/s{load}", words, design))
+        other = replace(design(speed, sign), mass=1.0 if abs(ratio - 1) < SAME_RATIO else ratio)
+        if other not in known:
+            load = "" if other.mass == 1 else f" with {mass * ratio:.3g} kg"
+            words = f"{run}{'' if sign > 0 else ' the other way'} at about {speed:.1f} m/s{load}"
+            entries.append(other.changed(f"{other.start[1]:.1f} m/s{load}", words))
     return entries
-
-
-@dataclass(frozen=True)
-class _FilmedRuns:
-    """What the present runs show of the set-up: how runs like them would go."""
-
-    velocities: list[float]  # first velocity of every run, m/s
-    course: tuple[float, float]  # m
-    braking: float  # typical deceleration, m/s^2
-    verb: str  # what to do with a run
-    frames: float  # largest number in a film
-
-    @classmethod
-    def of_fit(cls, solution: Solution, costs: Costs) -> _FilmedRuns:
-        pieces, span = solution.problem.pieces, solution.problem.layout.span
-        starts = dict(reversed([(p.run, float(s[1])) for p, s in zip(pieces, solution.starts, strict=True)]))
-        a = np.concatenate([r.piece.path.s * r.motion.a for r in solution.responses])
-        verb = "Drive and film" if any(p.path.drive is not None for p in pieces) else "Film"
-        frames = max_frames_of_film(solution, costs)
-        return cls(list(starts.values()), (span.x_min, span.x_max), max(-float(np.median(a)), 0.1), verb, frames)
-
-    @property
-    def typical(self) -> float:
-        """Typical speed, m/s."""
-        return float(np.median(np.abs(self.velocities)))
-
-    def design(self, speed: float, sign: float = 1.0) -> RunDesign:
-        """A plain run at a speed, in the direction of most runs or (sign -1) in the other."""
-        direction = 1.0 if np.sum(np.sign(self.velocities)) >= 0 else -1.0
-        return plain_run(self.course, sign * direction * speed, self.frames, sign * speed / self.typical)
-
-    def speed_changes(self, low: float, high: float) -> Iterator[Experiment]:
-        """Slower, faster, to a stop, reversed and repeated."""
-        what, slowest, fastest = self.verb, min(map(abs, self.velocities)), max(map(abs, self.velocities))
-        slow, fast = max(SLOWER_FACTOR * slowest, low), min(FASTER_FACTOR * fastest, high)
-        if slow < (1 - MIN_SPEED_DIFFERENCE) * slowest:
-            yield Experiment("slower", f"{what} a slower run, at about {slow:.1f} m/s", self.design(slow))
-        if fast > (1 + MIN_SPEED_DIFFERENCE) * fastest:
-            yield Experiment("faster", f"{what} a faster run, at about {fast:.1f} m/s", self.design(fast))
-        stop = _speed_to_stop(self.braking, STOP_WITHIN_SHARE * (self.course[1] - self.course[0]))
-        if what == "Film" and low < stop < high:  # a drive would go on
-            words = f"{what} a run until the mass stops by itself, released at about {stop:.1f} m/s"
-            yield Experiment("to a stop", words, self.design(stop))
-        turned = len(set(np.sign(self.velocities).tolist())) > 1
-        text = "the other way" if turned else "in the other direction, which no run has had so far,"
-        words = f"{what} a run {text} at about {self.typical:.1f} m/s"
-        yield Experiment("reversed", words, self.design(self.typical, -1.0))
-        words = f"{what} another run like those at about {self.typical:.1f} m/s"
-        yield Experiment("repeat", words, self.design(self.typical))
-
-    def other_changes(self) -> Iterator[Experiment]:
-        """Another mass, a tilted course, more frames per second, another zoom, a longer run."""
-        plain, run, at = self.design(self.typical), f"{self.verb} a run", f"at about {self.typical:.1f} m/s"
-        yield from _changed_runs(plain, f"{run} {{}}, {at}", f"{run} {at} {{}}")
-        longer = f"{self.verb} a longer run: half as far again, {at}, the camera moved back"
-        for key, pitch, text in (
-            ("zoom", 0.7, f"{run} {at} at another zoom, a pixel being 0.7 times as large"),
-            ("longer", 1.5, longer),
-        ):
-            begin, way = plain.start[0], pitch * (self.course[1] - self.course[0])
-            low, high = sorted((begin, begin + plain.direction * way))
-            yield Experiment(key, text, replace(plain, pitch=pitch, course=(low, high)))
 
 
 @dataclass(frozen=True)
@@ -196,7 +160,7 @@ class ExperimentSetup:
     scatter: float = DEFAULT_SCATTER
     course: float = PICTURE_WIDTH_PX * 5e-4
     start: float = 0.0
-    completed: tuple[Experiment, ...] = ()
+    completed: tuple[RunDesign, ...] = ()
     assumed: tuple[str, ...] = ()
     costs: Costs = DEFAULT_COSTS
 
@@ -250,7 +214,7 @@ def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
     return ExperimentSetup(mass, fps, pitch, noise, law, values, course=course, assumed=assumed)
 
 
-def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
+def candidate_runs(setup: ExperimentSetup) -> list[RunDesign]:
     """List runs that could be filmed: speeds in both directions, other masses, a stop, a tilt, twice the frame rate.
 
     Parameters
@@ -260,7 +224,7 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
 
     Returns
     -------
-    list of Experiment
+    list of RunDesign
 
     Examples
     --------
@@ -269,15 +233,15 @@ def candidate_runs(setup: ExperimentSetup) -> list[Experiment]:
 
     """
     frames = np.inf if setup.costs.frames is None else setup.costs.frames
-    design = partial(plain_run, (setup.start, setup.start + setup.course), frames=frames)
-    entries = [Experiment(f"{v:g} m/s", f"one run at {v:g} m/s", design(v)) for v in SPEEDS_M_S]
-    entries += [Experiment(f"{-v:g} m/s", f"one run at {v:g} m/s the other way", design(-v)) for v in RETURN_SPEEDS_M_S]
-    stop = _speed_to_stop(setup.conditions.deceleration, PLANNED_STOP_SHARE * setup.course)
-    entries.append(Experiment("to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself", design(stop)))
+    conditions, course = setup.conditions, (setup.start, setup.start + setup.course)
+    stop = _speed_to_stop(conditions.deceleration, PLANNED_STOP_SHARE * setup.course)
+    runs = [(v, f"{v:g} m/s", f"one run at {v:g} m/s") for v in SPEEDS_M_S]
+    runs += [(-v, f"{-v:g} m/s", f"one run at {v:g} m/s the other way") for v in RETURN_SPEEDS_M_S]
+    runs += [(stop, "to a stop", f"one run at {stop:.1f} m/s until the mass stops by itself")]
+    entries = [_plain_run(course, v, frames).changed(key, words) for v, key, words in runs]
     sentence = f"one run at {MIDDLE_SPEED_M_S:g} m/s {{}}"
-    entries += _changed_runs(design(MIDDLE_SPEED_M_S), sentence, sentence)
-    conditions = setup.conditions
-    return [e for e in entries if np.isfinite(setup.costs.of_run(conditions.settings(e.design), None))]
+    entries += _changed_runs(_plain_run(course, MIDDLE_SPEED_M_S, frames), sentence, sentence)
+    return [e for e in entries if np.isfinite(setup.costs.of_run(conditions.settings(e), None))]
 
 
 def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
@@ -350,17 +314,18 @@ def fitted_setup(fit: Fit, costs: Costs = DEFAULT_COSTS) -> ExperimentSetup:
     return replace(setup, completed=tuple(_completed_run(fit, setup, i) for i in range(len(fit.runs))))
 
 
-def _completed_run(fit: Fit, setup: ExperimentSetup, index: int) -> Experiment:
-    """A run that was filmed, as an experiment."""
+def _completed_run(fit: Fit, setup: ExperimentSetup, index: int) -> RunDesign:
+    """A run that was filmed."""
     run, problem = fit.runs[index], fit.solution.problem
     own = [(p, s) for p, s in zip(problem.pieces, fit.solution.starts, strict=True) if p.run == index]
     x, v = own[0][1]
     course = setup.start, setup.start + setup.course
-    design = RunDesign(
+    return RunDesign(
         (float(np.clip(x, *course)), float(v)),
         course,
         mass=(run.mass or setup.mass) / setup.mass,
         tilt=run.incline,
         frames=sum(len(p.t) for p, _ in own),
+        key=f"run {run.name}",
+        words=f"{run.name}, at {v:.2g} m/s",
     )
-    return Experiment(f"run {run.name}", f"{run.name}, at {v:.2g} m/s", design)

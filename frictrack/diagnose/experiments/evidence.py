@@ -22,14 +22,20 @@ import numpy as np
 
 from frictrack import effects
 from frictrack.base.errors import FrictrackError
-from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup, candidate_runs
-from frictrack.diagnose.experiments.virtual_runs import GOLDEN_ANGLE_RAD, PLANNED_RUN_NAME, VirtualRun, make_run
+from frictrack.diagnose.experiments.candidates import ExperimentSetup, candidate_runs
+from frictrack.diagnose.experiments.virtual_runs import (
+    GOLDEN_ANGLE_RAD,
+    PLANNED_RUN_NAME,
+    RunDesign,
+    VirtualRun,
+    make_run,
+)
 from frictrack.diagnose.power import rms_of_parts
 from frictrack.effects import PLANNED_SHARE, Effect, Span, models
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import displacement_response
 from frictrack.fit.linearised import has_per_run_coefficients
-from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout
+from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.fit.stepwise import bic_penalty
 from frictrack.records import Array
 
@@ -45,34 +51,18 @@ MIN_SQUARE_SHARE = 1e-10  # of a column's square, below which it is rounding
 Progress = Callable[[int, int, str], None]
 
 
-@dataclass(frozen=True)
-class PlannedRun:
-    """One simulated run of a set-up."""
-
-    experiment: Experiment
-    run: VirtualRun
-
-    @property
-    def effects(self) -> list[str]:
-        """The effect that each column (n, P) of its sensitivities belongs to."""
-        return [self.run.layout.slots[i].effect for i in self.run.response.active]
-
-    def columns_of_law(self, without: str = "") -> Array:
-        """Sensitivities (n, P') to the unknowns that the runs share, without those of one effect."""
-        return self.run.response.jac[:, [name not in (LEVEL, without) for name in self.effects]]
-
-    @property
-    def level_column(self) -> Array:
-        """Sensitivity (n, 1) to the friction level."""
-        return self.run.response.jac[:, [name == LEVEL for name in self.effects]]
-
-
-def simulate_runs(setup: ExperimentSetup, entries: Sequence[Experiment]) -> list[PlannedRun]:
+def simulate_runs(setup: ExperimentSetup, designs: Sequence[RunDesign]) -> list[VirtualRun]:
     """Simulate the candidate runs that are long enough; raise FrictrackError if there are none."""
-    made = []
-    for experiment in entries:
+
+    def unknowns(span: Span) -> tuple[ParameterLayout, Array]:
+        layout = ParameterLayout(setup.law, ("another", PLANNED_RUN_NAME), (span, span))  # two runs have levels
+        p = [setup.values[s.effect][s.parameter] if s.effect in setup.values else 1.0 for s in layout.slots]
+        return layout, np.array(p)
+
+    near, made = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps), []
+    for design in designs:
         with suppress(FrictrackError):  # the mass would not get far enough
-            made.append(_simulate_run(setup, experiment))
+            made.append(make_run(setup.conditions, design, unknowns, near, PANELS_PER_FRAME))
     if not made:
         raise FrictrackError(
             f"expected a course long enough for a run but on {setup.course:.2g} m at {setup.fps:g} frames/s every "
@@ -81,20 +71,10 @@ def simulate_runs(setup: ExperimentSetup, entries: Sequence[Experiment]) -> list
     return made
 
 
-def _simulate_run(setup: ExperimentSetup, experiment: Experiment) -> PlannedRun:
-    def unknowns(span: Span) -> tuple[ParameterLayout, Array]:
-        layout = ParameterLayout(setup.law, ("another", PLANNED_RUN_NAME), (span, span))  # two runs have levels
-        p = [setup.values[s.effect][s.parameter] if s.effect in setup.values else 1.0 for s in layout.slots]
-        return layout, np.array(p)
-
-    near = Span(1.0, setup.start, setup.start + setup.course, 0.01, 10.0, setup.fps)
-    return PlannedRun(experiment, make_run(setup.conditions, experiment.design, unknowns, near, PANELS_PER_FRAME))
-
-
-def span_of_runs(runs: Sequence[PlannedRun]) -> Span:
+def span_of_runs(runs: Sequence[VirtualRun]) -> Span:
     """Range of time, place and speed of the simulated runs."""
-    spans = [r.run.layout.spans[0] for r in runs]
-    low, high = runs[0].experiment.design.course
+    spans = [r.layout.spans[0] for r in runs]
+    low, high = runs[0].design.course
     durations, slowest, fastest = zip(*((s.duration, s.v_min, s.v_max) for s in spans), strict=True)
     return Span(max(durations), low, high, min(slowest), max(fastest), spans[0].fps)
 
@@ -129,9 +109,9 @@ class Cause:
         return [p.name for p in self.effect.nonlinear if p.role == "phase"]
 
 
-def list_causes(law: Model, runs: Sequence[PlannedRun]) -> tuple[list[Cause], dict[str, str]]:
+def list_causes(law: Model, runs: Sequence[VirtualRun]) -> tuple[list[Cause], dict[str, str]]:
     """List the effects that a plan examines in addition to a friction law, and those left out with the reason."""
-    span, path = span_of_runs(runs), runs[0].run.piece.path
+    span, path = span_of_runs(runs), runs[0].piece.path
     present = {e.kind for e in law.effects}
     replaced = frozenset[str]().union(*(e.replaces for e in law.effects))
     causes, excluded = [], {}
@@ -177,32 +157,31 @@ def _middle(low: float, high: float, *, signed: bool) -> float:
     return float(np.sqrt(low * high)) if low > 0 and not signed else 0.5 * (low + high)
 
 
-def _raw_columns(planned: PlannedRun, effect: Effect, settings: Sequence[dict[str, float]]) -> Array:
+def _raw_columns(planned: VirtualRun, effect: Effect, settings: Sequence[dict[str, float]]) -> Array:
     """Columns of an effect at G settings, (m, G k): forces at the nodes, N, or shifts of the picture, m.
 
     A modifier makes the difference to the force that it changes.
     """
-    run, motion = planned.run, planned.run.response.motion
-    piece, model = run.piece, run.layout.model
+    motion, piece, model = planned.response.motion, planned.piece, planned.layout.model
     if effect.acts_on == "measurement":
         path = piece.at_frames(motion.x_edge[piece.at], motion.v_edge[piece.at], 1.0)
     else:
         path = piece.path_at_nodes(motion.x, motion.v, 1.0)
     if not effect.modifies:
         return np.concatenate([effect.columns(path, setting) for setting in settings], axis=1)
-    values, _ = run.layout.values(run.p, piece.run)
+    values, _ = planned.layout.values(planned.p, piece.run)
     changed = [e.name for e in model.effects if e.kind in effect.modifies]
     present = model.force_columns(path, values)
     inner = np.sum([present[name] @ model.coefficients(name, values) for name in changed], axis=0)[:, None]
     return np.concatenate([effect.columns(path, setting, inner) - inner for setting in settings], axis=1)
 
 
-def effect_columns(planned: PlannedRun, cause: Cause, grid: Sequence[dict[str, float]]) -> Array:
+def effect_columns(planned: VirtualRun, cause: Cause, grid: Sequence[dict[str, float]]) -> Array:
     """Whitened columns (n, G, k) of an effect at G settings in one run, initial conditions projected out.
 
     An effect with a phase has a sine and a cosine column.
     """
-    effect, response = cause.effect, planned.run.response
+    effect, response = cause.effect, planned.response
     length = float(response.piece.t[-1])
     timed = [setting | {name: setting[name] * length for name in cause.times} for setting in grid]
     phased = [dict.fromkeys(cause.phases, q) for q in QUADRATURES] if cause.phases else [{}]
@@ -215,23 +194,23 @@ def effect_columns(planned: PlannedRun, cause: Cause, grid: Sequence[dict[str, f
     return white.reshape(len(white), len(grid), -1)
 
 
-def planned_size(runs: Sequence[PlannedRun], cause: Cause) -> float:
+def planned_size(runs: Sequence[VirtualRun], cause: Cause) -> float:
     """Coefficient at which an effect has its planned size over the candidate runs."""
     effect = cause.effect
     if effect.planned_size is not None:
-        momenta = [r.run.piece.mass * abs(r.experiment.design.start[1]) for r in runs]
+        momenta = [r.piece.mass * abs(r.design.start[1]) for r in runs]
         return effect.planned_size(float(np.median(momenta)))
     if effect.acts_on == "force" and not effect.sized:
         return 1.0
     of_one = [_raw_columns(r, effect, [cause.setting])[:, 0] for r in runs]
     if effect.acts_on == "measurement":
-        shifts = [column / r.run.piece.sigma for column, r in zip(of_one, runs, strict=True)]
+        shifts = [column / r.piece.sigma for column, r in zip(of_one, runs, strict=True)]
         return MEASUREMENT_NOISE_RATIO / max(rms_of_parts(shifts), 1e-300)
-    friction = np.concatenate([r.run.piece.mass * (r.run.piece.known - r.run.response.motion.a) for r in runs])
+    friction = np.concatenate([r.piece.mass * (r.piece.known - r.response.motion.a) for r in runs])
     return PLANNED_SHARE * float(np.mean(np.abs(friction))) / max(rms_of_parts(of_one), 1e-300)
 
 
-def effect_trace(planned: PlannedRun, cause: Cause, size: float, number: int) -> Array:
+def effect_trace(planned: VirtualRun, cause: Cause, size: float, number: int) -> Array:
     """Trace (n,) of a true effect of a given size in one run; times and phases spread evenly over the runs."""
     share = 0.3 + 0.4 * ((0.618 * (number + 1)) % 1.0)
     block = effect_columns(planned, cause, [cause.setting | dict.fromkeys(cause.times, share)])[:, 0]
@@ -313,7 +292,7 @@ def chi2_equivalent(t2: Array, df: int) -> Array:
 
 
 def reduce_run(
-    planned: PlannedRun, traces: Array, tau: float, rival: Cause | None = None, without: str = ""
+    planned: VirtualRun, traces: Array, tau: float, rival: Cause | None = None, without: str = ""
 ) -> NormalMatrices:
     """Reduce one run with traces (n, D) of the true effects, against all grid points of a rival if there is one.
 
@@ -356,7 +335,7 @@ def _products(a: Array, b: Array) -> Array:
     return np.asarray(a.transpose(0, 2, 1) @ b)
 
 
-def _best_points(planned: PlannedRun, block: Array, traces: Array) -> Array:
+def _best_points(planned: VirtualRun, block: Array, traces: Array) -> Array:
     """Grid point of an event's columns (G, n, k) that explains most of each trace (n, D) apart from the law, (D,)."""
     q, _ = np.linalg.qr(np.column_stack([planned.columns_of_law(), planned.level_column]))
     left = block - q @ (q.T @ block)
@@ -392,7 +371,7 @@ class EvidenceTables:
 
     """
 
-    runs: list[PlannedRun]
+    runs: list[VirtualRun]
     causes: list[Cause]
     sizes: Array
     matrices: list[list[NormalMatrices]]
@@ -428,16 +407,16 @@ def tabulate_evidence(setup: ExperimentSetup, notify: Progress) -> tuple[Evidenc
     sizes = np.array([planned_size(runs, c) for c in causes])
     matrices, raw_chi2 = [], []
     for number, run in enumerate(runs):
-        notify(number, len(runs), f"simulating {run.experiment.key}")
+        notify(number, len(runs), f"simulating {run.design.key}")
         traces = np.column_stack([effect_trace(run, c, s, number) for c, s in zip(causes, sizes, strict=True)])
         matrices.append([reduce_run(run, traces, setup.scatter, rival) for rival in (*causes, None)])
         raw_chi2.append(np.sum(traces**2, axis=0))
     return EvidenceTables(runs, causes, sizes, matrices, np.array(raw_chi2)), excluded
 
 
-def tabulate_effect(runs: Sequence[PlannedRun], name: str, share: float, scatter: float) -> list[NormalMatrices] | None:
+def tabulate_effect(runs: Sequence[VirtualRun], name: str, share: float, scatter: float) -> list[NormalMatrices] | None:
     """Matrices of the law without an effect, of a share of the friction, in every run; None if that is not possible."""
-    law = models.of([e for e in runs[0].run.layout.model.effects if e.name != name])
+    law = models.of([e for e in runs[0].layout.model.effects if e.name != name])
     cause = next((c for c in list_causes(law, runs)[0] if c.effect.name == name), None)
     if cause is None:
         return None

@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from frictrack.base.errors import FrictrackError
-from frictrack.diagnose.compressed import compress_residual
+from frictrack.diagnose.compressed import Axis, SmoothForce, compress_residual
 from frictrack.diagnose.experiments.virtual_runs import (
     LinearisedRun,
     RunDesign,
@@ -37,9 +37,8 @@ from frictrack.diagnose.experiments.virtual_runs import (
     roles_of,
     simulate_run,
 )
-from frictrack.diagnose.formulas import AXIS_SYMBOLS
+from frictrack.diagnose.formula_terms import AXIS_SYMBOLS
 from frictrack.diagnose.model_selection import MIN_CHI2_FALL, fitted_to_predictions, information_criterion
-from frictrack.diagnose.smooth_forces import Axis, SmoothForce, smooth_forces
 from frictrack.effects import PLANNED_SHARE, Effect, Nonlinear, Parameter, Path
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -176,7 +175,7 @@ def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
     """
     friction = float(np.median(np.abs(np.concatenate([r.piece.mass * r.motion.a for r in solution.responses]))))
     likeliest: dict[str, SmoothForce] = {}  # by axis, over its factors
-    for smooth in smooth_forces(compress_residual(solution)):
+    for smooth in compress_residual(solution).smooth:
         likeliest.setdefault(smooth.axis.name, smooth)
     found = []
     for name in [name for name in likeliest if name in AXIS_SYMBOLS][:MAX_AXES]:

@@ -31,7 +31,7 @@ from frictrack.base.distributions import chi2_isf
 from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.effect_description import FittedEffect
-from frictrack.diagnose.experiments.candidates import Experiment, candidate_experiments, candidate_runs, fitted_setup
+from frictrack.diagnose.experiments.candidates import candidate_experiments, candidate_runs, fitted_setup
 from frictrack.diagnose.experiments.evidence import NormalMatrices, simulate_runs, tabulate_effect
 from frictrack.diagnose.experiments.forecast import (
     EvidenceForecast,
@@ -42,8 +42,8 @@ from frictrack.diagnose.experiments.forecast import (
 )
 from frictrack.diagnose.experiments.selection import detection_threshold, settled_by
 from frictrack.diagnose.experiments.virtual_runs import RunConditions, RunDesign, last_settings
+from frictrack.diagnose.formulas import FIRST_FORMULA
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED
-from frictrack.diagnose.unexplained import FIRST_FORMULA
 from frictrack.effects import ACCELEROMETER_CHECK, DirectCheck, Effect
 from frictrack.fit import Fit
 from frictrack.fit.least_squares import Solution
@@ -216,7 +216,7 @@ def compare_all(explanations: Sequence[FittedExplanation]) -> list[ModelDiscrimi
 
 def rate_runs(
     pairs: Sequence[ModelDiscrimination],
-    entries: Sequence[Experiment],
+    entries: Sequence[RunDesign],
     costs: Costs = DEFAULT_COSTS,
     notify: Progress = lambda what: None,
     forecast: Callable[[ModelDiscrimination, RunDesign], EvidenceForecast] | None = None,
@@ -230,7 +230,7 @@ def rate_runs(
     solution = pairs[0].truth.solution
     conditions, last = RunConditions.of_fit(solution), last_settings(solution)
     for entry in entries:
-        settings = conditions.settings(entry.design)
+        settings = conditions.settings(entry)
         cost = costs.of_run(settings, last)
         if not isfinite(cost):
             continue
@@ -241,9 +241,9 @@ def rate_runs(
             if forecast is None and reverse is not None and reverse.expected < MIN_CHI2_SEPARATED:
                 continue
             with suppress(FrictrackError):
-                made = forecast(pair, entry.design) if forecast else pair.forecast_after(entry.design)
+                made = forecast(pair, entry) if forecast else pair.forecast_after(entry)
                 evidence[pair.truth.name, pair.rival.name] = made
-        yield RatedExperiment(entry.key, entry.words, evidence, cost, entry.design, settings)
+        yield RatedExperiment(entry.key, entry.words, evidence, cost, entry, settings)
 
 
 def rate_direct_checks(
@@ -573,7 +573,8 @@ def _power_questions(
         runs = simulate_runs(setup, [*setup.completed, *candidate_runs(setup)])
     except FrictrackError:  # a drive, or a law without Coulomb friction
         return [], []
-    count = sum(r.experiment in setup.completed for r in runs)
+    done = {design.key for design in setup.completed}
+    count = sum(r.design.key in done for r in runs)
     tables = {n: t for n in names if (t := tabulate_effect(runs, n, SOUGHT_SHARE, setup.scatter))}
     times = max(1, MIN_RUNS_FOR_SCATTER - count)  # with fewer runs, friction levels are free
 
@@ -588,9 +589,10 @@ def _power_questions(
     questions = [Question(n, "", 1.0 / len(scale), decisive, scale[n] * one) for n, one in expected.items()]
     last, options = last_settings(fit.solution), []
     for i, run in enumerate(runs[count:], count):
-        entry, settings = run.experiment, setup.conditions.settings(run.experiment.design)
+        settings = setup.conditions.settings(run.design)
         cost = costs.of_run(settings, last)
         if np.isfinite(cost):
             after = {(n, ""): EvidenceForecast(scale[n] * evidence(n, *[t[i]] * times)) for n, t in tables.items()}
-            options.append(RatedExperiment(entry.key, f"Film {entry.words}", after, cost, entry.design, settings))
+            words = f"Film {run.design.words}"
+            options.append(RatedExperiment(run.design.key, words, after, cost, run.design, settings))
     return questions, options

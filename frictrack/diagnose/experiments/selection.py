@@ -12,14 +12,14 @@ import numpy as np
 from frictrack.base.distributions import chi2_isf
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.examination import ALPHA
-from frictrack.diagnose.experiments.candidates import Experiment, ExperimentSetup
+from frictrack.diagnose.experiments.candidates import ExperimentSetup
 from frictrack.diagnose.experiments.evidence import (
     MEASUREMENT_NOISE_RATIO,
     EvidenceTables,
-    PlannedRun,
     Progress,
     tabulate_evidence,
 )
+from frictrack.diagnose.experiments.virtual_runs import RunDesign, VirtualRun
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality
 from frictrack.effects import PLANNED_SHARE, Effect
@@ -72,7 +72,7 @@ def _score(evidence: Array) -> Array:
 class PlanStep:
     """One chosen run (None: the mark at rest), and what is separated and detected once it is filmed."""
 
-    experiment: Experiment | None
+    design: RunDesign | None
     evidence: Array
     separated: list[tuple[str, str]]
     detected: list[str]  # effects detected from this run on
@@ -95,10 +95,10 @@ class RunPlan:
         return self.steps[-1].evidence if self.steps else self.evidence_before
 
     @property
-    def runs(self) -> list[PlannedRun]:
+    def runs(self) -> list[VirtualRun]:
         """The completed and the chosen runs."""
-        keys = {e.key for e in self.setup.completed} | {s.experiment.key for s in self.steps if s.experiment}
-        return [r for r in self.tables.runs if r.experiment.key in keys]
+        keys = {e.key for e in self.setup.completed} | {s.design.key for s in self.steps if s.design}
+        return [r for r in self.tables.runs if r.design.key in keys]
 
 
 @one_thread()
@@ -124,7 +124,7 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
     """
     tables, excluded = tabulate_evidence(setup, notify)
     done = {e.key for e in setup.completed}
-    chosen = [i for i, r in enumerate(tables.runs) if r.experiment.key in done]
+    chosen = [i for i, r in enumerate(tables.runs) if r.design.key in done]
     rest = [*(i for i in range(len(tables.runs)) if i not in chosen), REFERENCE]
     evidence = before = tables.evidence(chosen, reference=False)
     steps: list[PlanStep] = []
@@ -146,9 +146,9 @@ def choose_runs(setup: ExperimentSetup, notify: Progress = lambda done, total, w
             break
         separated = sorted(set(unseparated_pairs(evidence)).difference(unseparated_pairs(found)))
         detected = sorted(set(undetected(evidence)).difference(undetected(found)))
-        experiment, names = None if best == REFERENCE else tables.runs[best].experiment, tables.names
+        design, names = None if best == REFERENCE else tables.runs[best].design, tables.names
         pairs = [(names[a], names[b]) for a, b in separated]
-        steps.append(PlanStep(experiment, found, pairs, [names[k] for k in detected], cost))
+        steps.append(PlanStep(design, found, pairs, [names[k] for k in detected], cost))
         evidence = found
         chosen.append(best)
         rest.remove(best)
@@ -162,9 +162,7 @@ def _cost(setup: ExperimentSetup, tables: EvidenceTables, chosen: list[int], opt
     """Cost of a run after the last one chosen, or of a mark at rest."""
     if option == REFERENCE:
         return setup.costs.check
-    new, *before = (
-        setup.conditions.settings(tables.runs[i].experiment.design) for i in (option, *reversed(chosen)) if i >= 0
-    )
+    new, *before = (setup.conditions.settings(tables.runs[i].design) for i in (option, *reversed(chosen)) if i >= 0)
     return setup.costs.of_run(new, before[0] if before else None)
 
 
@@ -190,7 +188,7 @@ def summarise_plan(plan: RunPlan) -> dict[str, Any]:
         "assumed": [*setup.assumed, PLANNED_SIZES],
         "law": {f"{e}.{p}": v for e, own in setup.values.items() for p, v in own.items()},
         "noise_um": 1e6 * setup.noise,
-        "done": [experiment.words for experiment in setup.completed],
+        "done": [design.words for design in setup.completed],
         "pairs": len(names) * (len(names) - 1) // 2,
         "pairs_before": len(unseparated_pairs(plan.evidence_before)),
         "runs": [_summarise_step(setup, step) for step in plan.steps],
@@ -207,10 +205,9 @@ def summarise_plan(plan: RunPlan) -> dict[str, Any]:
 
 def _summarise_step(setup: ExperimentSetup, step: PlanStep) -> dict[str, Any]:
     """Entry of one chosen run."""
-    experiment = step.experiment
-    settings = None if experiment is None else setup.conditions.settings(experiment.design).summary()
+    settings = None if step.design is None else setup.conditions.settings(step.design).summary()
     return {
-        "what": REFERENCE_INSTRUCTION if experiment is None else experiment.words,
+        "what": REFERENCE_INSTRUCTION if step.design is None else step.design.words,
         **{key: None if settings is None else settings[key] for key in ("speed", "mass", "incline_deg", "fps")},
         "cost": step.cost,
         "separates": [list(pair) for pair in step.separated],

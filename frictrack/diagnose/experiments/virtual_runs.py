@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -51,6 +51,8 @@ class RunDesign:
         Phase of periodic effects with a phase per run, rad.
     frames
         Largest number of frames in the film.
+    key, words
+        What it is called, and the instruction without its reason.
 
     """
 
@@ -63,6 +65,12 @@ class RunDesign:
     drive: float = 1.0
     phase: float = GOLDEN_ANGLE_RAD
     frames: float = np.inf
+    key: str = field(default="", compare=False)
+    words: str = field(default="", compare=False)
+
+    def changed(self, key: str, words: str, **changes: Any) -> RunDesign:
+        """Return it with another key and instruction, and other changes."""
+        return replace(self, key=key, words=words, **changes)
 
     @property
     def direction(self) -> float:
@@ -339,6 +347,20 @@ class VirtualRun:
     def response(self) -> PieceResponse:
         """The run with its sensitivities to the unknowns."""
         return LinearisedRun(self.layout, self.piece, self.design.start).respond(self.p)
+
+    def columns_of_law(self, without: str = "") -> Array:
+        """Sensitivities (n, P') to the unknowns that the runs share, without those of one effect."""
+        return self.response.jac[:, [name not in (LEVEL, without) for name in self._effects]]
+
+    @property
+    def level_column(self) -> Array:
+        """Sensitivity (n, 1) to the friction level."""
+        return self.response.jac[:, [name == LEVEL for name in self._effects]]
+
+    @property
+    def _effects(self) -> list[str]:
+        """The effect that each column (n, P) of its sensitivities belongs to."""
+        return [self.layout.slots[i].effect for i in self.response.active]
 
 
 def make_run(

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
 from frictrack.effects.ranges import Span
 
 
@@ -25,7 +24,7 @@ what = "The surfaces resist more one way than the other: wear, tilted asperities
 looks_like = "forward and reversed runs need different friction laws"
 mistaken_for = "slope (the level part), a drive offset"
 confirm = "Turn the mass round on the course: asymmetry of its own face turns with it."
-describe = Phrase("{dF:2} N between the two directions at the reference load, and {dF_v:2} N more for every m/s")
+describe = Phrase("{2 * dF} N between the two directions at the reference load, and {2 * dF_v} N more for every m/s")
 invariant = "asymmetry depends on the direction of motion and grows with the load or the speed"
 settled_by = "turn the mass round on the course"
 in_base_law = True

@@ -4,9 +4,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, wave
-from frictrack.effects.ranges import Span, frequencies, oscillates
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import ScanWave, Span, frequencies, oscillates, wave
 
 MAX_FREQUENCY_HZ = 200.0  # Hz: the first mode of a beam that carries a sliding mass lies below
 MAX_FORMS = 6000  # tried in one scan: frequencies times mass ratios times lengths, a bound on its time

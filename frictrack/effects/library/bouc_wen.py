@@ -11,10 +11,8 @@ import math
 
 import numpy as np
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law
@@ -101,12 +99,6 @@ def quote(own: dict[str, float], model: dict[str, float]) -> dict[str, float]:
     return {"delta": own["delta"] * own.get("gamma", float("nan"))} if "delta" in own else {}
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Stiffness, and the distance within which it yields."""
-    distance = format_length(1.0 / effect.value("gamma"))
-    return f"{format_number(effect.value('alpha'))} N/m for small swings, yielding within {distance}"
-
-
 equation = "alpha w, dw/dt = v - gamma |v| w - delta v |w|"
 parameters = (
     Parameter("alpha", "N/m", (0.0, np.inf), linear=True),
@@ -119,6 +111,7 @@ what = "A joint, rope or guide is bent and slips inside: it pulls back like a sp
 looks_like = "a loop against x that turns round with the direction and does not close between two amplitudes"
 mistaken_for = "spring with viscous friction (at one amplitude); coulomb with presliding"
 confirm = "Swing it at two amplitudes and two frequencies: the loop's area follows the amplitude, not the frequency."
+describe = Phrase("{alpha} N/m for small swings, yielding within {1 / gamma:m}")
 invariant = "a hysteretic spring remembers its way, whatever the speed"
 may_pull = True
 source = "Bouc 1967, 4th Conf. Nonlinear Oscillation, Prague; Wen 1976, J. Eng. Mech. Div. ASCE 102, 249"

@@ -1,9 +1,17 @@
 """Camera shake: the camera moves, the mass does not."""
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter, oscillation, picture_shift_signal
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
-from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, within_picture
+from frictrack.effects.definition import (
+    OSCILLATION,
+    DirectCheck,
+    EffectInStudy,
+    Nonlinear,
+    Parameter,
+    Path,
+    Phrase,
+    picture_shift_signal,
+)
+from frictrack.effects.ranges import WAVE_IN_TIME, Span, all_of, frequencies, oscillates, wave, within_picture
+from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -18,9 +26,8 @@ def amplitude(values: Nonlinear, span: Span) -> float:
 
 def describe(effect: EffectInStudy) -> str:
     """Frequency and size in the picture."""
-    size = abs(effect.value("amplitude"))
-    px = f" ({format_number(size / effect.pixel_pitch, 2)} px)" if effect.pixel_pitch else ""
-    return f"{oscillation(effect)}; everything in the picture would move by ± {format_length(size)}{px}"
+    in_px = " ({abs(amplitude) / study.pixel_pitch:2} px)" if effect.pixel_pitch else ""
+    return Phrase(OSCILLATION + "; everything in the picture would move by ± {abs(amplitude):m}" + in_px)(effect)
 
 
 acts_on = "measurement"
@@ -30,7 +37,7 @@ parameters = (
     Parameter("frequency", "Hz", scan=frequencies),
     Parameter("phase", "rad", per_run=True, role="phase"),
 )
-scan_wave = ScanWave("frequency", over_time)
+scan_wave = WAVE_IN_TIME
 what = "The camera or its stand vibrates."
 looks_like = "a line in time of the same size in x whatever the mass; the background moves too"
 mistaken_for = "vibration of the course (same shape in one run)"

@@ -4,10 +4,8 @@ from math import exp, log
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import MAX_CLOCK_FACTOR, Span
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import FLASH_STD_FRAMES, MAX_CLOCK_FACTOR, Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -44,12 +42,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"its times would be wrong by a factor of {off:.2g}, expected at most {MAX_CLOCK_FACTOR:g}"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Run and factor."""
-    factor = format_number(exp(effect.value("rate")), 4)
-    return f"in run {effect.run}, whose true times would be its recorded ones times {factor}"
-
-
 def counter_signal(effect: EffectInStudy) -> float:
     """Return chi-squared of a counter of known rate at the first and the last frame."""
     record = effect.longest
@@ -64,6 +56,7 @@ what = "The frame rate or the time stamps of a run are wrong by a factor exp(rat
 looks_like = "one run whose viscous friction and Stribeck velocity are off by a factor, its level by its square"
 mistaken_for = "a collision or a lost frame of that run; in all runs alike it is absorbed by the law"
 confirm = "Look up the frame rate of that film, or film a clock; compare the rates that the runs were typed with."
+describe = Phrase("in run {study.run}, whose true times would be its recorded ones times {exp(rate):4}")
 invariant = "a wrong clock of one run changes its speeds by a factor and its forces by the square of it"
 direct_check = DirectCheck(
     "rate", "Look up the frame rate of that run, or film a counter of known rate", counter_signal

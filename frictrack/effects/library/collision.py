@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import N_STD_ACTIVE, PLANNED_SHARE, EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Array, Mask, Nonlinear, Path
-from frictrack.effects.ranges import Span
+from frictrack.effects.definition import Array, Mask, Nonlinear, Parameter, Path, Phrase, TestDraw
+from frictrack.effects.ranges import N_STD_ACTIVE, PLANNED_SHARE, Span
 
 MAX_SHARE, MAX_FRAMES = 0.02, 8.0  # of a record, and frames: the standard deviation of a blow at most
 
@@ -35,14 +33,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"it would last {values['width']:.2g} s, expected at most {longest:.2g} s of a blow"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Run, moment, impulse and the step in velocity."""
-    impulse = abs(effect.value("J"))
-    when = format_number(1e3 * effect.value("time"))
-    step = format_number(impulse / effect.mass, 2)
-    return f"in run {effect.run} {when} ms after release, of {format_number(impulse)} N s: {step} m/s at once"
-
-
 def acts_within(t: Array, x: Array, values: Nonlinear, half_width: float) -> Mask:
     """Return the frames within two standard deviations of the blow, and the half width of a low-pass, (n,)."""
     return np.asarray(np.abs(t - values["time"]) <= N_STD_ACTIVE * values["width"] + half_width)
@@ -65,6 +55,9 @@ looks_like = "a kink in displacement, a step in velocity, a spike in force"
 mistaken_for = "a dropped frame (a jump in x), a narrow patch (if at the same place in every run)"
 confirm = "Look at the frames round that moment; change the speed: a joint stays at its place."
 fine = 3
+describe = Phrase(
+    "in run {study.run} {1e3 * time} ms after release, of {abs(J)} N s: {abs(J) / study.mass:2} m/s at once"
+)
 invariant = "a blow comes at a moment of its own"
 planned_size = planned_impulse
 test_draw = TestDraw(impulse=True)

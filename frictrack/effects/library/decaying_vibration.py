@@ -4,10 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
-from frictrack.effects.ranges import Span, all_of, frequencies, oscillates, rings
+from frictrack.effects.definition import OSCILLATION, Array, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import WAVE_IN_TIME, Span, all_of, frequencies, oscillates, rings, wave
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -21,11 +19,6 @@ def decays(span: Span) -> Array:
     return span.duration * np.array([1 / 16, 1 / 6, 1 / 2.25])
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Frequency and time of decay."""
-    return f"{oscillation(effect)}, down to a third after {format_number(1e3 * effect.value('tau'))} ms"
-
-
 equation = "amplitude exp(-t/tau) sin(2 pi frequency t + phase)"
 parameters = (
     Parameter("amplitude", "N", linear=True, role="amplitude"),
@@ -33,7 +26,7 @@ parameters = (
     Parameter("tau", "s", scan=decays),
     Parameter("phase", "rad", per_run=True, role="phase"),
 )
-scan_wave = ScanWave("frequency", over_time)
+scan_wave = WAVE_IN_TIME
 varies_with = ""
 special_cases = {"vibration": {"tau": np.inf}}
 what = "The blow or push that starts the run sets the beam or course ringing; damping takes it away."
@@ -44,5 +37,6 @@ mistaken_for = (
 )
 confirm = "Release more gently, or wait before release: the ringing follows the blow, a driven vibration does not."
 plausible = all_of(oscillates, rings)
+describe = Phrase(OSCILLATION + ", down to a third after {1e3 * tau} ms")
 invariant = "a ringing decays with the time since release, wherever the mass is"
 source = "textbook: free vibration with damping"

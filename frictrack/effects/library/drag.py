@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

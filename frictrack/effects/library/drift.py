@@ -3,8 +3,7 @@
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, EffectInStudy, Nonlinear, Parameter, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from frictrack.effects.definition import WEIGHT_RELATIVE_STD, DirectCheck, EffectInStudy, Parameter, Phrase
-from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import Span
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import WEIGHT_RELATIVE_STD, Span
 
 MAX_DELAY_S = 0.02  # s by which an amplifier, a valve or a wrong clock may be late
 MAX_ERROR = 0.5  # of the drive: more is another drive
@@ -46,7 +45,7 @@ what = "Gain of the force sensor, area of the piston or constant of the motor ar
 looks_like = "a residual force of the shape of the drive, in every run, whatever the speed"
 mistaken_for = "a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)"
 confirm = "Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not."
-describe = Phrase("the true drive would be {e:100} % larger, {tau:1e3} ms late")
+describe = Phrase("the true drive would be {100 * e} % larger, {1e3 * tau} ms late")
 invariant = "an error of the drive follows the drive"
 settled_by = "hang a known weight on the drive"
 direct_check = DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal)

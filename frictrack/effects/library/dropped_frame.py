@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import WHOLE_FRAME, Span
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase, TestDraw
+from frictrack.effects.ranges import FLASH_STD_FRAMES, WHOLE_FRAME, Span
 
 MAX_MOMENTS = 2000  # moments tried in one run
 
@@ -32,12 +30,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"{values['frames']:.2f} frames are lost, expected a whole number"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Run, moment and count of frames."""
-    when = format_number(1e3 * effect.value("time"))
-    return f"in run {effect.run} {when} ms after release, {format_number(effect.value('frames'), 2)} frames"
-
-
 def time_stamp_signal(effect: EffectInStudy) -> float:
     """Return chi-squared of the jump of time stamps that would be recorded with every frame."""
     return (effect.rms("frames") / FLASH_STD_FRAMES) ** 2
@@ -58,6 +50,7 @@ what = "The camera or the computer lost a frame (frames > 0) or stored one twice
 looks_like = "a jump in displacement of as far as the mass goes in one frame, the velocity before and after the same"
 mistaken_for = "a collision (a step in velocity, no jump)"
 confirm = "Look at the time stamps and at the frames round that moment: one is missing, or two are alike."
+describe = Phrase("in run {study.run} {1e3 * time} ms after release, {frames:2} frames")
 invariant = "a lost frame shifts the picture by the way of the mass in one frame"
 direct_check = DirectCheck("time stamps", "Keep the camera's time stamps, or film a running counter", time_stamp_signal)
 film_fault = True

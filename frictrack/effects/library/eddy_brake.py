@@ -2,21 +2,13 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.ranges import bend_velocities
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Return v/(1 + (v/v_0)^2), shape (n, 1): N per N s/m of c."""
     return np.asarray((path.v / (1 + (path.v / nonlinear["v_0"]) ** 2))[:, None])
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Largest force, and the speed at which it acts."""
-    speed = effect.value("v_0")
-    return f"at most {format_number(effect.value('c') * speed / 2)} N, at {format_number(speed)} m/s"
 
 
 equation = "c v/(1 + (v/v_0)^2)"
@@ -31,6 +23,7 @@ what = "A magnet moves past a conductor: eddy currents brake it, and push its fi
 looks_like = "a force against v that rises to a maximum and falls again, whatever the load"
 mistaken_for = "viscous friction (well below the maximum), a hydrodynamic hump (with one load), power-law viscosity"
 confirm = "Take the magnet away, or film it with an insulator in place of the conductor."
+describe = Phrase("at most {c * v_0 / 2} N, at {v_0} m/s")
 invariant = "an eddy-current brake depends on the speed and not on the load"
 settled_by = "take the magnet away"
 source = "Wouterse 1991, IEE Proc. B 138, 153; Smythe 1942"

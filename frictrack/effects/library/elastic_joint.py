@@ -3,9 +3,8 @@
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Array, EffectInStudy, Nonlinear, Parameter, Path
 from frictrack.effects.memory import Complexes, follow_target, state_at_beginning, time_steps
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, Span, frequency_range, oscillates
 
 DAMPINGS = (0.04, 0.2)  # damping ratios worth trying

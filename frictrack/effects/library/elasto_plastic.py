@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 if TYPE_CHECKING:
@@ -99,7 +98,7 @@ what = "The contact is a spring up to a share of its level: a small load to and 
 looks_like = "a loop against x after every reversal with straight flanks; no loop and no drift below the share"
 mistaken_for = "presliding (share 0 is close to it), unless the load stays below the share for many cycles"
 confirm = "Load it by a force that swings below the share: it does not drift, as Dahl's contact does."
-describe = Phrase("purely elastic up to {share:100} % of the level of dry friction")
+describe = Phrase("purely elastic up to {100 * share} % of the level of dry friction")
 invariant = "a load below the share of the level moves nothing for good"
 source = (
     "Dupont, Hayward, Armstrong & Altpeter 2002, IEEE Trans. Automatic Control 47, 787, without the damping of "

@@ -4,8 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.ranges import bend_velocities
 
 

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
 from frictrack.effects.memory import follow_target, time_steps
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid, shorter_than_record
 
 
@@ -32,12 +30,6 @@ def lags(span: Span) -> Array:
     return log_grid(0.5 / span.fps, max(span.duration / 4.0, 2.0 / span.fps), 6)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Delay, and the way that the mass slides in it."""
-    tau, speed = effect.value("tau"), effect.typical_speed
-    return f"{format_number(1e3 * tau)} ms late, {format_length(tau * speed)} at {format_number(speed, 2)} m/s"
-
-
 equation = "coulomb + stribeck -> s u, du/dt = (|coulomb + stribeck| - u)/tau"
 parameters = (Parameter("tau", "s", (1e-7, np.inf), scan=lags),)
 modifies = frozenset({"coulomb", "stribeck"})
@@ -49,6 +41,7 @@ looks_like = "a loop against v where the speed swings; a hook that comes late be
 mistaken_for = "another Stribeck velocity, when the speed only falls"
 confirm = "Let the speed swing under a drive at two frequencies: the loop against v opens with the frequency."
 plausible = shorter_than_record("tau", 0.5)
+describe = Phrase("{1e3 * tau} ms late, {tau * study.typical_speed:m} at {study.typical_speed:2} m/s")
 invariant = "a lag needs a speed that changes to and fro"
 test_draw = TestDraw(only_with=frozenset({"stribeck"}))
 source = "Hess & Soom 1990, J. Tribology 112, 147; the lag on the level as in Armstrong-Helouvry et al. 1994"

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.ranges import Span, log_grid
 
 
@@ -26,14 +24,6 @@ def cooling_times(span: Span) -> Array:
     return log_grid(min(rests) / 4, 4 * max(rests), 6)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Force lost or gained per metre, and the time constant."""
-    slope = effect.value("k")
-    way = "less" if slope > 0 else "more"
-    tau = format_number(effect.value("tau"))
-    return f"{format_number(abs(slope))} N {way} per metre slid; two thirds of it are gone after a rest of {tau} s"
-
-
 equation = "-k L s W, W = distance + sum over the runs before of distance exp(-rest/tau)"
 parameters = (
     Parameter("k", "N/m", linear=True, loaded=True),
@@ -45,6 +35,9 @@ what = "Friction heats the surfaces, which soften (k > 0) or stick (k < 0), and 
 looks_like = "friction that falls through every run, and starts lower the shorter the rest before it was"
 mistaken_for = "run-in (where all pauses are alike), thermal (in one run), levels that scatter from run to run"
 confirm = "Repeat one run after pauses of 10 s, 1 min and 10 min: the level follows the pause."
+describe = Phrase(
+    "{abs(k)} N {'less' if k > 0 else 'more'} per metre slid; two thirds of it are gone after a rest of {tau} s"
+)
 invariant = "heat fades in a pause"
 settled_by = "repeat one run after a short and after a long pause"
 source = "lumped heat capacity, T' = P/C - T/tau with P in proportion to |v|; Ettles 1986"

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.ranges import Span, within_picture
 
 
@@ -22,11 +21,6 @@ def centres(span: Span) -> Array:
 def distortion(values: Nonlinear, span: Span) -> float:
     """Largest error in the picture once its scale is fitted, m: a cubic less its best line leaves 1/4 at the ends."""
     return values["k"] * max(abs(span.x_min - values["x_c"]), abs(span.x_max - values["x_c"])) ** 3 / 4
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Optical axis."""
-    return f"no error at x = {effect.value('x_c'):.3f} m, growing with the cube of the distance from there"
 
 
 def rule_signal(effect: EffectInStudy) -> float:
@@ -48,6 +42,7 @@ looks_like = "a cubic in x that is the same in every run, whatever the speed"
 mistaken_for = "a spring or drag, at one speed"
 confirm = "Film a ruler along the course, or another speed: a force's trace changes with time, the lens's does not."
 plausible = within_picture(distortion)
+describe = Phrase("no error at x = {x_c:.3f} m, growing with the cube of the distance from there")
 invariant = "the lens bends the picture by place, equally at every speed"
 settled_by = "film a rule along the course"
 direct_check = DirectCheck(

@@ -1,27 +1,13 @@
 """Load modulation: the normal load, and with it dry friction, oscillates (contact vibrating vertically)."""
 
-import numpy as np
-
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import ACCELEROMETER_STD, DirectCheck, EffectInStudy, Parameter, oscillation
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_time, wave
-from frictrack.effects.ranges import all_of, frequencies, modulates, oscillates
-from frictrack.records import GRAVITY
+from frictrack.effects.definition import OSCILLATION, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import ACCELEROMETER_STD, WAVE_IN_TIME, all_of, frequencies, modulates, oscillates, wave
+from frictrack.records import Array
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     """Dry-friction columns times 1 + depth sin(2 pi f t + phase), same shape as `inner`."""
     return inner * (1 + nonlinear["depth"] * wave(nonlinear["frequency"] * path.t, nonlinear["phase"]))
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Frequency, depth, and the vertical motion of the course that would make it."""
-    depth = abs(effect.value("depth"))
-    lift = depth * GRAVITY / (2 * np.pi * effect.value("frequency")) ** 2
-    return (
-        f"{oscillation(effect)}; the load changes by ± {format_number(100 * depth, 2)} %, as on a course that moves "
-        f"up and down by ± {format_length(lift)}"
-    )
 
 
 def upward_acceleration_signal(effect: EffectInStudy) -> float:
@@ -36,7 +22,7 @@ parameters = (
     Parameter("frequency", "Hz", scan=frequencies),
     Parameter("phase", "rad", per_run=True, role="phase"),
 )
-scan_wave = ScanWave("frequency", over_time)
+scan_wave = WAVE_IN_TIME
 varies_with = ""
 modifies = frozenset({"coulomb", "stribeck"})
 scales_with = "load"
@@ -45,6 +31,10 @@ looks_like = "a line in time whose size follows the dry friction"
 mistaken_for = "vibration (same shape when the dry friction is constant)"
 confirm = "Double the mass: the force doubles with the load, a vibration's stays."
 plausible = all_of(oscillates, modulates)
+describe = Phrase(
+    OSCILLATION + "; the load changes by ± {100 * abs(depth):2} %, as on a course that moves "
+    "up and down by ± {abs(depth) * g / (2 * pi * frequency) ** 2:m}"
+)
 invariant = "a modulated load acts through the dry friction, and so grows with the mass"
 direct_check = DirectCheck(
     "course sensor", "Fix an accelerometer to the course, facing upward", upward_acceleration_signal

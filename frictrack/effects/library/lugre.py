@@ -4,15 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter
-from frictrack.effects.memory import (
-    direction_changed,
-    follow_target,
-    mean_per_step,
-    slid_per_step,
-    state_at_beginning,
-)
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
+from frictrack.effects.memory import direction_changed, follow_target, mean_per_step, slid_per_step, state_at_beginning
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths, stribeck_velocities
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library import presliding
 from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 N_ELEMENTS = 8  # springs, each with the same share of the level

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, TestDraw
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

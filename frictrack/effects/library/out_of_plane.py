@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import DirectCheck, EffectInStudy, Parameter
+from frictrack.effects.definition import Array, DirectCheck, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library.lens import rule_signal
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, within_picture
 
 
@@ -19,11 +17,6 @@ def bow(values: Nonlinear, span: Span) -> float:
     return values["k"] * (span.x_max - span.x_min) ** 2 / 8
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Change of the scale along the course."""
-    return f"the scale changes by {format_number(200 * effect.value('k') / 10, 2)} % in every 0.1 m of the course"
-
-
 acts_on = "measurement"
 equation = "y: k x^2"
 parameters = (Parameter("k", "1/m", linear=True, role="amplitude"),)
@@ -33,6 +26,7 @@ looks_like = "a false force in proportion to the mass and the square of the spee
 mistaken_for = "drag (where all runs have one mass and one direction), lens, rolling shutter"
 confirm = "Film a reversed run: drag turns round with the motion, this force does not. Or film a rule."
 plausible = within_picture(bow)
+describe = Phrase("the scale changes by {20 * k:2} % in every 0.1 m of the course")
 invariant = "the scale belongs to the place in the picture, whatever the speed and the mass"
 settled_by = "film a rule along the course"
 direct_check = DirectCheck(

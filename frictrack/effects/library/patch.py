@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from frictrack.effects.definition import N_STD_ACTIVE, EffectInStudy, Parameter
-from frictrack.effects.path import Array, Mask, Nonlinear, Path
-from frictrack.effects.ranges import Span, log_grid, within_course
+from frictrack.effects.definition import Array, EffectInStudy, Mask, Nonlinear, Parameter, Path
+from frictrack.effects.ranges import N_STD_ACTIVE, Span, log_grid, within_course
 
 N_STD_CLEAR = 3.0  # standard deviations from its middle beyond which the course is as everywhere
 
@@ -23,7 +22,7 @@ def places(span: Span) -> Array:
 def widths(span: Span) -> Array:
     """Widths worth trying, m."""
     travel = span.x_max - span.x_min
-    return log_grid(travel / 120, travel / 8, 5)
+    return log_grid(travel / 480, travel / 8, 7)
 
 
 def describe(effect: EffectInStudy) -> str:

@@ -1,9 +1,7 @@
 """Peak locking: the tracker pulls positions toward whole pixels."""
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path, wave
-from frictrack.effects.ranges import MAX_LOCKING_PX, Span
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import MAX_LOCKING_PX, Span, wave
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -20,11 +18,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return "" if size <= MAX_LOCKING_PX else objection
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Size in pixels."""
-    return f"± {format_number(abs(effect.value('amplitude')), 2)} px, once in every pixel"
-
-
 acts_on = "measurement"
 equation = "y: amplitude pitch sin(2 pi x/pitch + phase)"
 parameters = (
@@ -35,6 +28,7 @@ what = "Sub-pixel interpolation favours some positions between pixels."
 looks_like = "ripples of one pixel period; a slow false force where the mass moves a whole number of px per frame"
 mistaken_for = "texture with a very short period"
 confirm = "Change the zoom: the period follows the pixel, not the course."
+describe = Phrase("± {abs(amplitude):2} px, once in every pixel")
 invariant = "peak locking follows the pixel, not the course"
 noted_as = ("peak locking",)
 source = "Raffel et al., Particle Image Velocimetry; anchors: Sensors 20:6596"

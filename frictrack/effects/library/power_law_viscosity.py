@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import Span
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import ScanValues
+
+EXPONENTS = (0.3, 0.5, 0.7, 1.4, 1.7, 2.4, 2.9)  # 0 is Coulomb friction, 1 viscous friction, 2 drag
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -13,21 +13,10 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     return np.asarray((path.s * path.speed ** nonlinear["n"])[:, None])
 
 
-def exponents(span: Span) -> Array:
-    """Exponents worth trying: 0 is Coulomb friction, 1 viscous friction, 2 drag."""
-    return np.array([0.3, 0.5, 0.7, 1.4, 1.7, 2.4, 2.9])
-
-
-def describe(effect: EffectInStudy) -> str:
-    """Force at 1 m/s, and what doubling the speed makes of it."""
-    factor = 2.0 ** effect.value("n")
-    return f"{format_number(effect.value('c'))} N at 1 m/s, {format_number(factor)} times that at 2 m/s"
-
-
 equation = "c s |v|^n"
 parameters = (
     Parameter("c", "N (s/m)^n", (0.0, np.inf), linear=True),
-    Parameter("n", "1", (0.1, 3.0), scan=exponents),
+    Parameter("n", "1", (0.1, 3.0), scan=ScanValues(EXPONENTS)),
 )
 varies_with = "v"
 special_cases = {"viscous": {"n": 1.0}, "drag": {"n": 2.0}}
@@ -35,6 +24,7 @@ what = "A grease, paste or polymer film thins (n < 1) or thickens (n > 1) as it 
 looks_like = "a curve against v that bends downward (n < 1) or upward (n > 1), whatever the load"
 mistaken_for = "drag (n = 2) and viscous friction (n = 1), which it contains; log velocity; an eddy brake"
 confirm = "Film runs over a decade of speed, and one with the double mass: the force stays as it is."
+describe = Phrase("{c} N at 1 m/s, {2 ** n} times that at 2 m/s")
 invariant = "power-law viscosity depends on the speed and not on the load"
 settled_by = "measure the flow curve of the grease in a rheometer"
 source = "Herschel & Bulkley 1926, Kolloid-Z. 39, 291, without the yield stress, which is Coulomb friction"

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
 from frictrack.effects.memory import direction_stretches, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
 
 MAX_EXPONENT_DIFFERENCE_DAHL = (

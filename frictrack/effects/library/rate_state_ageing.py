@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import breakaway_lengths
 
 REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from frictrack.effects.definition import Array, Nonlinear, Path
 from frictrack.effects.library import rate_state_ageing
 from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
-from frictrack.effects.path import Array, Nonlinear, Path
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

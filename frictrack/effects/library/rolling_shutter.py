@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_number
-from frictrack.effects.definition import EffectInStudy, Parameter, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
 from frictrack.effects.ranges import Span
 
 MAX_FPS = 1000.0  # Hz: faster cameras expose all lines at once
@@ -25,11 +23,6 @@ def plausible(values: Nonlinear, span: Span) -> str:
     return f"the camera would read the course for {frames:.2g} frames, expected at most one frame"
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Time to read a length of the course."""
-    return f"{format_number(1e6 * abs(effect.value('tau')) / 10)} us to read 0.1 m of the course"
-
-
 acts_on = "measurement"
 equation = "y: tau v x"
 parameters = (Parameter("tau", "s/m", linear=True, role="amplitude"),)
@@ -38,6 +31,7 @@ what = "The lines of the picture are read one after the other, along the course:
 looks_like = "a false deceleration that grows with the speed and hardly depends on the mass, in either direction"
 mistaken_for = "time base, viscous friction (where all runs have one mass)"
 confirm = "Turn the camera by 90 degrees about its axis, so that its lines lie along the course, and film again."
+describe = Phrase("{1e5 * abs(tau)} us to read 0.1 m of the course")
 invariant = "the readout time belongs to the camera, whatever the speed and the mass"
 settled_by = "turn the camera by 90 degrees, so that its lines lie along the course"
 test_draw = TestDraw(max_fps=MAX_FPS)

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from frictrack.effects.definition import EffectInStudy, Parameter
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library import thermal
-from frictrack.effects.path import Array, Nonlinear, Path
 from frictrack.effects.ranges import Span, log_grid
 
 
@@ -22,11 +21,6 @@ def lengths(span: Span) -> Array:
     return log_grid(travel / 3, 3 * (travel + sum(slid for _, slid in span.earlier)), 4)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Force gained or lost, and the distance."""
-    return f"{thermal.describe(effect)} in all runs"
-
-
 equation = "-dF L s (1 - exp(-S/length)), S = distance slid in this run and all before it"
 parameters = (
     Parameter("dF", "N", linear=True, loaded=True),
@@ -38,6 +32,7 @@ what = "The surfaces run in (dF > 0) or wear (dF < 0) as they slide, and stay so
 looks_like = "friction levels that move from run to run in the order of the runs, toward a new level"
 mistaken_for = "heating (where all pauses are alike), levels that scatter from run to run"
 confirm = "Repeat the first run at the end, after an hour: what has run in stays."
+describe = Phrase(thermal.describe.text + " in all runs")
 invariant = "running-in stays through a pause"
 settled_by = "repeat the first run after a long pause"
 source = "Blau 1989 (running-in); Archard 1953, J. Appl. Phys. 24, 981 (wear in proportion to the distance slid)"

@@ -3,8 +3,8 @@
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import LEVEL_STD_RAD, DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path
+from frictrack.effects.ranges import LEVEL_STD_RAD
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter, Phrase, TestDraw
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
 from frictrack.effects.ranges import Span
 
 MAX_COURSES = 100.0  # courses to the place where a spring is slack: beyond, its force varies by less than 1 % along one

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
 from frictrack.effects.ranges import stribeck_velocities
 
 

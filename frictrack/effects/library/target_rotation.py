@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import DirectCheck, Parameter, Phrase, picture_shift_signal
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, DirectCheck, Nonlinear, Parameter, Path, Phrase, picture_shift_signal
 from frictrack.effects.ranges import Span
 
 

@@ -1,8 +1,7 @@
 """Surface texture: friction that varies periodically along the course."""
 
-from frictrack.effects.definition import Parameter, Phrase
-from frictrack.effects.path import Array, Nonlinear, Path, ScanWave, over_position, wave
-from frictrack.effects.ranges import is_periodic_in, spatial_periods
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
+from frictrack.effects.ranges import ScanWave, is_periodic_in, over_position, spatial_periods, wave
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

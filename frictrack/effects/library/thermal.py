@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from frictrack.base.number_format import format_length, format_number
-from frictrack.effects.definition import EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
+from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.ranges import Span, log_grid
 
 
@@ -20,13 +18,6 @@ def lengths(span: Span) -> Array:
     return log_grid(travel / 30, travel, 4)
 
 
-def describe(effect: EffectInStudy) -> str:
-    """Force gained or lost, and the distance."""
-    change, distance = effect.value("dF"), format_length(effect.value("length"))
-    way = "less" if change > 0 else "more"
-    return f"{format_number(abs(change))} N {way} in the end, two thirds of it within {distance} slid"
-
-
 equation = "-dF L s (1 - exp(-distance/length))"
 parameters = (
     Parameter("dF", "N", linear=True, loaded=True),
@@ -38,5 +29,6 @@ what = "The surfaces warm up, soften or run in (dF > 0), or tear up (dF < 0), as
 looks_like = "dry friction that moves from one level to another over the first stretch of every run, however fast"
 mistaken_for = "drift (the same at one speed), a spring (in one direction), viscous friction (as the mass slows)"
 confirm = "Repeat without a pause, then after a long one: heat fades between runs, running-in stays."
+describe = Phrase("{abs(dF)} N {'less' if dF > 0 else 'more'} in the end, two thirds of it within {length:m} slid")
 invariant = "warming and running-in depend on the distance slid"
 source = "Ettles 1986 (thermal control of friction); Blau 1989 (running-in)"

@@ -3,9 +3,8 @@
 import numpy as np
 
 from frictrack.base.number_format import format_number
-from frictrack.effects.definition import FLASH_STD_FRAMES, DirectCheck, EffectInStudy, Parameter
-from frictrack.effects.path import Array, Nonlinear, Path
-from frictrack.effects.ranges import MAX_CLOCK_DRIFT, Span
+from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path
+from frictrack.effects.ranges import FLASH_STD_FRAMES, MAX_CLOCK_DRIFT, Span
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:

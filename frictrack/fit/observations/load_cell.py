@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.effects import Path, Span
 from frictrack.effects.models import Model
 from frictrack.fit.cutting import Reference, RunContext, path_of_rows, run_context
@@ -33,7 +33,8 @@ from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
-from frictrack.measure.friction import free_section, is_moving, white_noise
+from frictrack.measure.friction import free_section, is_moving
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
@@ -335,16 +336,14 @@ def check_effects(model: Model, runs: Sequence[Run]) -> None:
     """Check that no effect acts on a camera measurement, and on what the runs do not tell."""
     of_record = [e.name for e in model.effects if not e.is_of_velocity]
     if of_record and any(run.steady for run in runs):
-        raise FrictrackError(
+        raise UsageError(
             f"expected effects of the speed alone, because points (v, F) tell neither time nor place, but got "
-            f"{', '.join(of_record)}; remove {'it' if len(of_record) == 1 else 'them'}, or give records over time",
-            usage=True,
+            f"{', '.join(of_record)}; remove {'it' if len(of_record) == 1 else 'them'}, or give records over time"
         )
     if of_camera := [e.name for e in model.effects if e.acts_on == "measurement"]:
-        raise FrictrackError(
+        raise UsageError(
             "expected effects on the force, because friction itself was measured, but got "
-            f"{', '.join(of_camera)}, which acts on the camera measurement; remove it",
-            usage=True,
+            f"{', '.join(of_camera)}, which acts on the camera measurement; remove it"
         )
 
 

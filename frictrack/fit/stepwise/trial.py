@@ -42,6 +42,9 @@ MIN_GAIN_SHARE = 0.5  # share of the best gain
 Pick = tuple[float, dict[str, float], Array]  # gain, grid point, coefficients (K,)
 StartValues = dict[tuple[str, int | None], float]  # by parameter and run (None for all runs)
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
+MAX_START_LOSS = (
+    4.0  # by which levels that start at one may explain less at first, at the scatter that hides the effect
+)
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
 MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
@@ -485,18 +488,20 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
     solution = linearised.solution
     if not solution.levels_are_random:
         return 0.0
-    gain, best, before = 0.0, trial, solution.tau
+    gain, best, tau = 0.0, trial, solution.tau
     for _ in range(MAX_SCATTER_ESTIMATES):
-        tau = float(np.clip(np.sqrt(np.mean((best.p[best.layout.levels] - 1) ** 2)), *SCATTER_BOUNDS))
-        if tau > MAX_SCATTER_RATIO * before:
-            break
         problem, p = _projected_problem(linearised, best.layout, tau), np.array(best.p)
         p[best.layout.levels] = 1.0  # from the trial's own levels, a curved valley leads to this in tiny steps
-        state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL)
+        groups = () if tau == solution.tau else None  # the levels alone, at the scatter of the trial
+        state = problem.refine(problem.at(p), groups, steps=SET_STEPS, enough=SET_MIN_FALL)
         fall = trial.misfit - state.misfit + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau)
-        if fall <= gain:
+        if fall < gain - MAX_START_LOSS:
             break
-        gain, best, before = fall, _trial(trial.effect, problem, state), tau
+        gain, best = max(fall, gain), _trial(trial.effect, problem, state)
+        left = float(np.clip(np.sqrt(np.mean((best.p[best.layout.levels] - 1) ** 2)), *SCATTER_BOUNDS))
+        if left > MAX_SCATTER_RATIO * tau:
+            break
+        tau = left
     return gain
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import RNG, accepts_seed
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -196,7 +196,7 @@ def bootstrap(
 
     """
     if draws < MIN_DRAWS:
-        raise FrictrackError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}", usage=True)
+        raise UsageError(f"expected at least {MIN_DRAWS} draws for a deviation but got {draws}")
     require_one_fit(result)
     generator = np.random.default_rng(rng)
     solution, law, layout = result.solution, result.compared, result.solution.problem.layout

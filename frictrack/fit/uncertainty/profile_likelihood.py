@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import normal_ppf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
 from frictrack.fit.least_squares import (
     MIN_CHI2_FALL,
@@ -141,7 +141,7 @@ def profile(result: FittedRuns, address: str, *, level: float = 0.95) -> Profile
 
     """
     if not 0 < level < 1:
-        raise FrictrackError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}", usage=True)
+        raise UsageError(f"expected a level between 0 and 1, such as 0.95, but got {level:g}")
     require_one_fit(result)
     solution = result.compared
     if not result.route.is_default:  # a global search may not have reached the optimum

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.base.number_format import format_length, format_number, join_words, lower_first
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
@@ -113,7 +113,7 @@ def parse_quantity(layout: ParameterLayout, address: str) -> Quantity:
     if unknown or len(parts) > 2:
         fixed = [f"{e}.{p}" for e, p in layout.fixed]
         why = "which is fixed" if unknown and unknown[0] in fixed else f"but got {unknown[0] if unknown else address}"
-        raise FrictrackError(f"expected a free parameter of the law ({', '.join(names)}) {why}", usage=True)
+        raise UsageError(f"expected a free parameter of the law ({', '.join(names)}) {why}")
     slot = layout.names.index(parts[0])
     return Quantity(address, layout.slots[slot].unit, slot, parts)
 

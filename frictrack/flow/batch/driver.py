@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack.base.distributions import student_sf
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.version import __version__
@@ -337,7 +337,7 @@ def find_studies(patterns: Sequence[str]) -> list[Path]:
         matches = glob.glob(pattern, recursive=True) or [pattern]
         studies = [study for match in matches for study in _studies(Path(match))]
         if not studies:
-            raise FrictrackError(f"expected study files in {pattern} but found none", usage=True)
+            raise UsageError(f"expected study files in {pattern} but found none")
         found |= dict.fromkeys(sorted(studies, key=_natural))
     return list(found)
 
@@ -369,21 +369,13 @@ class Journal:
     def append(self, done: StudyOutcome) -> None:
         """Append the outcome of a study."""
         line = json.dumps({"version": __version__, **asdict(done)}, ensure_ascii=False)
-        try:
+        with os_errors_as(f"cannot write {self.path}", "what was finished before is kept"):
             append_line(self.path, line)
-        except OSError as e:
-            raise FrictrackError(
-                f"cannot write {self.path}: {e.strerror or e}; what was finished before is kept"
-            ) from e
 
     def _lines(self) -> dict[str, StudyOutcome]:
         """Return the last outcome of every study that this version has written."""
-        try:
-            lines = self.path.read_bytes().split(b"\n")
-        except FileNotFoundError:
-            return {}
-        except OSError as e:
-            raise FrictrackError(f"cannot read {self.path}: {e.strerror or e}") from e
+        with os_errors_as(f"cannot read {self.path}"):
+            lines = self.path.read_bytes().split(b"\n") if self.path.exists() else []
         outcomes = {}
         for line in lines:
             try:

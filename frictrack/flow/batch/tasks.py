@@ -220,12 +220,6 @@ class BatchState:
         """Time since the batch began, s."""
         return time.monotonic() - self.began
 
-    @property
-    def left(self) -> float | None:
-        """Estimated time to the end, s; None before the first study has ended."""
-        todo = self.studies - self.kept - len(self.done)
-        return self.seconds * todo / len(self.done) if self.done else None
-
 
 Watch = Callable[[BatchState], None]
 

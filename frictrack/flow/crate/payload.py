@@ -7,8 +7,6 @@ is described by its name, size and hash only, unless it is asked for; tables are
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import platform
 import re
@@ -17,7 +15,7 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
@@ -351,12 +349,22 @@ def _processor() -> str:
 
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
 TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
-PARAMETERS, BUDGET = "parameters.csv", "uncertainty_budget.csv"
-BUDGET_COLUMNS = (
-    *("run", "quantity", "estimate_N", "source", "input_standard_uncertainty", "input_unit", "input_ucum"),
-    *("contribution_mean_N", "share_of_variance_mean", "contribution_frame_N", "share_of_variance_frame"),
-    *("common_to", "known_from"),
+TOTALS = (
+    ("combined standard uncertainty", 1),
+    (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR),
 )
+BUDGET_COLUMNS = {  # of the table -> of a row of an error budget
+    "source": "source",
+    "input_standard_uncertainty": "size",
+    "input_unit": "unit",
+    "input_ucum": "ucum",
+    "contribution_mean_N": "mean_N",
+    "share_of_variance_mean": "share_mean",
+    "contribution_frame_N": "frame_N",
+    "share_of_variance_frame": "share_frame",
+    "common_to": "common",
+    "known_from": "told",
+}
 
 
 def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
@@ -385,46 +393,18 @@ def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
     """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
     for run in results.runs:
         for row in run.budget.get("rows", ()):
-            common = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
-            if row["source"] == TOTAL:
-                yield common | {"source": "combined standard uncertainty"} | _contributions(row, 1)
-                expanded = f"expanded uncertainty, k = {COVERAGE_FACTOR}"
-                yield common | {"source": expanded} | _contributions(row, COVERAGE_FACTOR)
-                continue
-            yield (
-                common
-                | {
-                    "source": row["source"],
-                    "input_standard_uncertainty": row["size"],
-                    "input_unit": row["unit"],
-                    "input_ucum": unit_code(row["unit"]).ucum,
-                    "share_of_variance_mean": row["share_mean"],
-                    "share_of_variance_frame": row["share_frame"],
-                    "common_to": row["common"],
-                    "known_from": row["told"],
-                }
-                | _contributions(row, 1)
-            )
-
-
-def _contributions(row: Mapping[str, Any], factor: int) -> dict[str, Any]:
-    """Return the effect on the mean friction force and on the force of one frame, N."""
-    parts = {"contribution_mean_N": row["mean_N"], "contribution_frame_N": row["frame_N"]}
-    return {name: None if size is None else factor * size for name, size in parts.items()}
+            parts = [row | {"ucum": unit_code(row["unit"]).ucum}]
+            if row["source"] == TOTAL:  # None is unknown
+                sizes = {key: row[key] for key in ("mean_N", "frame_N")}
+                parts = [{"source": name} | {k: v and factor * v for k, v in sizes.items()} for name, factor in TOTALS]
+            head = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
+            for part in parts:
+                yield head | {column: part.get(key) for column, key in BUDGET_COLUMNS.items()}
 
 
 def table_files(results: Results) -> dict[str, bytes]:
     """Return the tables by file name, as CSV in UTF-8."""
-    parameters = list(parameter_rows(results))
-    tables = {
-        PARAMETERS: (tuple(parameters[0]) if parameters else (), parameters),
-        BUDGET: (BUDGET_COLUMNS, budget_rows(results)),
-    }
-    found = {}
-    for name, (columns, rows) in tables.items():
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        found[name] = text.getvalue().encode()
-    return found
+    import pandas as pd  # noqa: PLC0415 - slow to load
+
+    rows = {"parameters.csv": parameter_rows(results), "uncertainty_budget.csv": budget_rows(results)}
+    return {name: pd.DataFrame(found).to_csv(index=False, lineterminator="\n").encode() for name, found in rows.items()}

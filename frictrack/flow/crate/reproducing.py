@@ -9,7 +9,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,7 +20,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from frictrack import flow
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
 from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
@@ -66,7 +66,7 @@ def read_crate(folder: Path) -> Crate:
     except FrictrackError:
         raise
     except FileNotFoundError as e:
-        raise FrictrackError(f"expected an RO-Crate but {folder} has no {METADATA}", usage=True) from e
+        raise UsageError(f"expected an RO-Crate but {folder} has no {METADATA}") from e
     except (OSError, ValueError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
     try:
@@ -190,7 +190,7 @@ def _files_by_name(folder: Path | None) -> dict[str, list[Path]]:
     if folder is None:
         return {}
     if not folder.is_dir():
-        raise FrictrackError(f"expected a folder of recordings but got {folder}", usage=True)
+        raise UsageError(f"expected a folder of recordings but got {folder}")
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.rglob("*")):
         found.setdefault(path.name, []).append(path)
@@ -241,55 +241,16 @@ MAX_DIFFERENCES = 20  # of one group, that are listed
 MAX_TEXT = 200  # characters of a text in a difference
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A value that is not the same in both copies."""
-
-    file: str  # file, group, value: where it stands; `value` is empty if the whole group is in one copy only
-    group: str
-    value: str
-    # stored, computed: what the crate has, and what was computed again; a number is the one that differs most
-    stored: Any
-    computed: Any
-    # difference over the largest magnitude of that value's array or list; None for a text
-    relative: float | None = None
-
-
-@dataclass(frozen=True)
-class GroupComparison:
-    """The comparison of one group."""
-
-    file: str  # file, group: name of the file and of the group
-    group: str
-    numbers: int  # how many numbers were compared
-    largest: float  # largest relative difference of a number
-    differences: tuple[Difference, ...]  # the values that differ, at most `MAX_DIFFERENCES`
-    n_differences: int  # how many values differ
-    same_conclusions: bool  # whether model, verdict, parameters and errors are the same
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON of the group."""
-        return {
-            "file": self.file,
-            "group": self.group,
-            "numbers": self.numbers,
-            "largest_difference": self.largest if math.isfinite(self.largest) else None,
-            "equal": not self.n_differences,
-            "n_differences": self.n_differences,
-            "differences": [asdict(one) for one in self.differences],
-        }
-
-
 def compare_files(
     stored: Mapping[str, Mapping[str, flow.Values]], computed: Mapping[str, Mapping[str, flow.Values]], *, exact: bool
-) -> list[GroupComparison]:
-    """Compare all groups of all files.
+) -> list[dict[str, Any]]:
+    """Compare all groups of all files; return the JSON of each, of which "same_conclusions" is no part of the output.
 
     Examples
     --------
     >>> stored = {"a.h5": {"track": {"x": [1.0, 2.0]}}}
     >>> computed = {"a.h5": {"track": {"x": [1.0, 2.0 + 1e-10]}}}
-    >>> [one.n_differences for exact in (True, False) for one in compare_files(stored, computed, exact=exact)]
+    >>> [one["n_differences"] for exact in (True, False) for one in compare_files(stored, computed, exact=exact)]
     [1, 0]
 
     """
@@ -315,19 +276,30 @@ def tolerance_of(name: str) -> float:
 
 def _compare_group(
     place: tuple[str, str], old: flow.Values | None, new: flow.Values | None, *, exact: bool
-) -> GroupComparison:
+) -> dict[str, Any]:
+    where = dict(zip(("file", "group"), place, strict=True))
+    numbers, largest, found = 0, 0.0, list[dict[str, Any]]()
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
-        return GroupComparison(*place, 0, 0.0, (Difference(*place, "", stored, computed),), 1, same_conclusions=False)
-    numbers, largest, found = 0, 0.0, []
+        found.append({**where, "value": "", "stored": stored, "computed": computed, "relative": None})
+        old = new = {}
     for name in dict.fromkeys([*old, *new]):
         tolerance = 0.0 if exact else tolerance_of(name)
         count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)
         numbers, largest = numbers + count, max(largest, relative)
         if different is not None:
-            found.append(Difference(*place, name, *different, relative if count else None))
-    same = not any(CONCLUSIONS.fullmatch(one.value) for one in found)
-    return GroupComparison(*place, numbers, largest, tuple(found[:MAX_DIFFERENCES]), len(found), same_conclusions=same)
+            stored, computed = different
+            relative_of = relative if count else None  # over the largest magnitude of that value; None for a text
+            found.append({**where, "value": name, "stored": stored, "computed": computed, "relative": relative_of})
+    return {
+        **where,
+        "numbers": numbers,
+        "largest_difference": largest if math.isfinite(largest) else None,
+        "equal": not found,
+        "n_differences": len(found),
+        "differences": found[:MAX_DIFFERENCES],
+        "same_conclusions": not any(not one["value"] or CONCLUSIONS.fullmatch(one["value"]) for one in found),
+    }
 
 
 def _compare_values(
@@ -464,17 +436,18 @@ def compare_versions(stored: Mapping[str, str], present: Mapping[str, str]) -> l
     return [{"name": name, "stored": old, "computed": new} for name, (old, new) in pairs.items() if old != new]
 
 
-def _summary(crate: Crate, versions: list[dict[str, str]], groups: list[GroupComparison]) -> dict[str, Any]:
-    rows = [group.to_dict() for group in groups]
+def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    same = [row.pop("same_conclusions") for row in rows]
+    largest = [row["largest_difference"] for row in rows if row["numbers"]]  # None is infinite
     return {
         "equal": all(row["equal"] for row in rows),
-        "same_conclusions": all(group.same_conclusions for group in groups),
+        "same_conclusions": all(same),
         "version": crate.versions[FRICTRACK],
         "same_platform": not versions,
         "versions": versions,
         "tolerance": RELATIVE_TOLERANCE if versions else 0.0,
         "numbers": sum(row["numbers"] for row in rows),
-        "largest_difference": max((row["largest_difference"] for row in rows if row["numbers"]), default=0.0),
+        "largest_difference": None if None in largest else max(largest, default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
         "excluded": [{"names": list(names), "reason": reason} for names, reason in flow.EXCLUDED.items()],
@@ -496,11 +469,9 @@ def _stored_files(crate: Crate) -> dict[str, Path]:
 def _check_paths(path: Path, out: Path) -> None:
     """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
     if not path.exists():
-        raise FrictrackError(f"expected a crate but there is no {path}; check the path", usage=True)
+        raise UsageError(f"expected a crate but there is no {path}; check the path")
     if out.exists():
-        raise FrictrackError(
-            f"expected the name of a new folder but {out} exists; choose another one with -o", usage=True
-        )
+        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
 
 
 def _made(folder: Path) -> Path:

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
@@ -77,9 +77,8 @@ def read_authorship(authors: Sequence[str] = (), licence: str | None = None) -> 
 def _person(text: str, number: int) -> Entity:
     found = _AUTHOR.fullmatch(text)
     if found is None or not found[1] or (found[2] is not None and not is_orcid(found[2])):
-        raise FrictrackError(
-            f'expected an author as "Name" or "Name <0000-0002-1825-0097>" with a valid ORCID but got "{text}"',
-            usage=True,
+        raise UsageError(
+            f'expected an author as "Name" or "Name <0000-0002-1825-0097>" with a valid ORCID but got "{text}"'
         )
     address = f"{ORCID}{found[2]}" if found[2] else f"#author-{number}"
     return {"@id": address, "@type": "Person", "name": found[1]}
@@ -107,9 +106,8 @@ def _licence(text: str) -> Entity:
     if _ADDRESS.fullmatch(text):
         return {"@id": text, "@type": "CreativeWork", "name": text}
     if not _SPDX.fullmatch(text):
-        raise FrictrackError(
-            f'expected a licence as an SPDX identifier such as CC-BY-4.0, or as an address, but got "{text}"',
-            usage=True,
+        raise UsageError(
+            f'expected a licence as an SPDX identifier such as CC-BY-4.0, or as an address, but got "{text}"'
         )
     return {"@id": f"{SPDX}{text}", "@type": "CreativeWork", "name": text}
 
@@ -143,52 +141,70 @@ ADDRESSES = {  # of software that is not on PyPI under its name; the version fol
 }
 
 
+class _Graph:
+    """The entities of the metadata by their addresses."""
+
+    def __init__(self) -> None:
+        self.entities: dict[str, Entity] = {}
+
+    def add(self, address: str, kind: str, **values: Any) -> Entity:
+        """Add an entity, without values that are None; return the reference to it."""
+        known = {key: value for key, value in values.items() if value is not None}
+        self.entities[address] = {"@id": address, "@type": kind, **known}
+        return {"@id": address}
+
+    def add_all(self, entities: Iterable[Entity]) -> Any:
+        """Add entities; return the references to them."""
+        return _one_or_several(self.add(one["@id"], one["@type"], name=one["name"]) for one in entities)
+
+
+def _one_or_several(references: Iterable[Entity]) -> Any:
+    """Return a list of references; of one reference itself, and None of none, as the specification recommends."""
+    found = list(references)
+    return found if len(found) > 1 else next(iter(found), None)
+
+
 def describe_crate(session: Session, results: Results, payload: Payload, authorship: Authorship) -> dict[str, Any]:
     """Return the content of ``ro-crate-metadata.json``."""
-    files = [_file(part) for part in payload.parts]
-    parameters = list(_parameters(results))
+    graph = _Graph()
+    files = [(part.role, _add_file(graph, part)) for part in payload.parts]
     moved = [
-        {"@id": f"#path-{number}", "@type": "PropertyValue", "propertyID": MOVED, "name": text, "value": place}
+        graph.add(f"#path-{number}", "PropertyValue", propertyID=MOVED, name=text, value=place)
         for number, (text, place) in enumerate(payload.moved.items(), 1)
     ]
-    software = list(_software(platform_versions()))
-    action = {
-        "@id": "#analysis",
-        "@type": "CreateAction",
-        "name": f"Analysis of {results.name} with frictrack",
-        "description": f"frictrack run {payload.parts[0].place}; the models tried are in the history of the results.",
-        "instrument": _reference(software[0]),
-        "object": _references([*(_file(part) for part in payload.parts if part.role != "result"), *moved]),
-        "result": _references([_file(part) for part in payload.parts if part.role == "result"]),
-        "startTime": next((change.time for change in session.commands.changes), None),
-        "endTime": datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
-        "agent": _references(authorship.authors),
-        "actionStatus": "http://schema.org/CompletedActionStatus",
-    }
+    authors = graph.add_all(authorship.authors)
+    action = graph.add(
+        "#analysis",
+        "CreateAction",
+        name=f"Analysis of {results.name} with frictrack",
+        description=f"frictrack run {payload.parts[0].place}; the models tried are in the history of the results.",
+        instrument=_add_software(graph, platform_versions()),
+        object=_one_or_several([*(file for role, file in files if role != "result"), *moved]),
+        result=_one_or_several(file for role, file in files if role == "result"),
+        startTime=next((change.time for change in session.commands.changes), None),
+        endTime=datetime.fromtimestamp(session.path.stat().st_mtime, UTC).isoformat(timespec="seconds"),
+        agent=authors,
+        actionStatus="http://schema.org/CompletedActionStatus",
+    )
     law = "" if results.current is None else f" The current model is {results.current.equation}."
     verdict = "" if results.diagnosis is None else f" The verdict of the diagnosis is {results.diagnosis['verdict']}."
     runs = f"{len(results.runs)} run{'s' if len(results.runs) != 1 else ''}"
-    root = {
-        "@id": "./",
-        "@type": "Dataset",
-        "name": results.name,
-        "description": f"Friction law of a sliding mass, identified by frictrack from {runs}.{law}{verdict}",
-        "datePublished": datetime.now(UTC).isoformat(timespec="seconds"),
-        "conformsTo": {"@id": PROFILE},
-        "license": _reference(authorship.licence),
-        "author": _references(authorship.authors),
-        "mainEntity": _reference(files[0]),
-        "hasPart": _references(files),
-        "mentions": _reference(action),
-        "variableMeasured": _references([one for one in parameters if "propertyID" in one]),
-    }
-    head = {"@id": METADATA, "@type": "CreativeWork", "conformsTo": {"@id": SPECIFICATION}, "about": {"@id": "./"}}
-    profile = {"@id": PROFILE, "@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
-    people = [*authorship.authors, *([authorship.licence] if authorship.licence else [])]
-    entities: list[Entity] = [head, root, profile, *people, *files, action, *moved, *software, *parameters]
-    once = {one["@id"]: one for one in entities}  # an author who is named twice is one person
-    known = [{key: value for key, value in one.items() if value is not None} for one in once.values()]
-    return {"@context": list(CONTEXT), "@graph": known}
+    root = graph.add(
+        "./",
+        "Dataset",
+        name=results.name,
+        description=f"Friction law of a sliding mass, identified by frictrack from {runs}.{law}{verdict}",
+        datePublished=datetime.now(UTC).isoformat(timespec="seconds"),
+        conformsTo=graph.add(PROFILE, "CreativeWork", name="Process Run Crate", version="0.5"),
+        license=graph.add_all([authorship.licence] if authorship.licence else []),
+        author=authors,
+        mainEntity=files[0][1],
+        hasPart=_one_or_several(file for _, file in files),
+        mentions=action,
+        variableMeasured=_one_or_several(_add_parameters(graph, results)),
+    )
+    graph.add(METADATA, "CreativeWork", conformsTo={"@id": SPECIFICATION}, about=root)
+    return {"@context": list(CONTEXT), "@graph": list(graph.entities.values())}
 
 
 def file_address(part: Part) -> str:
@@ -199,76 +215,58 @@ def file_address(part: Part) -> str:
     return f"ni:///sha-256;{digest}?name={quote(part.place, safe='')}"
 
 
-def _file(part: Part) -> Entity:
+def _add_file(graph: _Graph, part: Part) -> Entity:
     suffix = part.source.suffix.lower()
-    return {
-        "@id": file_address(part),
-        "@type": "File",
-        "name": part.source.name,
-        "contentSize": str(part.size),
-        "sha256": part.sha256,
-        "localPath": None if part.is_included else part.place,
-        "encodingFormat": MEDIA_TYPES.get(suffix) or mimetypes.types_map.get(suffix, OTHER_MEDIA_TYPE),
-    }
+    return graph.add(
+        file_address(part),
+        "File",
+        name=part.source.name,
+        contentSize=str(part.size),
+        sha256=part.sha256,
+        localPath=None if part.is_included else part.place,
+        encodingFormat=MEDIA_TYPES.get(suffix) or mimetypes.types_map.get(suffix, OTHER_MEDIA_TYPE),
+    )
 
 
-def _software(versions: Mapping[str, str]) -> Iterator[Entity]:
-    """Yield frictrack, then what it requires."""
-    names = [name for name in versions if name not in MACHINE]
-    required = [name for name in names if name != FRICTRACK]
-    machine = dict(zip(("operatingSystem", "processorRequirements"), (versions[name] for name in MACHINE), strict=True))
-    more = {"softwareRequirements": [{"@id": _software_address(name, versions[name])} for name in required]}
-    for name in (FRICTRACK, *required):
-        yield {
-            "@id": _software_address(name, versions[name]),
-            "@type": "SoftwareApplication",
-            "name": name,
-            "softwareVersion": versions[name],
-            "url": _software_address(name, ""),
-            **(machine | more if name == FRICTRACK else {}),
-        }
+def _add_software(graph: _Graph, versions: Mapping[str, str]) -> Entity:
+    """Add frictrack and what it requires; return the reference to frictrack."""
+
+    def add(name: str, **more: Any) -> Entity:
+        address, number = ADDRESSES.get(name, f"{PYPI}/{name}/"), versions[name]
+        kind, url = "SoftwareApplication", address.rstrip("#")
+        return graph.add(f"{address}{quote(number, safe='')}", kind, name=name, softwareVersion=number, url=url, **more)
+
+    required = [add(name) for name in versions if name not in (FRICTRACK, *MACHINE)]
+    system, processor = (versions[name] for name in MACHINE)
+    return add(FRICTRACK, softwareRequirements=required, operatingSystem=system, processorRequirements=processor)
 
 
-def _software_address(name: str, version: str) -> str:
-    address = ADDRESSES.get(name, f"{PYPI}/{name}/")
-    return f"{address}{quote(version, safe='')}" if version else address.rstrip("#")
-
-
-def _parameters(results: Results) -> Iterator[Entity]:
-    """Yield the parameters of all models: value, then standard uncertainty and interval where they are known."""
+def _add_parameters(graph: _Graph, results: Results) -> Iterator[Entity]:
+    """Add the parameters of all models with their standard uncertainties and intervals; yield the references."""
+    kind = "PropertyValue"
     for row in parameter_rows(results):
         address = quote(f"{row['model']}/{row['parameter']}")
         unit = {"unitText": row["ucum"] or row["unit"], "unitCode": row["qudt"] or None}
-        number = {"@type": "PropertyValue", **unit}
-        more: list[Entity] = []
-        for key, name in UNCERTAINTIES.items():
-            if row[key] is not None:
-                more.append({"@id": f"#{key}/{address}", **number, "name": name, "value": row[key]})
-        if row["interval_low"] is not None or row["interval_high"] is not None:
-            limits = {"minValue": row["interval_low"], "maxValue": row["interval_high"]}
-            more.append({"@id": f"#interval/{address}", **number, "name": "95 % interval", **limits})
+        more = [
+            graph.add(f"#{key}/{address}", kind, **unit, name=name, value=row[key])
+            for key, name in UNCERTAINTIES.items()
+            if row[key] is not None
+        ]
+        limits = {"minValue": row["interval_low"], "maxValue": row["interval_high"]}
+        if any(limit is not None for limit in limits.values()):
+            more.append(graph.add(f"#interval/{address}", kind, **unit, name="95 % interval", **limits))
         current = ", the current one" if row["current"] else ""
         reason = f"; {row['reason']}" if row["reason"] else ""
-        yield {
-            "@id": f"#parameter/{address}",
-            **number,
-            "name": row["parameter"],
-            "propertyID": f"{row['model']}/{row['parameter']}",
-            "description": f"parameter of the model {row['model']}{current}{reason}",
-            "value": row["value"],
-            "valueReference": _references(more),
-        }
-        yield from more
-
-
-def _reference(entity: Entity | None) -> Entity | None:
-    return None if entity is None else {"@id": entity["@id"]}
-
-
-def _references(entities: Iterable[Entity]) -> Any:
-    """Return a list of references; of one entity its own, and None of none, as the specification recommends."""
-    values = [{"@id": one["@id"]} for one in entities]
-    return values if len(values) > 1 else next(iter(values), None)
+        yield graph.add(
+            f"#parameter/{address}",
+            kind,
+            **unit,
+            name=row["parameter"],
+            propertyID=f"{row['model']}/{row['parameter']}",
+            description=f"parameter of the model {row['model']}{current}{reason}",
+            value=row["value"],
+            valueReference=_one_or_several(more),
+        )
 
 
 SUFFIX = ".crate.zip"
@@ -354,15 +352,12 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
 def _check_target(target: Path) -> None:
     """Raise FrictrackError (usage) if a folder exists that would be overwritten, before any work."""
     if target.suffix != ".zip" and target.exists():
-        raise FrictrackError(
+        raise UsageError(
             f"expected the name of a new folder, or of a file that ends in .zip, but {target} exists; "
-            "choose another name",
-            usage=True,
+            "choose another name"
         )
     if target.is_dir():
-        raise FrictrackError(
-            f"expected the name of a zip file but {target} is a folder; choose another name", usage=True
-        )
+        raise UsageError(f"expected the name of a zip file but {target} is a folder; choose another name")
 
 
 def _write(target: Path, parts: Sequence[Part]) -> None:

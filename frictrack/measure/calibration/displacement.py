@@ -390,9 +390,8 @@ def plane_map(
     """
     kind = scale_input.scale_kind(scale)
     if kind == "several":
-        return _compare_maps(
-            [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)], track
-        )
+        several = [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)]
+        return _compare_maps(several, track)
     shape = film.shape if film is not None else None
     known_lens = _lens(lens, shape)
     straight = known_lens.undistorted if known_lens else as_seen
@@ -420,8 +419,8 @@ def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None
 
 
 def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
-    from frictrack.measure.calibration.board import find_views, parse_board  # noqa: PLC0415
     from frictrack.measure.calibration.lens import plane_from_views  # noqa: PLC0415
+    from frictrack.measure.calibration.pictures import find_views, parse_board  # noqa: PLC0415
 
     board = parse_board(scale)
     track_and_film, missed = find_views(scale, board, shape)
@@ -446,7 +445,7 @@ def _map_by_target(
     scale: dict[str, Any], track_and_film: tuple[Track | None, Recording | None], direction: Array, straight: Straight
 ) -> PlaneMap:
     """Create the map whose values are the target's size in m and its width in px."""
-    from frictrack.measure.calibration.target_size import target_width  # noqa: PLC0415
+    from frictrack.measure.calibration.pictures import target_width  # noqa: PLC0415
 
     track, film = track_and_film
     size, std = scale_input.parse_length(scale["target"], "the target's size along the course")

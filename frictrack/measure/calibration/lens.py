@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.calibration.board import Board, BoardView
+from frictrack.measure.calibration.pictures import Board, BoardView
 from frictrack.measure.calibration.scale import (
     MAX_RADIAL_COEFFICIENT,
     Homography,
@@ -150,9 +150,8 @@ def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
 
 
 def _is_camera(matrix: Array) -> bool:
-    return bool(
-        np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.all(matrix[2] == [0, 0, 1])
-    )
+    has_focus = np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0
+    return bool(has_focus and np.all(matrix[2] == [0, 0, 1]))
 
 
 def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
@@ -190,27 +189,15 @@ def _fields(path: Path) -> dict[str, Any]:
     except OSError as e:
         raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
     try:
-        if _nesting(text) > MAX_NESTING:
-            raise ValueError("brackets without end")
-        fields = _json(text) if text.lstrip().startswith("{") else _yaml_or_xml(text)
+        return _parsed(text.lstrip())
     except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
-    return fields
 
 
 def _nesting(text: str) -> int:
     """Largest depth of nested brackets: the time of a parser grows with its square."""
     steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
     return max(accumulate(steps), default=0)
-
-
-def _json(text: str) -> dict[str, Any]:
-    return _plain_matrices(json.loads(text))
-
-
-def _plain_matrices(found: dict[str, Any]) -> dict[str, Any]:
-    """Replace matrices by their numbers."""
-    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
@@ -228,15 +215,20 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_matrix)
 
 
-def _yaml_or_xml(text: str) -> dict[str, Any]:
-    """Parse OpenCV's format, or YAML without its first line as ROS writes it. OpenCV's own parser may hang."""
-    if text.lstrip().startswith("<?xml"):
+def _parsed(text: str) -> dict[str, Any]:
+    """Parse XML, JSON or YAML, without its first line as ROS writes it, to names and their values.
+
+    OpenCV's own parser may hang.
+    """
+    if _nesting(text) > MAX_NESTING:
+        raise ValueError("brackets without end")
+    if text.startswith("<?xml"):
         return {child.tag: _element(child) for child in ElementTree.fromstring(text)}
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
-    found = yaml.load("\n".join(lines), _Loader)
+    found = json.loads(text) if text.startswith("{") else yaml.load("\n".join(lines), _Loader)
     if not isinstance(found, dict):
         raise ValueError("no names at the top")
-    return _plain_matrices(found)
+    return {str(name): v["data"] if isinstance(v, dict) and "data" in v else v for name, v in found.items()}
 
 
 def _element(element: ElementTree.Element) -> Any:
@@ -366,21 +358,21 @@ def _calibrated(views: list[BoardView]) -> tuple[Lens, Array, float] | None:
     return Lens(np.asarray(matrix, np.float64), np.ravel(distortion).astype(np.float64)[:5]), poses, float(rms)
 
 
-def _covariance(views: list[BoardView], lens: Lens, poses: Array) -> Array | None:
-    """Covariance (15, 15) of camera, lens and first pose, which were fitted together with all other poses."""
+def _covariance(views: list[BoardView], lens: Lens, poses: Array, intrinsics: int = N_INTRINSICS) -> Array | None:
+    """Covariance of the fitted numbers of camera and lens and of the first pose, fitted with all other poses."""
     rows, misfits = [], []
     for k, view in enumerate(views):
         slopes, misfit = _corner_slopes(view, lens, poses[k])
         of_poses = np.zeros((len(misfit), 6 * len(views)))
         of_poses[:, 6 * k : 6 * k + 6] = slopes[:, :6]
-        rows.append(np.hstack([slopes[:, 6 : 6 + N_INTRINSICS], of_poses]))
+        rows.append(np.hstack([slopes[:, 6 : 6 + intrinsics], of_poses]))
         misfits.append(misfit)
     every, misfit = np.vstack(rows), np.concatenate(misfits)
     size, count = np.linalg.norm(every, axis=0), len(misfit) - every.shape[1]
     if count < 1 or not np.all(size > 0):
         return None
     inverse = np.linalg.pinv((every / size).T @ (every / size), rcond=1e-14, hermitian=True) / np.outer(size, size)
-    kept = N_INTRINSICS + 6
+    kept = intrinsics + 6
     return np.asarray(inverse[:kept, :kept] * max(float(misfit @ misfit) / count, MIN_CORNER_SIGMA_PX**2))
 
 
@@ -418,11 +410,9 @@ def _from_known_lens(first: BoardView, lens: Lens, board: Board) -> PlaneMap:
         raise FrictrackError(f"the board in {first.name} does not fit the lens file; check the file")
     turn, shift = cv2.solvePnPRefineLM(_solid(first), first.points, lens.matrix, lens.distortion, turn, shift)
     pose = np.array([*np.ravel(turn), *np.ravel(shift)], dtype=np.float64)
-    slopes, misfit = _corner_slopes(first, lens, pose)
-    normal = slopes[:, :6].T @ slopes[:, :6]
-    variance = max(float(misfit @ misfit) / (len(misfit) - 6), MIN_CORNER_SIGMA_PX**2)
-    covariance = np.asarray(np.linalg.inv(normal) * variance, dtype=np.float64)
-    rms = float(np.sqrt(2 * np.mean(misfit**2)))
+    covariance = _covariance([first], lens, pose[None], intrinsics=0)
+    assert covariance is not None  # a view has more corners than its pose has numbers
+    rms = float(np.sqrt(2 * np.mean(_corner_slopes(first, lens, pose)[1] ** 2)))
     used = (
         f"scale by a {board.kind}, {len(first.points)} corners in {first.name}, reprojected to {rms:.2g} px "
         "with the lens taken as exact"

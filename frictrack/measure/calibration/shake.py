@@ -179,9 +179,8 @@ def significant_motion(x: Array, t: Array, stated_sigma: float = 0.0) -> tuple[A
     """
     window = np.hanning(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2
-    noise = max(
-        float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2)), 0.25 * stated_sigma**2, 1e-20
-    )
+    upper_half = float(np.median(power[len(power) // 2 :]) / np.log(2) / np.sum(window**2))
+    noise = max(upper_half, 0.25 * stated_sigma**2, 1e-20)
     tones, count = _tones(x, (t - t.mean()) / np.median(np.diff(t)), noise)
     spectrum = scipy.fft.dct(x - tones, norm="ortho")
     gain = _wiener_gain(spectrum**2, noise)
@@ -198,9 +197,8 @@ def _tones(x: Array, time: Array, noise: float) -> tuple[Array, int]:
     `time` (n,) is in frames, with gaps where frames are missing.
     """
     n, model = len(x), np.zeros(len(x))
-    min_rms = (
-        2 * np.log(n / ALPHA_SHAKE) + 10
-    )  # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
+    # chi^2 of amplitude and phase at the best of n frequencies, fitted besides
+    min_rms = 2 * np.log(n / ALPHA_SHAKE) + 10
     found: list[float] = []
     while len(found) < MAX_TONES:
         power = np.abs(np.fft.rfft((x - model) * np.hanning(n), 4 * n))

@@ -10,13 +10,15 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 from frictrack.measure.motion.banded_equations import SmootherData
 from frictrack.measure.motion.derivative import (
     Derivatives,
+    FilteredMotion,
+    compare_filters,
     covariance,
+    cutoff_tradeoff,
     derivatives,
     differentiate,
     filtered_acceleration,
 )
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
-from frictrack.measure.motion.filter_comparison import FilteredMotion, compare_filters, cutoff_tradeoff
 from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
 from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
 from frictrack.measure.motion.noise import (
@@ -30,6 +32,7 @@ from frictrack.measure.motion.noise import (
     difference_variance,
     noise_level,
     slow_spectrum,
+    white_noise,
 )
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.settings.filters import METHOD_NAMES

@@ -93,10 +93,8 @@ class NoiseColour:
     def sample(self, white: Array, driving: Array) -> Array:
         """Generate such noise."""
         innovations = np.concatenate([np.sqrt(self.share) * driving[:1], np.sqrt(self.shocks) * driving[1:]])
-        return np.asarray(
-            np.sqrt(1.0 - self.share) * white
-            + scipy.signal.lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)
-        )
+        correlated = scipy.signal.lfilter([1.0], [1.0, -self.correlation], innovations, axis=0)
+        return np.asarray(np.sqrt(1.0 - self.share) * white + correlated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,18 +462,13 @@ class BlockEquations:
         i, j = np.indices((b, b))
         bands[:, b + i - j, :, j] += np.moveaxis(self.before[own, first:stop], 1, -1).transpose(1, 2, 0, 3)
         bands[:, b + i - j, :, wide - b + j] += np.moveaxis(self.after[own, first:stop], 1, -1).transpose(1, 2, 0, 3)
-        flat = bands.reshape(len(bands), 2 * b + 1, -1)
-        return np.stack([_solve_banded(b, each, right.reshape(-1, right.shape[-1])) for each in flat]).reshape(
-            -1, *right.shape
-        )
-
-
-def _solve_banded(band: int, equations: Array, right: Array) -> Array:
-    """Solutions (N, columns) of equations (2 band + 1, N)."""
-    bands = np.zeros((3 * band + 1, equations.shape[1]), order="F")  # as LAPACK takes them, without another copy
-    bands[band:] = equations
-    solved = scipy.linalg.lapack.dgbsv(band, band, bands, right, overwrite_ab=1)
-    return np.asarray(solved[2])
+        out = np.empty((len(bands), *right.shape))
+        for one, found in zip(bands.reshape(len(bands), 2 * b + 1, -1), out, strict=True):
+            equations = np.zeros((3 * b + 1, one.shape[1]), order="F")  # as LAPACK takes them, without another copy
+            equations[b:] = one
+            solved = scipy.linalg.lapack.dgbsv(b, b, equations, right.reshape(-1, right.shape[-1]), overwrite_ab=1)
+            found[:] = solved[2].reshape(right.shape)
+        return out
 
 
 def _solve_symmetric(a: Array, right: Array) -> Array:

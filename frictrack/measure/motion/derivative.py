@@ -5,13 +5,19 @@ posterior covariance assumes a signal that is as rough as the penalties say, on 
 smoothed series once more (twicing; Tukey 1977, Exploratory Data Analysis, ch. 16) shows where it is smoother or
 rougher: with the smoother A, (1 - A) A y of such a signal has the covariance A^2 (1 - A), of which A^2 (1 - A)^2 is
 noise and A^3 (1 - A) is signal.
+
+Filters are compared with that best estimate of the motion: cut-offs of a plain low-pass, and what each filter makes of
+it. Residual analysis (Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 3): what a low-pass removes
+falls with its cut-off until only noise is removed, and then follows the level of white noise. The removed signal is
+computed from the series of the structural smoother, the best estimate of the motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,11 +26,17 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion.banded_equations import TREND_ORDER, SmootherData, weighted_cubic
+from frictrack.measure.motion.banded_equations import (
+    TREND_ORDER,
+    NoiseColour,
+    SmootherData,
+    penalty,
+    response,
+    weighted_cubic,
+)
 from frictrack.measure.motion.filter import MISSING_SIGMA, frame_weights, low_pass, sensor_weights
 from frictrack.measure.motion.filter_methods import Smoother, interpolate_missing
 from frictrack.measure.motion.grid import (
-    STENCIL_FRAMES,
     STENCIL_REACH,
     FrameGrid,
     frame_grid,
@@ -36,11 +48,16 @@ from frictrack.measure.motion.grid import (
 )
 from frictrack.measure.motion.place_forces import Course, place_force_errors
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.measure.motion.structure_average import added_variances, mean_shift
-from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES
-from frictrack.records import Array, Displacement, Filtered, Motion
+from frictrack.measure.motion.structure_search import (
+    MAX_WHOLE_FRAMES,
+    added_variances,
+    mean_shift,
+    undetectable_amplitude,
+)
+from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
 
 QUANTITIES = ("x", "v", "a")
+FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
 _BEST: WeakKeyDictionary[Filtered, Filtered] = WeakKeyDictionary()
 
 
@@ -196,7 +213,9 @@ def covariance(filtered: Filtered, of: str, rows: NDArray[np.int64] | None = Non
     if of not in QUANTITIES:
         raise FrictrackError(f'covariance: expected x, v or a but got "{of}"')
     chosen = np.arange(len(filtered)) if rows is None else np.asarray(rows, dtype=np.int64)
-    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), chosen)
+    unit = np.zeros((len(filtered), len(chosen)))
+    unit[chosen, np.arange(len(chosen))] = 1.0
+    return Derivatives.of_x(filtered).covariance(QUANTITIES.index(of), unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,74 +337,50 @@ class Derivatives:
         return self._course.x - self._course.displacement(self.smoother.forces)
 
     def shake_errors(self, frequency: float, size: float) -> Array:
-        """Compute the rms errors of x, v and a by a sinusoidal displacement of any phase.
-
-        Parameters
-        ----------
-        frequency
-            Frequency, Hz.
-        size
-            Rms displacement, m.
-
-        Returns
-        -------
-        Array
-            Rms errors, (3, n).
-
-        """
-        angle = 2 * np.pi * frequency * self.grid.interval * np.arange(self.grid.n)
-        apparent_motion = self.apparent_motion(
-            size * np.stack([np.cos(angle), np.sin(angle)], axis=1)[self.grid.frames]
-        )
-        return np.asarray(np.sqrt(np.sum(apparent_motion**2, axis=2)))
+        """Rms errors (3, n) of x, v and a by a sinusoidal displacement (Hz; rms, m) of any phase."""
+        angle = 2 * np.pi * frequency * self.grid.interval * self.grid.frames
+        waves = size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.asarray(np.sqrt(np.sum(self.apparent_motion(waves) ** 2, axis=2)))
 
     def apparent_motion(self, ghosts: Array) -> Array:
-        """Compute the response of x, v and a to apparent displacements.
+        """Response (3, n, k) of x, v and a to displacements (n, k), m, that the measurement adds."""
+        return np.asarray(self._respond(self.grid.to_frames(ghosts))[:, self.grid.frames])
 
-        Parameters
-        ----------
-        ghosts
-            Displacements that the measurement adds, m, (n, k).
-
-        Returns
-        -------
-        Array
-            Their contribution to x, v and a, (3, n, k).
-
-        """
-        whole = np.stack([self.grid.to_frames(column) for column in ghosts.T], axis=1)
-        return np.asarray(self._respond(whole)[:, self.grid.frames])
-
-    def covariance(self, order: int, rows: NDArray[np.int64]) -> Array:
-        """Compute the covariance of one derivative among rows.
-
-        Parameters
-        ----------
-        order
-            0 for x, 1 for v, 2 for a.
-        rows
-            Rows of the record, (m,).
-
-        Returns
-        -------
-        Array
-            Covariance, (m, m).
-
-        """
+    def covariance(self, order: int, weights: Array) -> Array:
+        """Covariance (m, m) of sums of one derivative over the rows, with weights (n, m)."""
         if self.best is not None:
-            away = (self.values() - self.best.values())[order, rows]
-            return self.best.covariance(order, rows) + np.outer(away, away)
-        start, table = stencils(self.grid.n, self.grid.interval)
-        frames = self.grid.frames[rows]
-        nodes = start[frames][:, None] + np.arange(STENCIL_FRAMES)
-        use, place = np.unique(nodes, return_inverse=True)
-        pick = np.zeros((len(rows), len(use)))
-        np.add.at(pick, (np.arange(len(rows))[:, None], place.reshape(nodes.shape)), table[order, frames])
-        found = pick @ self.factor.covariance(use)[use] @ pick.T
+            away = weights.T @ (self.values() - self.best.values())[order]
+            return self.best.covariance(order, weights) + np.outer(away, away)
+        variance = self.unit_variances(self.factor, order)
+        scale = self.deviations()[order] / np.sqrt(variance)
+        return self.unit_covariance(self.factor, order, weights * scale[:, None])
+
+    def unit_covariance(self, factor: FactoredSmoother, order: int, weights: Array) -> Array:
+        """Covariance of weighted sums, as `covariance`, that equations of the smoother give for unit noise."""
+        positions = self.position_weights(order, weights)
+        found = positions.T @ factor.posterior_covariance_times(positions)
         for error in self.parameter_errors:
-            found += np.outer(error[order, frames], error[order, frames])
-        scale = self.deviations()[order, rows] / np.sqrt(np.diag(found))
-        out: Array = found * np.outer(scale, scale)
+            change = weights.T @ self.grid.to_rows(error[order])
+            found += np.outer(change, change)
+        return np.asarray(found)
+
+    def unit_variances(self, factor: FactoredSmoother, order: int) -> Array:
+        """Variances (n,) of one derivative of the rows that equations of the smoother give for unit noise."""
+        found = factor.variances(stencil_start(self.grid.n), self.stencil(order))
+        return self.grid.to_rows(found + sum(error[order] ** 2 for error in self.parameter_errors))
+
+    def stencil(self, order: int) -> Callable[[slice], Array]:
+        """Weights (m, 6) of one derivative in m frames of the grid, as a function of these frames."""
+        return lambda frames: stencil_weights(self.grid.n, self.grid.interval, frames)[order]
+
+    def position_weights(self, order: int, weights: Array) -> Array:
+        """Weights (N, m) on positions of the grid that give weighted sums of one derivative over the rows."""
+        on_grid, start, stencil = self.grid.to_frames(weights), stencil_start(self.grid.n), self.stencil(order)
+        out = np.zeros(on_grid.shape)
+        for first in range(0, self.grid.n, FRAMES_AT_ONCE):
+            rows = slice(first, first + FRAMES_AT_ONCE)
+            for k, of_frame in enumerate(stencil(rows).T):
+                np.add.at(out, start[rows] + k, of_frame[:, None] * on_grid[rows])
         return out
 
     @cached_property
@@ -396,9 +391,8 @@ class Derivatives:
 
     def factor_smoother(self, structure: Structure) -> FactoredSmoother:
         """Equations of another structure with the same weights."""
-        return structure.factor_smoother(
-            SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
-        )
+        data = SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
+        return structure.factor_smoother(data)
 
     def _on_grid(self) -> Array:
         """Low-passed rows on the grid (N,); missing frames are interpolated as smoothly as possible."""
@@ -407,9 +401,8 @@ class Derivatives:
         w = self.grid.to_frames(np.full(len(self.x), 1e6))  # so large that the rows, which are smooth, do not move
         y = self.grid.to_frames(self.x)
         cubic = weighted_cubic(y, w)
-        return cubic + Structure((0.0,)).factor_smoother(SmootherData(y - cubic, w)).smooth(
-            np.where(w > 0, y - cubic, 0.0)
-        )
+        rest = np.where(w > 0, y - cubic, 0.0)
+        return cubic + Structure((0.0,)).factor_smoother(SmootherData(rest, w)).smooth(rest)
 
 
 def best_smoothing(filtered: Filtered) -> Filtered:
@@ -565,3 +558,172 @@ def _moving_sum(row: Array) -> Array:
     """Moving sum of a row (n,) over a part of the record, reflected at the ends."""
     window = len(row) // MIN_PARTS | 1
     return np.asarray(window * scipy.ndimage.uniform_filter1d(row, window, mode="mirror"))
+
+
+N_CUTOFFS = 32
+MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # lowest cut-off in cycles per record, highest in cycles per frame
+EVENT_MARGIN_FRAMES = 8
+MIN_PASSED_AMPLITUDE = 0.9  # share of the amplitude; a line of which less passes lies above the cut-off
+N_FREQUENCIES = 2048  # at which the noise spectrum is summed
+
+
+def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Motion) -> CutoffTradeOff:
+    """Compute for many cut-offs of a plain low-pass of x the noise let through and the signal removed.
+
+    Parameters
+    ----------
+    displacement
+        Measured displacement.
+    filtered, motion
+        Its low-passed series and its derivatives.
+
+    Returns
+    -------
+    Trade
+        Residual, noise and lost signal at each frequency, and the chosen cut-off: the given one, or that of the highest
+        likelihood, which the force domain uses. Warnings name vibrations and events above it.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> filtered = ft.low_pass(run.displacement)
+    >>> found = ft.cutoff_tradeoff(run.displacement, filtered, ft.differentiate(filtered))
+    >>> bool(found.noise[0] < found.noise[-1])
+    True
+
+    """
+    displacement = displacement.rows(displacement.span)
+    best = best_smoothing(filtered)
+    derived = Derivatives.of_x(best)
+    grid, w, noise, colour = derived.grid, derived.w, derived.noise, derived.smoother.colour
+    y, signal = (grid.to_frames(column) for column in (np.where(displacement.known, displacement.x, 0.0), best.x))
+    frequency = np.geomspace(MIN_CYCLES / (grid.n * grid.interval), MAX_CUTOFF / grid.interval, N_CUTOFFS)
+    undisturbed = _undisturbed(best, motion.guard, grid)
+    both = np.stack([y - weighted_cubic(y, w), signal - weighted_cubic(signal, w)], axis=1)
+    rows = np.array([_residual_and_lost(f, grid, w, both, undisturbed) for f in frequency])
+    floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
+    structural = float(np.sqrt(np.mean(motion.sigma_a[undisturbed[grid.frames]] ** 2)))
+    # No filter is known to be better than the best estimate: what that one does not know either is lost, too.
+    lost = np.hypot(rows[:, 1], np.sqrt(np.maximum(structural**2 - passed**2, 0.0)))
+    return CutoffTradeOff(
+        frequency=frequency,
+        residual=rows[:, 0],
+        floor=floor,
+        noise=passed,
+        lost=lost,
+        hidden=undetectable_amplitude(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
+        chosen=filtered.cutoff,
+        least=float(frequency[np.argmin(np.hypot(passed, lost))]),
+        structural=structural,
+        warnings=tuple(_warnings(best, filtered.cutoff, grid.interval)),
+    )
+
+
+def _undisturbed(best: Filtered, guard: int, grid: FrameGrid) -> Mask:
+    """Frames (n,) away from the ends and from events, where the lost signal of a push would dominate."""
+    out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
+    out[:guard] = out[len(out) - guard :] = False
+    for first, last in best.events:
+        out[max(grid.frames[first] - EVENT_MARGIN_FRAMES, 0) : grid.frames[last] + EVENT_MARGIN_FRAMES + 1] = False
+    return out
+
+
+def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, undisturbed: Mask) -> tuple[float, float]:
+    """Rms residual of the measured series (m), and rms acceleration lost of the signal (m/s^2), at one cut-off (Hz).
+
+    `both` are the series and the signal without their cubics, (n, 2).
+    """
+    removed = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(w, w)).smooth(both)
+    np.subtract(both, removed, out=removed)
+    residual = np.sqrt(np.average(removed[:, 0] ** 2, weights=w))
+    lost = stencil_derivative(removed[:, 1], 2)[undisturbed] / grid.interval**2
+    return float(residual), float(np.sqrt(np.mean(lost**2)))
+
+
+def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:
+    """Rms residual and rms acceleration by noise of unit size, away from the ends."""
+    nu = (np.arange(N_FREQUENCIES) + 0.5) / (2 * N_FREQUENCIES)
+    density = colour.spectrum(2 * np.pi * nu) if colour else np.ones(N_FREQUENCIES)
+    h = response(2 * np.pi * nu, penalty(f, interval))
+    second = (15.0 - 16.0 * np.cos(2 * np.pi * nu) + np.cos(4 * np.pi * nu)) / 6.0 / interval**2  # five points
+    return float(np.sqrt(np.mean((1 - h) ** 2 * density))), float(np.sqrt(np.mean((h * second) ** 2 * density)))
+
+
+def _warnings(best: Filtered, cutoff: float, interval: float) -> list[str]:
+    """Describe vibrations and events above a cut-off."""
+    warnings = []
+    for f in best.lines:
+        passed_share = float(response(np.array(2 * np.pi * f * interval), penalty(cutoff, interval)))
+        if passed_share < MIN_PASSED_AMPLITUDE:
+            warnings.append(
+                f"a vibration at {f:.4g} Hz lies above the cut-off of {cutoff:.3g} Hz: a plain low-pass leaves "
+                f"{100 * passed_share:.0f} % of its amplitude"
+            )
+    for first, last in best.events:
+        duration = (last - first + 1) * interval
+        if duration < 0.5 / cutoff:
+            at = 1e3 * 0.5 * (best.t[first] + best.t[last])
+            warnings.append(
+                f"what happens at {at:.1f} ms is over in {1e3 * duration:.2g} ms, shorter than half a period of the "
+                f"cut-off of {cutoff:.3g} Hz ({500 / cutoff:.2g} ms): a plain low-pass smears it"
+            )
+    return warnings
+
+
+class FilteredMotion(NamedTuple):
+    """x (m), v (m/s) and a (m/s^2) by one filter, and their standard deviations, (3, n) each."""
+
+    name: str
+    values: Array
+    sigma: Array
+
+
+def compare_filters(displacement: Displacement, filtered: Filtered, motion: Motion) -> tuple[FilteredMotion, ...]:
+    """Differentiate a displacement as measured, by a low-pass, and by the default smoother.
+
+    Parameters
+    ----------
+    displacement
+        Measured displacement.
+    filtered, motion
+        Its low-passed series and its derivatives.
+
+    Returns
+    -------
+    tuple of FilteredMotion
+        As measured; by the filter asked for, or else by the plain low-pass of the force domain; by the default.
+        The error of a filter is its distance from the default and the deviation of that one.
+
+    Examples
+    --------
+    >>> import frictrack as ft
+    >>> run = ft.samples.runs()[0]
+    >>> found = compare_filters(run.displacement, ft.low_pass(run.displacement), run.motion)
+    >>> [one.name.split(",")[0] for one in found]
+    ['as measured', 'plain low-pass at 116 Hz', 'smoothed']
+
+    """
+    displacement = displacement.rows(displacement.span)
+    best = motion if not filtered.asked else differentiate(best_smoothing(filtered))
+    smoothed = np.array([best.x, best.v, best.a]), np.array([best.sigma_x, best.sigma_v, best.sigma_a])
+    if filtered.asked and not np.array_equal(best.a, motion.a):
+        name, values = filtered.reason.split(",")[0], np.array([motion.x, motion.v, motion.a])
+    else:
+        only_x = replace(displacement, y=np.full(len(displacement), np.nan))  # y would double the time
+        name, values = f"plain low-pass at {motion.cutoff:.3g} Hz", derivatives(low_pass(only_x, motion.cutoff))
+    return (
+        FilteredMotion("as measured", *_as_measured(displacement)),
+        FilteredMotion(name, values, np.hypot(smoothed[1], values - smoothed[0])),
+        FilteredMotion("smoothed", *smoothed),
+    )
+
+
+def _as_measured(displacement: Displacement) -> tuple[Array, Array]:
+    """Differences of the measured positions, and their deviations by white noise."""
+    grid, known = frame_grid(displacement.t), displacement.known
+    w = grid.to_frames(known.astype(float)) > 0
+    y = interpolate_missing(grid.to_frames(np.where(known, displacement.x, 0.0)), w)
+    _, weights = stencils(grid.n, grid.interval)
+    noise = np.nanmedian(displacement.sigma_x[known])
+    return grid.to_rows(stencil_derivatives(y, grid.interval)), grid.to_rows(noise * np.linalg.norm(weights, axis=2))

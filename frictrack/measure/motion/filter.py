@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,8 +21,14 @@ from frictrack.measure.motion.grid import FrameGrid, frame_grid, stencil_derivat
 from frictrack.measure.motion.noise import CorrelatedNoise, suspected_noise
 from frictrack.measure.motion.place_forces import Course, PlaceForce, find_place_forces
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.structure_average import alternatives, mean_shift
-from frictrack.measure.motion.structure_search import MAX_WHOLE_FRAMES, StructureSearch, find_structure, window_data
+from frictrack.measure.motion.structure_search import (
+    MAX_WHOLE_FRAMES,
+    StructureSearch,
+    alternatives,
+    find_structure,
+    mean_shift,
+    window_data,
+)
 from frictrack.records import Array, Displacement, Filtered, Mask, stretches
 from frictrack.settings.filters import KALMAN, STRUCTURAL, FilterChoice
 
@@ -133,39 +140,17 @@ def low_pass(
     grid = frame_grid(displacement.t)
     choice = method if isinstance(method, FilterChoice) else FilterChoice(method, cutoff)
     raise_faults(list(choice.faults()), "low_pass")
-    cutoff = choice.cutoff
-    _check_cutoff(cutoff, grid)
-    rounded = bool(displacement.resolution)
-    coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=rounded)
-    coordinate.colour = _noise_colour(noise) if cutoff is None and method not in METHODS else None
-    x = coordinate.low_passed(choice, acceleration, find_forces=True)
+    _check_cutoff(choice.cutoff, grid)
+    coordinate = _Coordinate(displacement.x, displacement.sigma_x, known, grid, rounded=bool(displacement.resolution))
+    coordinate.colour = _noise_colour(noise) if choice.cutoff is None and method not in METHODS else None
+    found = coordinate.low_passed(displacement.t, choice, acceleration, find_forces=True)
     known_y = displacement.valid & np.isfinite(displacement.y)
     if np.sum(known_y) >= MIN_FRAMES:
-        y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(choice, None)
-    else:
-        unmeasured = np.full(len(known), np.nan)
-        unmeasured.setflags(write=False)  # so that the record need not copy it
-        y = _LowPassed(unmeasured, unmeasured, float("nan"))
-    return Filtered(
-        t=displacement.t,
-        x=x.x,
-        y=y.x,
-        sigma_x=x.sigma,
-        sigma_y=y.sigma,
-        sigma_sensor=None if acceleration is None else _sensor_sigma(acceleration),
-        cutoff=x.cutoff,
-        cutoff_y=y.cutoff,
-        asked=not choice.is_default,
-        repaired=displacement.repaired,
-        x_measured=x.measured,
-        y_measured=y.measured,
-        smoother=x.smoother,
-        smoother_y=y.smoother,
-        reason=x.reason,
-        events=tuple(_event_rows(e, grid) for e in x.events),
-        shake=displacement.shake,
-        lines=x.lines,
-    )
+        y = _Coordinate(displacement.y, displacement.sigma_y, known_y, grid).low_passed(displacement.t, choice, None)
+        found = replace(found, y=y.x, sigma_y=y.sigma_x, cutoff_y=y.cutoff)
+        found = replace(found, y_measured=y.x_measured, smoother_y=y.smoother)
+    found = replace(found, asked=not choice.is_default, repaired=displacement.repaired, shake=displacement.shake)
+    return found if acceleration is None else replace(found, sigma_sensor=_sensor_sigma(acceleration))
 
 
 def _longest_quiet_span(motion: Array, known: Mask, cutoff: float) -> slice:
@@ -186,20 +171,6 @@ def _event_rows(e: Event, grid: FrameGrid) -> tuple[int, int]:
     return min(int(first), last_row), min(int(last), last_row)
 
 
-@dataclass(frozen=True, eq=False)
-class _LowPassed:
-    """One low-passed coordinate: rows (n,), their noise (n,), cut-off (Hz) and how it was chosen."""
-
-    x: Array
-    sigma: Array
-    cutoff: float
-    smoother: str = ""
-    reason: str = ""
-    events: tuple[Event, ...] = ()
-    lines: tuple[float, ...] = ()
-    measured: Array | None = None
-
-
 class _Coordinate:
     """One coordinate on its grid of frames, without its cubic."""
 
@@ -211,16 +182,16 @@ class _Coordinate:
         self.rounded = rounded  # whether rounding dominates the noise
 
     def low_passed(
-        self, choice: FilterChoice, acceleration: KnownAcceleration | None, *, find_forces: bool = False
-    ) -> _LowPassed:
-        """Low-pass as chosen."""
+        self, t: Array, choice: FilterChoice, acceleration: KnownAcceleration | None, *, find_forces: bool = False
+    ) -> Filtered:
+        """Low-pass as chosen; the coordinate is x of the result."""
         interval, cutoff, method = self.grid.interval, choice.cutoff, choice.method
         search = StructureSearch(SmootherData(self.y, self.w, colour=self.colour))
         stiff = search.stiff
         level = float(np.sqrt(stiff.factor_smoother(search.data).restricted_likelihood()[1]))
         best = cutoff_of(float(np.exp(stiff.stiffness[0])), interval)
         if method in METHODS:
-            return self._apply_method(choice, level)
+            return self._apply_method(t, choice, level)
         if acceleration is not None:
             search = StructureSearch(self._with_sensor(acceleration, level))
         if cutoff is not None:
@@ -237,11 +208,11 @@ class _Coordinate:
             best = self._slide_cutoff(signal, best)
             reason = describe_structure(smoother, interval)
         return replace(
-            self._result(signal, level, cutoff or best),
+            self._result(t, signal, level, cutoff or best),
             smoother=str(smoother),
-            measured=None if acceleration else self._measured(),
+            x_measured=None if acceleration else self._measured(),
             reason=reason,
-            events=structure.events,
+            events=tuple(_event_rows(e, self.grid) for e in structure.events),
             lines=tuple(omega / 2 / np.pi / interval for omega, _ in structure.lines),
         )
 
@@ -273,7 +244,7 @@ class _Coordinate:
         candidates = [replace(part, colour=c) for c in (None, colour)]
         best_pair = min(
             ((_select_by_likelihood(kind, method), kind) for kind in candidates),
-            key=lambda m: StructureSearch(m[1]).penalised_loss(m[0]),
+            key=lambda m: StructureSearch(m[1]).scored(m[0]).penalised,
         )
         best_pair = best_pair[0], replace(part, colour=_fit_colour(best_pair[1], best_pair[0]))
         if len(part.w) == len(data.w):
@@ -307,32 +278,32 @@ class _Coordinate:
         stiff = StructureSearch(SmootherData(y, w, colour=self.colour)).stiff
         return cutoff_of(float(np.exp(stiff.stiffness[0])), self.grid.interval)
 
-    def _apply_method(self, choice: FilterChoice, level: float) -> _LowPassed:
+    def _apply_method(self, t: Array, choice: FilterChoice, level: float) -> Filtered:
         y = interpolate_missing(self.y + self.trend, self.w > 0)
         method = METHODS[choice.method].fit(y, level, choice, self.grid.interval)
         cutoff = method.cutoff / self.grid.interval
         reason = f"{method.name}, half passes at {cutoff:.3g} Hz" + ", forward only: delayed" * choice.causal
-        passed = self._result(method.derived(y, 0) - self.trend, level, cutoff)
-        return replace(passed, smoother=str(Smoother(method=method)), reason=reason, measured=self._measured())
+        passed = self._result(t, method.derived(y, 0) - self.trend, level, cutoff)
+        return replace(passed, smoother=str(Smoother(method=method)), reason=reason, x_measured=self._measured())
 
     def _measured(self) -> Array:
         """Unfiltered rows (n,)."""
         return np.where(self.known, (self.y + self.trend)[self.grid.frames], np.nan)
 
-    def _result(self, smooth: Array, level: float, cutoff: float) -> _LowPassed:
+    def _result(self, t: Array, smooth: Array, level: float, cutoff: float) -> Filtered:
         frames = self.grid.frames
-        sigma = np.full(len(frames), MISSING_SIGMA)
+        sigma, none = np.full(len(frames), MISSING_SIGMA), np.full(len(frames), np.nan)
+        none.setflags(write=False)  # so that the record need not copy it
         sigma[self.known] = level / np.sqrt(self.w[frames][self.known])
-        return _LowPassed((smooth + self.trend)[frames], sigma, cutoff)
+        return Filtered(t, (smooth + self.trend)[frames], none, sigma, none, cutoff)
 
     def _with_sensor(self, acceleration: KnownAcceleration, level: float) -> SmootherData:
         """Data with the sensor's acceleration as second differences, without those of the cubic."""
         square = self.grid.interval**2
         second_differences = self.grid.to_frames(acceleration.a, np.nan)[1:-1] * square - np.diff(self.trend, 2)
         sigma = self.grid.to_frames(_sensor_sigma(acceleration), MISSING_SIGMA)[1:-1]
-        return SmootherData(
-            self.y, self.w, np.nan_to_num(second_differences), sensor_weights(sigma, square, level), self.colour
-        )
+        weights = sensor_weights(sigma, square, level)
+        return SmootherData(self.y, self.w, np.nan_to_num(second_differences), weights, self.colour)
 
 
 def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
@@ -348,10 +319,8 @@ def _fit_colour(data: SmootherData, structure: Structure) -> NoiseColour | None:
         return StructureSearch(replace(data, colour=colour(odds))).loss(structure)
 
     start = scipy.special.logit(np.minimum([data.colour.correlation, data.colour.share], 0.99))
-    found = scipy.optimize.minimize(
-        loss, start, method="Nelder-Mead", options={"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
-    )
-    return colour(found.x)
+    options: Any = {"xatol": 0.1, "fatol": 0.1, "maxfev": MAX_COLOUR_TRIALS}
+    return colour(scipy.optimize.minimize(loss, start, method="Nelder-Mead", options=options).x)
 
 
 def _smoothed(structure: Structure, data: SmootherData) -> tuple[float, Array]:

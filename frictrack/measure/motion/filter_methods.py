@@ -21,7 +21,7 @@ from frictrack.measure.motion.banded_equations import TREND_ORDER, NoiseColour, 
 from frictrack.measure.motion.grid import stencil_derivative
 from frictrack.measure.motion.place_forces import PlaceForce
 from frictrack.measure.motion.smoother import Event, Structure
-from frictrack.measure.motion.structure_average import ChangeGroup
+from frictrack.measure.motion.structure_search import ChangeGroup
 from frictrack.records import Array, Mask
 from frictrack.settings.filters import DEFAULT_ORDER, PAPERS, PAPERS_CUTOFF, STRUCTURAL, FilterChoice
 

@@ -32,10 +32,10 @@ class FrameGrid:
         """Frames from the first row to the last, missing ones included."""
         return int(self.frames[-1]) + 1
 
-    def to_frames(self, column: Array, empty: float = 0.0) -> Array:
-        """Put a column of rows (n,) on the grid; missing frames get `empty`."""
-        out = np.full(self.n, empty)
-        out[self.frames] = column
+    def to_frames(self, columns: Array, empty: float = 0.0) -> Array:
+        """Put columns (n, ...) of the rows on the grid; missing frames get `empty`."""
+        out = np.full((self.n, *columns.shape[1:]), empty)
+        out[self.frames] = columns
         return out
 
     def to_rows(self, series: Array) -> Array:

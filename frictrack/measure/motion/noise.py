@@ -32,12 +32,19 @@ import scipy
 
 from frictrack.base.distributions import chi2_isf, robust_std
 from frictrack.records import Array, Mask
-from frictrack.sampling import frame_numbers
+from frictrack.sampling import frame_numbers, uneven_noise
 
 DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
+MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from the usual one by more of it
 MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
+
+
+def _is_uneven(t: Array) -> bool:
+    """Whether many intervals differ from the usual one, so that few rows in a row are evenly spaced."""
+    steps = np.diff(t) / np.median(np.diff(t)) if len(t) > 1 else np.ones(1)
+    return bool(np.mean(np.abs(steps - 1.0) > MAX_UNEVENNESS) > MAX_GAP_SHARE)
 
 
 def difference_variance(order: int) -> float:
@@ -104,6 +111,10 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
 
     """
     steps = np.minimum(np.diff(frame_numbers(t)), 2.0) if t is not None and len(t) > 1 else np.ones(1)
+    if t is not None and _is_uneven(t) and np.sum(valid) > DIFFERENCE_ORDER:
+        scale = np.ones(len(x)) if relative is None else relative
+        level = uneven_noise(t[valid], x[valid], scale[valid])
+        return level, 0.5 * float(np.sqrt(2.0 * correlation_cost(4) / np.sum(valid)))
     if np.any(steps > 1):
         rows = np.repeat(np.arange(len(x)), np.append(steps, 1).astype(int))  # with a frame in every gap, not measured
         measured = valid[rows] & np.append(True, np.diff(rows) > 0)
@@ -117,6 +128,11 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     d = np.diff(np.where(valid, x, 0.0), order)[whole] / _expected(relative, valid, order)[whole]
     kept = d[np.abs(d) <= OUTLIER_SIGMAS * robust_std(d)]
     return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
+
+
+def white_noise(x: Array, valid: Mask | None = None) -> float:
+    """Estimate the white noise of a series (n,), as `noise_level`, by default of its finite values; 0 if that fails."""
+    return float(np.nan_to_num(noise_level(x, np.isfinite(x) if valid is None else valid)[0]))
 
 
 def difference_order(many: int, few: int) -> int:
@@ -215,12 +231,12 @@ class NoiseStretch:
         return _Spectrum.of(self.smooth)
 
     @staticmethod
-    def evidence(stretches: Sequence[NoiseStretch], lowest: float) -> Array:
-        """Evidence (k, R) for all `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
+    def evidence(stretches: Sequence[NoiseStretch], lowest: float, n_shapes: int | None = None) -> Array:
+        """Evidence (k, R) for the first `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
         new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
         for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
             stretch._evidence[lowest] = row
-        return np.array([s._evidence[lowest] for s in stretches])
+        return np.array([s._evidence[lowest][:n_shapes] for s in stretches])
 
 
 def correlated_noise(stretches: Sequence[NoiseStretch]) -> CorrelatedNoise | None:
@@ -265,13 +281,14 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
     """
     own = [NoiseStretch(stretch)]
     n_shapes = _n_resolved(own)
-    return _best_shape(own, n_shapes) if n_shapes and _is_consistent(_evidence_of(own, n_shapes, 0.0)) else None
+    is_suspected = n_shapes and _is_consistent(NoiseStretch.evidence(own, 0.0, n_shapes))
+    return _best_shape(own, n_shapes) if is_suspected else None
 
 
 def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
     """Best-fitting noise: best of the first shapes, then refined."""
     spectra = [s.spectrum for s in stretches]
-    best = SHAPES[int(np.argmax(np.sum(_evidence_of(stretches, n_shapes, 0.0), axis=0)))]
+    best = SHAPES[int(np.argmax(np.sum(NoiseStretch.evidence(stretches, 0.0, n_shapes), axis=0)))]
     for width in SEARCH_WIDTHS:
         near = _shapes_near(best, width)
         best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
@@ -286,7 +303,7 @@ def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
     that frequency on, too.
     """
     lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
-    return any(_is_consistent(_evidence_of(stretches, n_shapes, f)) for f in lowest)
+    return any(_is_consistent(NoiseStretch.evidence(stretches, f, n_shapes)) for f in lowest)
 
 
 def _is_consistent(evidence: Array) -> bool:
@@ -318,11 +335,6 @@ def _shapes_near(shape: Array, width: float) -> Array:
     factors = np.exp(width * np.array([-1.0, 0.0, 1.0]))
     odds_near = np.array([(odds[0] * a, odds[1] * b) for a in factors for b in factors])
     return np.asarray(odds_near / (1 + odds_near))
-
-
-def _evidence_of(stretches: Sequence[NoiseStretch], n_shapes: int, lowest: float) -> Array:
-    """Evidence (k, R) for the first shapes in the spectra from a frequency on, cycles per frame."""
-    return NoiseStretch.evidence(stretches, lowest)[:, :n_shapes]
 
 
 def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:

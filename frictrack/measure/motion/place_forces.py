@@ -28,7 +28,6 @@ from frictrack.measure.motion.structure_search import (
     MIN_LINE_CYCLES,
     STIFFENINGS,
     TRIAL_STEPS,
-    ScoredStructure,
     StructureSearch,
 )
 from frictrack.records import Array
@@ -119,7 +118,7 @@ def find_place_forces(
     n = len(data.w)
     forces: tuple[PlaceForce, ...] = ()
     cost = LINE_COST * np.log(data.count) + 2.0 * np.log(n / 2.0)  # as `undetectable_amplitude` has it
-    best = StructureSearch(data).penalised_loss(structure)
+    best = StructureSearch(data).scored(structure).penalised
     periods = _periods(course)
     while len(periods) and len(forces) < MAX_LINES:
         _, gain, trend, period = min(_scan(data, structure, forces, course, periods), key=lambda found: found[0])
@@ -127,13 +126,12 @@ def find_place_forces(
             break
         tried = _refined(data, trend, (*forces, PlaceForce(period, 0.0, 0.0)), course)
         search = StructureSearch(replace(data, y=_without(data, tried, course)))
-        start = search.refine(ScoredStructure(trend, search.loss(trend)), TRIAL_STEPS).structure
-        if search.penalised_loss(start) + cost * len(tried) > best + MAX_REFINEMENT_GAIN:
+        if search.refine(search.scored(trend), TRIAL_STEPS).penalised + cost * len(tried) > best + MAX_REFINEMENT_GAIN:
             break
         found = search.search()
         tried = _refined(data, found, tried, course)
         rest = replace(data, y=_without(data, tried, course))
-        loss = StructureSearch(rest).penalised_loss(found) + cost * len(tried)
+        loss = StructureSearch(rest).scored(found).penalised + cost * len(tried)
         if loss >= best:
             break
         best, forces, structure = loss, tried, found

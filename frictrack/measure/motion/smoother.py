@@ -249,24 +249,6 @@ class FactoredSmoother:
         """Posterior covariance of the signal for unit noise times columns (n, ...)."""
         return self._signal(self._right(frames, weighted=False), frames.shape)
 
-    def covariance(self, rows: Index) -> Array:
-        """Posterior covariance of the signal for unit noise.
-
-        Parameters
-        ----------
-        rows
-            Frames, (m,).
-
-        Returns
-        -------
-        Array
-            Covariance of all frames with those frames, (n, m).
-
-        """
-        unit = np.zeros((self.n, len(rows)))
-        unit[rows, np.arange(len(rows))] = 1.0
-        return self.posterior_covariance_times(unit)
-
     def restricted_likelihood(self) -> tuple[float, float, Unknowns]:
         """Compute the restricted likelihood (REML) of the data.
 
@@ -461,13 +443,9 @@ class Structure:
     def _knots(self) -> tuple[float, ...]:
         return self.stiffness * 2 if len(self.stiffness) == 1 else self.stiffness
 
-    def factor_smoother(self, data: SmootherData) -> FactoredSmoother:
-        """Set up the smoother of data."""
-        return self.part(data, (0, len(data.w), len(data.w)))
-
-    def part(self, data: SmootherData, window: tuple[int, int, int]) -> FactoredSmoother:
-        """Set up the smoother of a part of a record; `window` is first frame, stop, and frames of the record."""
-        first, stop, n = window
+    def factor_smoother(self, data: SmootherData, window: tuple[int, int, int] | None = None) -> FactoredSmoother:
+        """Set up the smoother of data, or of a part of a record: `window` is its first frame, stop, and all frames."""
+        first, stop, n = window or (0, len(data.w), len(data.w))
         omega, log_mu = np.array(self.lines).reshape(-1, 2).T
         lam = np.exp(self.log_lambda(n, first, stop - TREND_ORDER))
         return FactoredSmoother(data, lam, LineParameters(omega, np.exp(log_mu)))

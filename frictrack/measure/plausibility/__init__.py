@@ -14,12 +14,16 @@ from frictrack.measure.plausibility.comparison import (
     describe_shift,
     different_origins,
     implausible_clocks,
+    implausible_inclines,
     implausible_masses,
     implausible_sensors,
+    missing_incline,
+    path_angle,
     shifted_swings,
+    swing_centre,
     time_unit,
+    wrong_incline,
 )
-from frictrack.measure.plausibility.incline import implausible_inclines, missing_incline, path_angle, wrong_incline
 from frictrack.measure.plausibility.slide import (
     ERROR,
     EnteredValues,

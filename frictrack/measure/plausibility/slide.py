@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.measure.friction import is_moving, split_by_direction
+from frictrack.measure.friction import has_measured_force, is_moving, split_by_direction
 from frictrack.records import Array, Run, stretches
 
 WARNING, ERROR = "warning", "error"
@@ -136,9 +136,8 @@ def implausible_entries(entered: EnteredValues) -> tuple[Finding, ...]:
 def _implausible(entered: EnteredValues) -> Iterator[tuple[str, str, str]]:
     """Kind, sentence and correction of every implausible value."""
     if entered.mass is not None:
-        yield from _misread(
-            "mass", entered.mass, ("kg", "g", "grams"), MASS, BARE_MASS if "mass" in entered.bare else None
-        )
+        bare = BARE_MASS if "mass" in entered.bare else None
+        yield from _misread("mass", entered.mass, ("kg", "g", "grams"), MASS, bare)
     if entered.pitch is not None:
         bare = BARE_PITCH if "scale" in entered.bare else None
         yield from _misread("scale", entered.pitch, ("m/px", "mm/px", "mm"), PITCH, bare)
@@ -327,9 +326,8 @@ class SlideEstimate:
 
     def scaled(self, length: float, time: float) -> SlideEstimate:
         """Return the estimate for lengths and times multiplied by factors; gravity is not changed."""
-        friction, deceleration = (
-            None if one is None else one * length / time**2 for one in (self.friction, self.deceleration)
-        )
+        both = self.friction, self.deceleration
+        friction, deceleration = (None if one is None else one * length / time**2 for one in both)
         return SlideEstimate(self.speed * length / time, self.travel * length, friction, deceleration)
 
     @property
@@ -362,7 +360,7 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
 
     It is taken from the decelerating part of a struck run, or from a slide on an incline, in one direction of motion.
     """
-    if run.drive is not None or run.friction_N is not None:
+    if has_measured_force(run):
         return None
     direction = max(strokes, key=lambda stroke: stroke.distance).direction
     one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)

@@ -353,8 +353,7 @@ def _noise_products(problem: AlignmentProblem, initial: Alignment) -> float:
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
     """Local minima whose vertex, by a parabola through three values, is near the lowest of all."""
     left, middle_value, right = values[:-2], values[1:-1], values[2:]
-    curvature = left - 2.0 * middle_value + right
-    lowest = middle_value - (right - left) ** 2 / (8.0 * np.where(curvature > 0.0, curvature, np.inf))
+    lowest = middle_value - (left - right) * _vertex(left, middle_value, right) / 4.0
     lowest = np.where((middle_value <= left) & (middle_value < right), lowest, np.inf)
     return np.flatnonzero(lowest < np.min(lowest, initial=np.inf) + within) + 1
 
@@ -371,10 +370,10 @@ def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sen
         return 1.0
     frames = problem.frames
     shape = frames.noise(problem.series, alignment.offset)
-    columns = [problem.other_regressors]
+    regressors = problem.other_regressors
     if sensor_included:
-        columns.insert(0, frames.sensor_differences(problem.series, alignment.lag(frames.t)[:, None]))
-    regressors = np.concatenate(columns, axis=1)
+        sensed = frames.sensor_differences(problem.series, alignment.lag(frames.t)[:, None])
+        regressors = np.concatenate([sensed, regressors], axis=1)
     typical = float(np.mean(frames.camera.diagonal()) / np.mean(shape.diagonal()))
 
     def loss(log_level: float) -> float:
@@ -567,22 +566,10 @@ def align_drive(
     known offset, s; `until`: time after which frames do not count, s. Returns the clock of the drive and 1/m.
     """
     frames = second_differences(displacement.rows(displacement.span))
-    moving = _moving(frames, motion) & (frames.ends()[1] <= until)
-    frames = frames.select(moving)
-    return align(AlignmentProblem(frames, series, _friction_regressors(frames, motion)), offset)
-
-
-def _moving(frames: FrameDifferences, motion: Motion) -> Mask:
-    """Differences (r,) during which the slider moves in one direction."""
-    v = motion.v[frames.map.indices.reshape(-1, 3)]
-    sigma = motion.sigma_v[frames.map.indices.reshape(-1, 3)]
-    return np.asarray(np.all(v > MIN_SPEED_SIGMAS * sigma, axis=1) | np.all(v < -MIN_SPEED_SIGMAS * sigma, axis=1))
-
-
-def _friction_regressors(frames: FrameDifferences, motion: Motion) -> Array:
-    """Regressors (r, 2 or 3) of Coulomb and viscous friction and a constant force."""
+    about = frames.map.indices.reshape(-1, 3)  # the three frames of each difference
+    sure = motion.v[about] / motion.sigma_v[about]
+    one_way = np.all(sure > MIN_SPEED_SIGMAS, axis=1) | np.all(sure < -MIN_SPEED_SIGMAS, axis=1)
+    frames = frames.select(one_way & (frames.ends()[1] <= until))
     v = motion.v[frames.centre]
-    columns = [-v, np.ones(len(v))]
-    if np.ptp(np.sign(v)) > 0:
-        columns.insert(0, -np.sign(v))
-    return np.stack(columns, axis=1)
+    friction = [-np.sign(v)] if np.ptp(np.sign(v)) > 0 else []  # else the constant stands for it
+    return align(AlignmentProblem(frames, series, np.stack([*friction, -v, np.ones(len(v))], axis=1)), offset)

@@ -221,11 +221,8 @@ def _rms_difference(problem: AlignmentProblem, alignment: Alignment) -> tuple[fl
     """Rms of the difference's means, the part that both noises explain, and the duration of a mean."""
     frames, series = problem.frames, problem.series
     gain, bias = alignment.gain or 1.0, alignment.bias or 0.0
-    residual = (
-        frames.z
-        - gain * frames.sensor_differences(series, alignment.lag(frames.t)[:, None])[:, 0] / (1.0 + alignment.rate) ** 2
-        - bias
-    )
+    sensed = frames.sensor_differences(series, alignment.lag(frames.t)[:, None])[:, 0]
+    residual = frames.z - gain * sensed / (1.0 + alignment.rate) ** 2 - bias
     white = Whitener(frames.camera + (gain * series.sigma) ** 2 * frames.noise(series, alignment.offset))
     count = min(N_WINDOWS, len(residual) // 2)
     means = (np.arange(len(residual)) * count // len(residual))[:, None] == np.arange(count)
@@ -278,19 +275,20 @@ def release_energy(
     kinetic = 0.5 * m * v**2
     relative = np.sqrt((sigma_m / m) ** 2 + (2.0 * sigma_v / v) ** 2 + (2.0 * scale_error) ** 2) if v else 0.0
     sigma, share = float(kinetic * relative), float(kinetic / stated)
-    says = f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is"
+    verdict, says = "plausible", f"E_kin / E_impact = {share:.2g}"
+    at_release = f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is"
     if kinetic - IMPOSSIBLE_SIGMAS * sigma > stated:
-        says = (
-            f"{says} more than the {stated:g} J of the blow: scale or frame rate is too large by a factor of "
-            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy"
+        verdict, says = (
+            "impossible",
+            f"{at_release} more than the {stated:g} J of the blow: scale or frame rate is too large by a factor of "
+            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy",
         )
-        return ReleaseEnergy(kinetic, sigma, share, "impossible", says)
-    if share < SUSPICIOUS_SHARE:
+    elif share < SUSPICIOUS_SHARE:
         factor = 1 / max(share, 1e-300)
-        says = (
-            f"{says} less than a tenth of the {stated:g} J of the blow: scale or frame rate too small by a factor of "
-            f"up to {np.sqrt(factor):.3g}, or the mass by {factor:.3g}, would explain it, as would a glancing blow; "
-            "check these, or impact_energy"
+        verdict, says = (
+            "suspicious",
+            f"{at_release} less than a tenth of the {stated:g} J of the blow: scale or frame rate too small by a "
+            f"factor of up to {np.sqrt(factor):.3g}, or the mass by {factor:.3g}, would explain it, as would a "
+            "glancing blow; check these, or impact_energy",
         )
-        return ReleaseEnergy(kinetic, sigma, share, "suspicious", says)
-    return ReleaseEnergy(kinetic, sigma, share, "plausible", f"E_kin / E_impact = {share:.2g}")
+    return ReleaseEnergy(kinetic, sigma, share, verdict, says)

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import noise_level
+from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Displacement, Mask, stretches
 
 MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running
@@ -99,7 +99,7 @@ class SensorRecord:
         v = self.values[self.known]
         steps = np.abs(np.diff(v))
         rounding = float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0)
-        sigma = float(np.nan_to_num(noise_level(self.values, self.known)[0]))
+        sigma = white_noise(self.values, self.known)
         return max(sigma, rounding) if np.isfinite(rounding) and np.mean(steps == 0.0) > MAX_HELD_SHARE else sigma
 
     @cached_property
@@ -138,8 +138,7 @@ class SensorRecord:
         covered = self.covers(at - width / 2.0, at + width / 2.0)
         if self.interval >= width:
             return np.where(covered, self.integral(at, 0), np.nan)
-        last = np.clip(at + width / 2.0, self.t[0], self.t[-1])
-        first = np.clip(at - width / 2.0, self.t[0], self.t[-1])
+        first, last = (np.clip(at + half, self.t[0], self.t[-1]) for half in (-width / 2.0, width / 2.0))
         span = np.where(last > first, last - first, 1.0)
         mean = (self.integral(last, 1) - self.integral(first, 1)) / span
         return np.where(covered & (last > first), mean, np.nan)
@@ -293,9 +292,9 @@ def _frame_noise(displacement: Displacement, known: Mask) -> Array:
     """White noise of every frame (n,), m."""
     stated = known & np.isfinite(displacement.sigma_x) & (displacement.sigma_x > 0)
     typical = float(np.sqrt(np.mean(displacement.sigma_x[stated] ** 2))) if np.any(stated) else 1.0
-    level = noise_level(np.where(known, displacement.x, 0.0), known)[0]
+    level = white_noise(np.where(known, displacement.x, 0.0), known)
     relative = np.where(stated, displacement.sigma_x, typical) / typical
-    return np.asarray(relative * (level if level > 0 and np.isfinite(level) else typical))
+    return np.asarray(relative * (level or typical))
 
 
 class Whitener:
@@ -309,11 +308,10 @@ class Whitener:
     """
 
     def __init__(self, covariance: scipy.sparse.csr_array) -> None:
-        entries = covariance.tocoo()
-        width = int(np.max(np.abs(entries.row - entries.col), initial=0))
-        band = np.zeros((width + 1, covariance.shape[0]))
-        for k in range(width + 1):
-            band[k, : covariance.shape[0] - k] = covariance.diagonal(-k)
+        entries = scipy.sparse.tril(covariance).tocoo()
+        below = entries.row - entries.col
+        band = np.zeros((int(np.max(below, initial=0)) + 1, covariance.shape[0]))
+        band[below, entries.col] = entries.data
         self._factor = scipy.linalg.cholesky_banded(band, lower=True)
 
     @property

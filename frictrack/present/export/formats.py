@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.base.files import atomic_write, make_subfolder
 from frictrack.base.lazy import imported
 
@@ -79,31 +79,31 @@ FORMATS = {
     "csv": ExportFormat(
         "a CSV file per run with its curves, and parameters, errors and error budgets; units in the headers",
         'pandas.read_csv("csv/v3.csv")',
-        "frictrack.present.export.table_files:write_csv",
+        "frictrack.present.export.data_files:write_csv",
         _NOT_IN_TABLES,
     ),
     "xlsx": ExportFormat(
         "the same as one Excel workbook, a sheet per table",
         'pandas.read_excel("study.xlsx", sheet_name="v3")',
-        "frictrack.present.export.table_files:write_xlsx",
+        "frictrack.present.export.data_files:write_xlsx",
         ("the 17th digit of numbers, which Excel does not store", *_NOT_IN_TABLES),
     ),
     "netcdf": ExportFormat(
         "one netCDF file: a group per run, track and model, with units and settings as attributes",
         'xarray.open_datatree("study.nc")',
-        "frictrack.present.export.array_files:write_netcdf",
+        "frictrack.present.export.data_files:write_netcdf",
         (_PICTURES, _SMOOTHER),
     ),
     "mat": ExportFormat(
         "one MATLAB file (version 5): a struct with arrays of runs and models, and their units",
         "load('study.mat')",
-        "frictrack.present.export.array_files:write_mat",
+        "frictrack.present.export.data_files:write_mat",
         (_PICTURES, _SMOOTHER),
     ),
     "parquet": ExportFormat(
         "a Parquet file per kind of table, with a column for the run; units in the metadata of the columns",
         "duckdb.sql(\"SELECT run, max(v) FROM 'parquet/curves.parquet' GROUP BY run\")",
-        "frictrack.present.export.table_files:write_parquet",
+        "frictrack.present.export.data_files:write_parquet",
         (
             "settings, versions and hashes of the inputs, except the version of frictrack",
             _DIAGNOSIS,
@@ -158,7 +158,7 @@ def find_format(name: str) -> ExportFormat:
 
     """
     if name not in FORMATS:
-        raise FrictrackError(f"expected one of the formats {', '.join(FORMATS)} but got {name!r}", usage=True)
+        raise UsageError(f"expected one of the formats {', '.join(FORMATS)} but got {name!r}")
     return FORMATS[name]
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.base.files import make_subfolder, replace_text
 from frictrack.present.export.formats import ExportedFiles
 from frictrack.present.export.tables import tracks_of
@@ -126,10 +126,9 @@ def write_trk(results: Results) -> ExportedFiles:
     """Write the projects into the folder `tracker`."""
     films = [run for run in results.runs if run.film is not None and run.track is not None]
     if not films:
-        raise FrictrackError(
+        raise UsageError(
             "expected a run with a film for --to trk but all runs are tables, which have no positions in a picture; "
-            "export --to txt",
-            usage=True,
+            "export --to txt"
         )
     folder = make_subfolder(results.output, FOLDER)
     paths, lost = [], [f"{r.name}, which has no film (--to txt writes it)" for r in results.runs if r not in films]

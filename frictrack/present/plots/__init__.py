@@ -25,13 +25,13 @@ from frictrack.present.plots.model import (
     failing,
     fit,
     history,
+    modelled,
     modelled_force,
     noise_um,
     residual_unit,
     residuals,
     routes,
 )
-from frictrack.present.plots.modelled import modelled
 from frictrack.present.plots.parameters import convergence, profiles
 from frictrack.present.plots.plan import next_experiments, pair_separation, remaining_pairs, trends
 from frictrack.present.plots.style import html, numbered_name, pdf, plain_name, png, svg, svg_file

@@ -9,10 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import PathCollection, PolyCollection
-from matplotlib.colors import to_rgba
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
 from frictrack.records import Array
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
 COLUMNS = ("panel", "title", "x_axis", "y_axis", "number", "curve", "kind", "x", "y", "label")
 Drawn = tuple[str, str, Array]  # name and kind of a curve, and its points (n, 2)
 _SPANS = {"x": "colspan", "y": "rowspan"}
-Names = dict[Any, str]  # in the legend, by colour and line style
 
 
 def plotted_data(figure: Figure) -> pd.DataFrame:
@@ -52,30 +49,29 @@ def plotted_data(figure: Figure) -> pd.DataFrame:
     """
     import pandas as pd  # noqa: PLC0415 - slow to load
 
-    names = _legend_names(figure)
     tables = [pd.DataFrame(columns=list(COLUMNS))]
     for number, ax in enumerate(figure.axes, 1):
         about = {"panel": number, "title": _title(ax), "x_axis": _label(ax, "x"), "y_axis": _label(ax, "y")}
         texts = [_names_at(axis) for axis in (ax.xaxis, ax.yaxis)]
-        for k, (name, kind, points) in enumerate(_drawn(ax, names), 1):
+        for k, (name, kind, points) in enumerate(_drawn(ax), 1):
             labels = [_point_label(texts, point) for point in points.tolist()] if any(texts) else ""
             curve = {"number": k, "curve": name, "kind": kind, "x": points[:, 0], "y": points[:, 1], "label": labels}
             tables.append(pd.DataFrame(about | curve))
     return pd.concat(tables[1:] or tables, ignore_index=True)
 
 
-def _drawn(ax: Axes, names: Names) -> Iterator[Drawn]:
+def _drawn(ax: Axes) -> Iterator[Drawn]:
     """Yield what is drawn in one panel, in the coordinates of its data."""
     for line in ax.lines:
         if line.get_transform() == ax.transData:
             kind = "points" if line.get_linestyle() == "None" else "line"
-            yield _name(line, names), kind, np.asarray(line.get_xydata(), dtype=np.float64)
+            yield _name(line), kind, np.asarray(line.get_xydata(), dtype=np.float64)
     for area in ax.collections:
         if isinstance(area, PathCollection):
-            yield _name(area, names), "points", np.ma.filled(np.ma.asarray(area.get_offsets()), np.nan)
+            yield _name(area), "points", np.ma.filled(np.ma.asarray(area.get_offsets()), np.nan)
         elif isinstance(area, PolyCollection) and area.get_transform() == ax.transData:
             for path in area.get_paths():
-                yield _name(area, names), "band", np.asarray(path.vertices, dtype=np.float64)
+                yield _name(area), "band", np.asarray(path.vertices, dtype=np.float64)
     for bars in ax.containers:
         if isinstance(bars, BarContainer):
             yield _bars(bars)
@@ -88,8 +84,7 @@ def _bars(bars: BarContainer) -> Drawn:
         points = [(box.x1, (box.y0 + box.y1) / 2) for box in boxes]
     else:
         points = [((box.x0 + box.x1) / 2, box.y1) for box in boxes]
-    name = str(bars.get_label() or "_")
-    return "" if name.startswith("_") else name, "bar", np.reshape(np.array(points, dtype=np.float64), (-1, 2))
+    return _name(bars), "bar", np.reshape(np.array(points, dtype=np.float64), (-1, 2))
 
 
 def _names_at(axis: Axis) -> dict[float, str]:
@@ -128,21 +123,6 @@ def _in_line(ax: Axes, which: str) -> Iterator[Axes]:
             yield other
 
 
-def _name(artist: Any, names: Names) -> str:
-    """Return the name of a curve: its own, or that of the legend entry that looks alike."""
+def _name(artist: Any) -> str:
     label = str(artist.get_label())
-    return names.get(_look(artist), "") if label.startswith("_") else label
-
-
-def _legend_names(figure: Figure) -> Names:
-    """Return the names in the legends of a figure and of its panels."""
-    legends = [*figure.legends, *(legend for ax in figure.axes if (legend := ax.get_legend()) is not None)]
-    pairs = ((h, text) for one in legends for h, text in zip(one.legend_handles, one.get_texts(), strict=True))
-    return {_look(handle): text.get_text() for handle, text in pairs if handle is not None}
-
-
-def _look(artist: Any) -> Any:
-    """Return what distinguishes a curve in the legend: colour and style of a line, colour of an area."""
-    if isinstance(artist, Line2D):
-        return "line", to_rgba(artist.get_color()), artist.get_linestyle()
-    return "area", *np.atleast_2d(artist.get_facecolor())[:1].ravel().tolist()
+    return "" if label.startswith("_") else label

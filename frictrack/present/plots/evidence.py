@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from frictrack import effects
@@ -23,15 +22,15 @@ from frictrack.results.motion_axes import AXES
 
 MAX_CANDIDATES = 12  # drawn; the table of the report has all
 LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
-FAILS: tuple[str, dict[str, Any]] = ("does not pass", {"fc": "white", "ec": "#777777", "hatch": "////"})
-LOOKS: dict[str, tuple[str, dict[str, Any]]] = {
-    "named": ("found", {"color": style.BLUE}),
-    "lead": ("explains a part", {"color": style.SKY}),
-    "rival": ("predicts the same data", {"color": style.ORANGE}),
-    "weaker": ("passes, with less evidence", {"color": "#B5BCC2"}),
+FAILS: dict[str, Any] = {"label": "does not pass", "fc": "white", "ec": "#777777", "hatch": "////"}
+LOOKS: dict[str, dict[str, Any]] = {
+    "named": {"label": "found", "color": style.BLUE},
+    "lead": {"label": "explains a part", "color": style.SKY},
+    "rival": {"label": "predicts the same data", "color": style.ORANGE},
+    "weaker": {"label": "passes, with less evidence", "color": "#B5BCC2"},
     "fails": FAILS,
     "implausible": FAILS,
-}  # kind of a candidate -> its name in the legend, and the look of its bar
+}  # kind of a candidate -> the look of its bar
 
 
 @styled
@@ -56,7 +55,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
     floor = 1.0 if logarithmic else 0.0
     same_p = len({row.p for row in shown}) == 1
     for y, (row, gain) in enumerate(zip(shown, gains, strict=True)):
-        ax.barh(y, max(gain, floor) - floor, left=floor, height=0.62, **LOOKS[row.kind][1])
+        ax.barh(y, max(gain, floor) - floor, left=floor, height=0.62, **LOOKS[row.kind])
         ax.text(max(gain, floor), y, _candidate_label(row, with_p=not same_p), va="center", fontsize=9)
     if logarithmic:
         ax.set_xscale("log")
@@ -65,11 +64,8 @@ def candidates(diagnosis: AnySummary) -> Figure:
     ax.set_yticks(range(len(shown)), [row.effect for row in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
-    handles = [Patch(label=name, **look) for name, look in dict(LOOKS[row.kind] for row in shown).items()]
-    if same_p:
-        handles.append(Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search"))
-    if handles:
-        style.legend_below(figure, handles)
+    common = [Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search")] if same_p else []
+    style.legend_below(figure, *common)
     return figure
 
 
@@ -307,7 +303,7 @@ def missing_force(
     low, high = force_limits(whole)
     shares = {r["axis"]: r for r in repeats}
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        draw_runs(ax, drawn, name, factor, list(styles.values()))
+        draw_runs(ax, drawn, name, factor, [{**look, "label": run} for run, look in styles.items()])
         draw_common(ax, figures.get(f"common_{name}"), factor)
         _mark_spans(ax, drawn, name, spans, styles)
         ax.axhline(0, color="#666666", lw=0.7, zorder=1)
@@ -320,7 +316,8 @@ def missing_force(
         ax.set_ylabel(axis_label(force_label(whole), unit))
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
-    _legend(figure, np.ravel(panels)[len(shown)] if len(shown) < 6 else None, styles, spans)
+    handles = style.labelled(figure)
+    np.ravel(panels)[len(shown)].legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)
     return figure
 
 
@@ -406,7 +403,7 @@ def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> N
     known = np.isfinite(curve["F"])
     at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
     draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
-    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4)
+    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4, label=f"all runs, {style.BAND_LABEL}")
 
 
 def _mark_spans(
@@ -427,26 +424,13 @@ def _mark_spans(
         if inside.any():
             reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
             ends = [float(reach.min()), float(reach.max())]
-            ax.plot(
-                ends, [y, y], transform=foot, color=styles[s["run"]]["color"], lw=3.0, solid_capstyle="butt", zorder=5
-            )
+            look: dict[str, Any] = {"color": styles[s["run"]]["color"], "lw": 3.0, "solid_capstyle": "butt"}
+            ax.plot(ends, [y, y], transform=foot, zorder=5, label="fails here (bars below)", **look)
 
 
 def _within(values: Array, reach: Sequence[float]) -> Mask:
     room = 1e-6 + 1e-3 * (reach[1] - reach[0])
     return np.asarray((values >= reach[0] - room) & (values <= reach[1] + room))
-
-
-def _legend(figure: Figure, ax: Axes | None, styles: Mapping[str, Mapping[str, Any]], spans: Sequence[Any]) -> None:
-    handles: list[Any] = [Line2D([], [], label=name, **look) for name, look in styles.items()]
-    handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label="all runs together"))
-    handles.append(Patch(color="#000000", alpha=0.22, label=f"band, ± {style.BAND_SIGMAS:g} std"))
-    if spans:
-        handles.append(Line2D([], [], color="#777777", lw=3.0, label="fails here (bars below)"))
-    if ax is None:
-        style.legend_below(figure, handles)
-    else:
-        ax.legend(handles=handles, loc="center left", ncols=1 + len(handles) // 9)
 
 
 SIDES = {"L * s": "resisting motion, with the load", "s": "resisting motion", "": "independent of the direction"}
@@ -504,5 +488,5 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
     ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
     ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
     ax.margins(x=0)
-    style.legend_below(figure, ax.get_legend_handles_labels()[0])
+    style.legend_below(figure)
     return figure

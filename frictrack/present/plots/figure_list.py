@@ -7,25 +7,10 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from frictrack.present.plots.evidence import (
-    candidates,
-    correlated_signal,
-    has_limits,
-    has_scan,
-    limits,
-    missing_force,
-    scan,
-    unexplained,
-)
-from frictrack.present.plots.law import has_law, law, loops
-from frictrack.present.plots.measured import film, friction, motion, motions
-from frictrack.present.plots.measurement_errors import budgets, cutoff, cutoffs, filters
-from frictrack.present.plots.model import failing, fit, history, routes
-from frictrack.present.plots.modelled import modelled
-from frictrack.present.plots.parameters import convergence, profiles
+from frictrack.present.plots import evidence, law, measured, measurement_errors, parameters, verdict
+from frictrack.present.plots import model as of_models
 from frictrack.present.plots.plan import next_experiments
 from frictrack.present.plots.style import run_styles
-from frictrack.present.plots.verdict import verdict
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.verdicts import force_without_effect
@@ -50,74 +35,74 @@ def study_figures(results: Results) -> Iterator[NamedFigure]:
     smoothed = {run.name: (run.cutoff, run.mass) for run in results.runs if run.cutoff is not None}
     budget = {run.name: run.budget for run in results.runs if run.budget}
     if results.runs and not of_points:
-        yield "motions", partial(motions, results.runs)
+        yield "motions", partial(measured.motions, results.runs)
     if any(run.friction is not None for run in results.runs):
-        yield "friction", partial(friction, results.runs)
+        yield "friction", partial(measured.friction, results.runs)
     if smoothed:
-        yield "cutoffs", partial(cutoffs, smoothed)
+        yield "cutoffs", partial(measurement_errors.cutoffs, smoothed)
     if budget:
-        yield "budgets", partial(budgets, budget)
+        yield "budgets", partial(measurement_errors.budgets, budget)
     if results.current is not None:
         yield from _of_current_model(results.current, results, of_points=of_points)
 
 
 def _of_run(run: RunResults) -> Iterator[NamedFigure]:
-    yield f"motion {run.name}", partial(motion, run)
+    yield f"motion {run.name}", partial(measured.motion, run)
     if run.film is not None:
-        yield f"film {run.name}", partial(film, run)
+        yield f"film {run.name}", partial(measured.film, run)
     if run.cutoff is not None:
-        yield f"cutoff {run.name}", partial(cutoff, run.name, run.cutoff, run.mass)
-    yield f"filters {run.name}", partial(filters, run)
+        yield f"cutoff {run.name}", partial(measurement_errors.cutoff, run.name, run.cutoff, run.mass)
+    yield f"filters {run.name}", partial(measurement_errors.filters, run)
 
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
-    yield f"model {model.name}", partial(fit, model, results.runs)
-    if has_law(model):
-        yield f"law {model.name}", partial(law, model, results.runs)
+    yield f"model {model.name}", partial(of_models.fit, model, results.runs)
+    if law.has_law(model):
+        yield f"law {model.name}", partial(law.law, model, results.runs)
     if model.convergence:
-        yield f"convergence {model.name}", partial(convergence, model)
+        yield f"convergence {model.name}", partial(parameters.convergence, model)
     found, curves = model.diagnosis, model.figures
     if not found:
         return
     better = None if model is results.current else results.current
-    yield f"fails {model.name}", partial(failing, model, results.runs, found["fails_at"], better)
-    yield f"candidates {model.name}", partial(candidates, found)
+    yield f"fails {model.name}", partial(of_models.failing, model, results.runs, found["fails_at"], better)
+    yield f"candidates {model.name}", partial(evidence.candidates, found)
     if "residual_force" in curves:
         fitted = {row["run"] for row in model.summary["per_run"] if row["role"] == "fit"}
         styles = {name: look for name, look in run_styles(results.runs).items() if name in fitted}
         yield (
             f"missing force {model.name}",
-            partial(missing_force, curves, found["fails_at"], styles, found.get("repeats", [])),
+            partial(evidence.missing_force, curves, found["fails_at"], styles, found.get("repeats", [])),
         )
     best = next((row.effect for row in candidate_rows(found)), "")
-    if has_scan(curves.get(best, {})):
-        yield f"scan {model.name}", partial(scan, best, curves[best])
+    if evidence.has_scan(curves.get(best, {})):
+        yield f"scan {model.name}", partial(evidence.scan, best, curves[best])
     if left := force_without_effect(found):
-        yield f"unexplained {model.name}", partial(unexplained, left)
+        yield f"unexplained {model.name}", partial(evidence.unexplained, left)
     for k, signal in enumerate(found.get("evidence") or []):
         if f"evidence_{k}" in curves:
-            yield f"signal {k} {model.name}", partial(correlated_signal, signal, curves[f"evidence_{k}"])
+            yield f"signal {k} {model.name}", partial(evidence.correlated_signal, signal, curves[f"evidence_{k}"])
 
 
 def _of_current_model(model: ModelResults, results: Results, *, of_points: bool) -> Iterator[NamedFigure]:
-    yield "verdict", partial(verdict, results)
-    yield "history", partial(history, results.models)
+    yield "verdict", partial(verdict.verdict, results)
+    yield "history", partial(of_models.history, results.models)
     if model.motion:
-        yield "modelled", partial(modelled, model, results.runs)
+        yield "modelled", partial(of_models.modelled, model, results.runs)
     if model.summary["errors"].get("rms_N") is not None and not of_points:
-        yield "loops", partial(loops, model, results.runs)
+        yield "loops", partial(law.loops, model, results.runs)
     if model.summary.get("profiles"):
-        yield "profiles", partial(profiles, model.summary)
+        yield "profiles", partial(parameters.profiles, model.summary)
     if diagnosis := results.diagnosis:
         steps = [step for step in diagnosis.get("next_experiment") or [] if step.get("expected_if_true")]
-        if has_limits(diagnosis, results.figures):
-            yield "limits", partial(limits, diagnosis, results.figures)
+        if evidence.has_limits(diagnosis, results.figures):
+            yield "limits", partial(evidence.limits, diagnosis, results.figures)
         if steps:
             yield "next experiments", partial(next_experiments, steps)
     if papers := results.papers:
         both = {c.run for c in papers.curves} & {c.run for c in model.curves}
         run = next((one for one in results.runs if one.name in both and one.friction is not None), None)
         if papers.convergence:
-            yield "convergence papers", partial(convergence, papers)
+            yield "convergence papers", partial(parameters.convergence, papers)
         if run is not None:
-            yield "routes", partial(routes, model, papers, run)
+            yield "routes", partial(of_models.routes, model, papers, run)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
@@ -20,6 +19,7 @@ from frictrack.results import ModelResults, RunResults
 
 HEIGHT_IN, WIDTH_IN = 3.4, 7.0
 POINT_STYLE: dict[str, Any] = {"color": style.MEASURED_COLOUR, "ls": "none", "marker": ".", "ms": 2.2, "alpha": 0.4}
+MAX_SIGMA_RATIO = 5.0  # of a frame over the median of its run: the filter rings after a push, and the band says so
 DIRECTIONS = {1: "toward +x (v > 0)", -1: "toward \N{MINUS SIGN}x (v < 0)"}
 
 
@@ -71,7 +71,7 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
     if load:
         right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
         right.set_ylabel("coefficient of friction µ")
-    style.legend_below(figure, [h for ax in panels for h in ax.get_legend_handles_labels()[0]], markerscale=3)
+    style.legend_below(figure, markerscale=3)
     return figure
 
 
@@ -96,7 +96,7 @@ def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: f
     v, force, sigma = (np.array(branch[key]) for key in ("v", "F", "sigma_F"))
     at, points = measured[:, :: max(1, measured.shape[1] // style.MAX_POINTS)]
     ax.plot(factor * at, points, label="measured", rasterized=True, zorder=1, **POINT_STYLE)
-    draw_band(ax, factor * v, force, sigma, color=color, alpha=0.3, zorder=2, label=f"± {style.BAND_SIGMAS:g} std")
+    draw_band(ax, factor * v, force, sigma, color=color, alpha=0.3, zorder=2, label=style.BAND_LABEL)
     ax.plot(factor * v, force, color=color, lw=2.0, zorder=3, label=f"law {branch.get('group', '')}".strip())
 
 
@@ -114,7 +114,10 @@ def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[
     f, direction = run.friction, branch["direction"]
     measured = np.interp(curve.t, f.t, style.masked(f.F, style.unsmeared_frames(f, run.motion.guard)))
     left = direction * (measured - modelled_force(model, curve))
+    sigma = np.interp(curve.t, f.t, f.sigma_F)
     kept = np.isfinite(left) & (direction * curve.v_model > branch["v"][0])
+    if np.any(kept):
+        kept &= sigma <= MAX_SIGMA_RATIO * np.median(sigma[kept])
     speed = np.abs(curve.v_model[kept])
     return np.array([speed, np.interp(speed, branch["v"], branch["F"]) + left[kept]])
 
@@ -172,11 +175,7 @@ def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         _loops((left, right), [c for c in model.curves if c.run == name], by_name[name])
         left.set_title(name, fontweight="normal")
         left.set_ylabel("friction force F / N")
-    handles = [
-        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
-        Line2D([], [], color=style.MODEL_COLOUR, lw=1.8, ls=(0, (4, 1.2)), label="model"),
-    ]
-    style.legend_below(figure, handles)
+    style.legend_below(figure)
     return figure
 
 
@@ -193,11 +192,12 @@ def _loops(pair: tuple[Axes, Axes], curves: Sequence[Curve], run: RunResults) ->
         factor, written = style.axis_scale(np.concatenate([of(c) for c in curves]), unit)
         for c in curves:
             at, unbroken = factor * of(c), _unbroken(c.t)
-            ax.plot(at, style.masked(np.interp(c.t, f.t, f.F), unbroken), color=style.MEASURED_COLOUR, lw=0.9)
-            ax.plot(at, style.masked(c.F_model, unbroken), color=style.MODEL_COLOUR, lw=1.8, ls=(0, (4, 1.2)))
-        ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
+            measured = style.masked(np.interp(c.t, f.t, f.F), unbroken)
+            ax.plot(at, measured, color=style.MEASURED_COLOUR, lw=0.9, label="measured")
+            ax.plot(at, style.masked(c.F_model, unbroken), lw=1.8, **style.MODEL_STYLE)
+        ax.axhline(0, **style.ZERO_STYLE)
         ax.set_xlabel(axis_label(words, written))
-    pair[1].axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
+    pair[1].axvline(0, **style.ZERO_STYLE)
 
 
 def _unbroken(t: Array) -> Mask:

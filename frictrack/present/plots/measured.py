@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Polygon
 
 from frictrack.base.number_format import format_number, format_range
 from frictrack.base.polygons import polygon
@@ -25,6 +24,7 @@ MAX_PUSH_RATIO = 4.0  # range of all accelerations over that of the free section
 MAX_NAMED_EVENTS = 8
 MAX_POINTS_OF_ALL = 6000  # of the force of all runs together; more only make the file larger
 MAX_MOTIONS = 8  # runs drawn as small multiples
+TIME_LABEL = axis_label("time t", "ms")
 MOTION_LABELS = (
     axis_label("displacement x", "m"),
     axis_label("velocity v", "m/s"),
@@ -66,21 +66,16 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     low, high = np.percentile(picture, [0.5, 99.5])
     ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
     ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
-    ax.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.8)
+    ax.plot(track.x_px, track.y_px, color=PATH_COLOUR, lw=1.8, label="path of its centre")
     if track.repaired is not None:
         at = track.repaired > 0
-        ax.plot(track.x_px[at], track.y_px[at], ls="", marker="|", color=style.REPAIRED_COLOUR, ms=7)
+        ax.plot(track.x_px[at], track.y_px[at], **style.REPAIRED_STYLE)
     if track.target is not None:
-        for color, lw, dash in (("black", 3.8, "-"), (TARGET_COLOUR, 2.0, "--")):
-            outline = track.outline or polygon(list(track.target))
-            ax.add_patch(Polygon(outline, fill=False, ec=color, lw=lw, ls=dash))
+        outline = track.outline or polygon(list(track.target))
+        for color, lw, dash, label in (("black", 3.8, "-", ""), (TARGET_COLOUR, 2.0, "--", "target")):
+            ax.add_patch(Polygon(outline, fill=False, ec=color, lw=lw, ls=dash, label=label))
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
-    handles = [
-        Line2D([], [], color=PATH_COLOUR, lw=1.8, label="path of its centre"),
-        Patch(fill=False, ec=TARGET_COLOUR, lw=2.0, ls="--", label="target"),
-        *style.repaired_handles(track.repaired),
-    ]
-    figure.legend(handles=handles, loc="outside lower right", ncols=2)
+    style.legend_below(figure)
     return figure
 
 
@@ -91,16 +86,11 @@ def motion(run: AnyRun) -> Figure:
     The free section is shaded. Ends that the low-pass filter smears are hatched; events are marked and named.
     """
     run = as_run(run)
-    m = run.motion
-    figure = new_figure(6.2, _motion_title(run), width=style.PAGE_WIDTH_IN / 2)
-    panels: Any = figure.subplots(3, 1, sharex=True)
+    figure, ((*panels,),) = panel_grid(
+        1, (5.4, 0.8), _motion_title(run), (TIME_LABEL, *MOTION_LABELS), width=style.PAGE_WIDTH_IN / 2, sharex="cell"
+    )
     _draw_motion(panels, run)
-    for ax, label in zip(panels, MOTION_LABELS, strict=True):
-        ax.set_ylabel(label)
-    figure.align_ylabels(panels)
-    panels[-1].set_xlabel(axis_label("time t", "ms"))
-    panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
-    style.legend_below(figure, _section_handles(run), columnspacing=1.2)
+    style.legend_below(figure, columnspacing=1.2)
     return figure
 
 
@@ -116,13 +106,12 @@ def motions(runs: Sequence[AnyRun]) -> Figure:
     """
     able = as_runs(runs)
     shown = able[:MAX_MOTIONS]
-    labels = (axis_label("time t", "ms"), *SHORT_LABELS)
+    labels = (TIME_LABEL, *SHORT_LABELS)
     figure, cells = panel_grid(len(shown), (4.4, 0.8), motions_title(able), labels, sharex="cell")
     for cell, run in zip(cells, shown, strict=True):
         _draw_motion(cell, run)
-        cell[-1].set_xlim(1e3 * run.motion.t[0], 1e3 * run.motion.t[-1])
         cell[0].set_title(run.name, fontweight="normal")
-    style.legend_below(figure, [handle for run in shown for handle in _section_handles(run)])
+    style.legend_below(figure)
     return figure
 
 
@@ -142,10 +131,11 @@ def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
     columns = ((m.x, m.sigma_x, moved), (m.v, m.sigma_v, moved), (m.a, m.sigma_a, inside))
     for ax, (values, sigma, shown) in zip(panels, columns, strict=True):
         _shade_sections(ax, run)
-        draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55)
+        draw_band(ax, 1e3 * m.t, values, sigma, color=style.SKY, alpha=0.55, label=style.BAND_LABEL)
         ax.plot(1e3 * m.t, values, color=style.MEASURED_COLOUR, lw=1.3)
         style.set_y_limits(ax, (values[shown] - sigma[shown], values[shown] + sigma[shown]))
         style.mark_repaired(ax, 1e3 * m.t, m.repaired)
+    panels[-1].set_xlim(1e3 * m.t[0], 1e3 * m.t[-1])
     _zoom_to_free_section(panels[-1], run)
     _mark_events(panels, run)
 
@@ -200,19 +190,10 @@ def _shade_sections(ax: Axes, run: RunResults) -> None:
     t, guard = 1e3 * run.motion.t, run.motion.guard
     if run.friction is not None:
         for s in stretches(run.friction.free):
-            ax.axvspan(t[s.start], t[s.stop - 1], color=style.FREE_COLOUR, lw=0, zorder=0)
+            ax.axvspan(t[s.start], t[s.stop - 1], color=style.FREE_COLOUR, lw=0, zorder=0, label="free section")
     if guard:
         for a, b in ((t[0], t[min(guard, len(t) - 1)]), (t[max(len(t) - 1 - guard, 0)], t[-1])):
-            ax.axvspan(a, b, fill=False, hatch="///", lw=0, ec="#AAAAAA", zorder=0.5)
-
-
-def _section_handles(run: RunResults) -> list[Patch | Line2D]:
-    handles: list[Patch | Line2D] = [Patch(color=style.SKY, alpha=0.55, label=f"± {style.BAND_SIGMAS:g} std")]
-    if run.friction is not None:
-        handles.append(Patch(color=style.FREE_COLOUR, label="free section"))
-    if run.motion.guard:
-        handles.append(Patch(fill=False, hatch="///", lw=0, ec="#AAAAAA", label="smeared by the filter"))
-    return [*handles, *style.repaired_handles(run.motion.repaired)]
+            ax.axvspan(a, b, fill=False, hatch="///", lw=0, ec="#AAAAAA", zorder=0.5, label="smeared by the filter")
 
 
 @styled
@@ -251,10 +232,10 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
     left.set(xlabel=axis_label("time since the free section begins", "ms"), ylabel=axis_label("friction force F", "N"))
     right.set_xlabel(axis_label("velocity v", "m/s"))
     for ax in (left, right):
-        ax.axhline(0, color="#BBBBBB", lw=0.7, zorder=0)
-    right.axvline(0, color="#BBBBBB", lw=0.7, zorder=0)
-    if len(able) <= 18:
-        style.legend_below(figure, left.get_legend_handles_labels()[0])
+        ax.axhline(0, **style.ZERO_STYLE)
+    right.axvline(0, **style.ZERO_STYLE)
+    if len(able) <= len(style.RUN_STYLES):
+        style.legend_below(figure)
     return figure
 
 

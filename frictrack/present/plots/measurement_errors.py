@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from frictrack.base.number_format import format_number, format_range, format_unit
 from frictrack.measure.motion import FilteredMotion, compare_filters
@@ -53,8 +52,8 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     figure = new_figure(0.25 * len(sources) + 1.45, budgets_title(found))
     left, right = figure.subplots(1, 2, sharey=True)
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
-        for k, one in enumerate(found.values()):
-            known = _marks(ax, one["rows"], key, sources, k)
+        for k, (name, one) in enumerate(found.items()):
+            known = _marks(ax, one["rows"], key, sources, _mark(k) | {"label": name})
             for value, place in known if len(found) == 1 else ():
                 ax.annotate(format_number(value, 2), (value, place), (7, 3), textcoords="offset points", fontsize=8.5)
         style.log_axis(ax, "x")
@@ -65,8 +64,7 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left.set_ylim(len(sources) - 0.5, -0.5)
     left.tick_params(axis="y", length=0)
     if len(found) <= len(RUN_STYLES):
-        handles = [Line2D([], [], label=name, **_mark(k)) for k, name in enumerate(found)]
-        style.legend_below(figure, handles)
+        style.legend_below(figure)
     return figure
 
 
@@ -92,13 +90,13 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
 
 
 def _marks(
-    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], k: int
+    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], look: dict[str, Any]
 ) -> list[tuple[float, int]]:
     """Draw one run and return its marks; a source that is not known or negligible has none."""
     least = NEGLIGIBLE_SHARE * max((row[key] or 0.0 for row in rows), default=0.0)
     known = [(row[key], sources.index(row["source"])) for row in rows if row[key] and row[key] >= least]
     if known:
-        ax.plot(*zip(*known, strict=True), **_mark(k))
+        ax.plot(*zip(*known, strict=True), **look)
     return known
 
 
@@ -178,7 +176,7 @@ def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
         ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
         limits += ax.get_ylim()
     cells[0][0].set_ylim(min(limits), max(limits))  # shared by all panels
-    style.legend_below(figure, cells[0][0].get_legend_handles_labels()[0])
+    style.legend_below(figure)
     return figure
 
 
@@ -242,7 +240,7 @@ def filters(run: AnyRun) -> Figure:
         ax.set_ylabel(quantity)
     panels[-1].set_xlabel(axis_label("time t", "ms"))
     figure.align_ylabels(panels)
-    style.legend_below(figure, panels[0].get_legend_handles_labels()[0])
+    style.legend_below(figure)
     return figure
 
 

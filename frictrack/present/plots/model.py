@@ -1,4 +1,4 @@
-"""Draw the model against the measurement: both forces, the residual, and the held-out error of each model tried.
+"""Draw the model against the measurement: forces, residual, held-out error of each model tried, and its own motion.
 
 Modelled and measured displacement look the same: an error of 30 um over a slide of half a metre cannot be seen. So
 these figures show the force, and of the displacement only the residual. Where a load cell measured friction, the
@@ -14,15 +14,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from frictrack.base.number_format import describe_change, format_number, format_share
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
-from frictrack.records import Array, Curve
+from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
@@ -73,17 +71,12 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1), sharex="cell")
     by_name = {run.name: run for run in runs}
     for (above, left), name in zip(cells, shown, strict=True):
-        _draw_force(above, model, by_name[name])
+        _draw_measured_force(above, by_name[name])
+        _draw_modelled_force(above, model, by_name[name])
         _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
     _share_y([left for _, left in cells])
-    handles: list[Any] = [
-        Line2D([], [], color=style.MEASURED_COLOUR, lw=1.0, label="measured"),
-        Line2D([], [], color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2)), label="model"),
-        Line2D([], [], color=style.BLUE, label="measured minus modelled", **style.DOT_STYLE),
-        Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"),
-    ]
-    style.legend_below(figure, [*handles, *_repaired_handles(model)])
+    style.legend_below(figure)
     return figure
 
 
@@ -117,17 +110,12 @@ def failing(
     figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
     for (ax,), name in zip(cells, shown, strict=True):
         if better is not None:
-            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **BETTER_MODEL_STYLE)
-        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3)
+            look = BETTER_MODEL_STYLE | {"label": plain_name(better.name)}
+            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **look)
+        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3, label=plain_name(model.name))
         ax.set_title(_panel_title(model, name), fontweight="normal")
         _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name], "v" if _of_points(runs) else "t")
-    handles: list[Any] = [Line2D([], [], color=colors[shown[0]], label=plain_name(model.name), **style.DOT_STYLE)]
-    if better is not None:
-        handles.append(Line2D([], [], label=plain_name(better.name), **(style.DOT_STYLE | BETTER_MODEL_STYLE)))
-    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
-    if spans:
-        handles.append(Patch(fc=colors[shown[0]], alpha=0.25, label="misfit here; share of the whole misfit"))
-    style.legend_below(figure, [*handles, *_repaired_handles(model)])
+    style.legend_below(figure)
     return figure
 
 
@@ -147,16 +135,10 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
     figure = new_figure(3.4, f"{run.name}: measured force and both fits")
     ax = figure.subplots()
     _draw_measured_force(ax, run)
-    for model, look in (
-        (default, {"color": style.MODEL_COLOUR, "ls": (0, (4, 1.2)), "label": "displacement domain"}),
-        (papers, {"color": style.BLUE, "ls": (0, (1, 1)), "label": "papers' route"}),
-    ):
-        for k, curve in enumerate(c for c in model.curves if c.run == run.name):
-            ax.plot(
-                1e3 * curve.t, modelled_force(model, curve, run), lw=2.0, **(look if k == 0 else look | {"label": None})
-            )
-    ax.set(xlabel=axis_label("time t", "ms"), ylabel="friction force F / N")
-    style.legend_below(figure, ax.get_legend_handles_labels()[0])
+    _draw_modelled_force(ax, default, run, label="displacement domain")
+    _draw_modelled_force(ax, papers, run, label="papers' route", color=style.BLUE, linestyle=(0, (1, 1)))
+    ax.set(xlabel=_axis_words([run]), ylabel="friction force F / N")
+    style.legend_below(figure)
     return figure
 
 
@@ -296,26 +278,19 @@ def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = Tru
     many = sum(len(part.t) for part in parts) > 4 * style.MAX_POINTS
     for part in parts:
         if with_band:
-            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, color=style.NOISE_COLOUR, zorder=0)
-        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many} | style.DOT_STYLE | look
-        ax.plot(part.t, part.values, **dots)
+            noise: dict[str, Any] = {"color": style.NOISE_COLOUR, "zorder": 0, "label": f"noise, {style.BAND_LABEL}"}
+            draw_band(ax, part.t, np.zeros(len(part.t)), part.sigma, **noise)
+        dots: dict[str, Any] = {"color": style.BLUE, "rasterized": many, "label": "measured minus modelled"}
+        ax.plot(part.t, part.values, **(dots | style.DOT_STYLE | look))
         if with_band:
             style.mark_repaired(ax, part.t, part.repaired)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
 
 
-def _draw_force(ax: Axes, model: ModelResults, run: RunResults) -> None:
-    _draw_measured_force(ax, run)
+def _draw_modelled_force(ax: Axes, model: ModelResults, run: RunResults, **look: Any) -> None:
     for c in model.curves:
         if c.run == run.name:
-            ax.plot(
-                _abscissa(run, c.t), modelled_force(model, c, run), color=style.MODEL_COLOUR, lw=2.0, ls=(0, (4, 1.2))
-            )
-
-
-def _repaired_handles(model: ModelResults) -> list[Line2D]:
-    """Entry of the legend for repaired frames, if a fitted run has any."""
-    return next((found for c in model.curves if (found := style.repaired_handles(c.repaired))), [])
+            ax.plot(_abscissa(run, c.t), modelled_force(model, c, run), **(style.MODEL_STYLE | {"lw": 2.0} | look))
 
 
 def modelled_force(model: ModelResults, curve: Curve, run: RunResults | None = None) -> Array:
@@ -373,7 +348,7 @@ def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str, axis: str
     labelled: list[float] = []
     for s in spans:
         a, b = (1e3 * end for end in s[axis])
-        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25)
+        ax.axvspan(a, b, fc=color, lw=0, zorder=0.5, alpha=0.25, label="misfit here; share of the whole misfit")
         if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue
         labelled.append((a + b) / 2)
@@ -482,3 +457,115 @@ def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None,
     ax.set_xlabel("" if is_named else "models in the order tried")
     ax.set_xlim(-0.5, len(errors) - 0.5)
     ax.set_ylabel(axis_label("held-out error, rms", unit))
+
+
+MAX_MODELLED_RUNS = 6  # runs drawn; of more runs, those that fit worst
+SMOOTHED_STYLE: dict[str, Any] = {"color": "#BBBBBB", "alpha": 0.7, "label": f"smoothed, {style.BAND_LABEL}"}
+MODEL_BAND_STYLE: dict[str, Any] = {
+    "facecolor": style.ORANGE,
+    "edgecolor": style.MODEL_COLOUR,
+    "alpha": 0.4,
+    "hatch": "////",
+    "label": f"model, {style.BAND_LABEL}",
+}
+BLOW_STYLE: dict[str, Any] = {
+    "fill": False, "hatch": "xx", "lw": 0, "ec": "#999999", "zorder": 0.5, "label": "blow too short to resolve"
+}  # fmt: skip
+
+
+@styled
+def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
+    """Draw per run the acceleration, smoothed minus modelled acceleration, and friction force, with their bands.
+
+    A blow that is too short to be resolved is hatched, without the model's line; its impulse is written there.
+
+    Parameters
+    ----------
+    model : ModelResults or Fit
+        The fitted model, with its own motion.
+    runs : sequence of RunResults or Run
+        All runs of the study.
+
+    Raises
+    ------
+    ValueError
+        If the model has no motion of its own.
+
+    """
+    model, runs = as_model(model), as_runs(runs)
+    own = {motion.run: motion for motion in model.motion}
+    shown = [name for name in worst_runs(model, runs) if name in own][:MAX_MODELLED_RUNS]
+    if not shown:
+        raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
+    by_name = {run.name: run for run in runs}
+    labels = (axis_label("time t", "ms"), axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"),
+              axis_label("friction F", "N"))  # fmt: skip
+    figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
+    for cell, name in zip(cells, shown, strict=True):
+        _draw_modelled_run(cell, own[name], by_name[name], _impulses(model, name))
+    style.legend_below(figure)
+    return figure
+
+
+def modelled_title(model: ModelResults) -> str:
+    """Title of `modelled`: standard deviations of the acceleration by the model and by smoothing."""
+    rows = [row["motion"] for row in model.summary["per_run"] if row["role"] == "fit" and row.get("motion")]
+    if not rows:
+        return f"{plain_name(model.name)}: its own motion over the smoothed motion"
+    own, smooth = (format_number(_rms([row[key] for row in rows]), 2) for key in ("sigma_a", "sigma_a_smoothed"))
+    motion = f"{plain_name(model.name)}: std of a {own} m/s²; by smoothing {smooth} m/s²"
+    return f"{motion}; the model misses something" if any(row["notes"] for row in rows) else motion
+
+
+def _rms(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+
+
+def _draw_modelled_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunResults, impulses: str) -> None:
+    """Draw one run in its three panels."""
+    m, f, rows = run.motion, run.friction, np.searchsorted(run.motion.t, motion.t - 1e-9)
+    t, at, seen = 1e3 * motion.t, 1e3 * m.t[rows], ~motion.blow
+    clean = (style.unsmeared(m) if f is None else style.unsmeared_frames(f, m.guard))[rows]
+    clean = clean if np.any(clean) else ~clean  # of a very short run all frames
+    none = np.zeros(len(motion))
+    panels = (
+        (m.a[rows], m.sigma_a[rows], motion.a, motion.sigma_a),
+        (m.a[rows] - motion.a, m.sigma_a[rows], none, motion.sigma_a),
+        (motion.F if f is None else f.F[rows], none if f is None else f.sigma_F[rows], motion.F, motion.sigma_F),
+    )
+    for ax, (smooth, sigma, own, own_sigma) in zip(cell, panels, strict=True):
+        shown = style.masked(smooth, clean)
+        draw_band(ax, at, shown, sigma, **SMOOTHED_STYLE)
+        ax.plot(at, shown, color=style.MEASURED_COLOUR, lw=1.0, label="smoothed")
+        _draw_model(ax, motion, own, own_sigma)
+        # most of the smoothed line: a smeared blow must not set the scale
+        reach = np.quantile(smooth[clean & seen], [0.02, 0.98])
+        style.set_y_limits(ax, (reach, own[seen] - 2 * own_sigma[seen], own[seen] + 2 * own_sigma[seen]))
+    for ax in cell:
+        for s in stretches(motion.blow):
+            ax.axvspan(t[s.start], t[s.stop - 1], **BLOW_STYLE)
+        ax.set_xlim(t[0], t[-1])
+    cell[0].set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
+    if impulses and np.any(motion.blow):
+        middle = float(np.mean(t[motion.blow]))
+        cell[0].text(middle, 0.04, impulses, transform=cell[0].get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
+            {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
+        )
+
+
+def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
+    """Draw the model's line with its band, segment by segment, with a gap at an unresolved blow."""
+    for k in np.unique(motion.segment):
+        at = motion.segment == k
+        shown = style.masked(values, ~motion.blow)[at]
+        draw_band(ax, 1e3 * motion.t[at], shown, sigma[at], **MODEL_BAND_STYLE, zorder=2.5)
+        ax.plot(1e3 * motion.t[at], shown, zorder=3, lw=1.6, **style.MODEL_STYLE)
+
+
+def _impulses(model: ModelResults, run: str) -> str:
+    """Impulses of a run's collisions as text."""
+    motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
+    return ", ".join(
+        f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
+    )

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from scipy.interpolate import PchipInterpolator
 
 from frictrack.base.distributions import normal_ppf
@@ -121,17 +119,7 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     figure, cells = panel_grid(len(found), (2.3, 0.8), _profiles_title(found), labels, sharey=True)
     for (ax,), (name, profile) in zip(cells, found.items(), strict=True):
         _panel(ax, name, profile, summary["parameters"].get(name, {}))
-    level = next(iter(found.values()))["level"]
-    handles: list[Any] = [
-        Line2D([], [], color=style.BLUE, marker=".", lw=1.5, label="profile, all others fitted again"),
-        Line2D([], [], color=style.MODEL_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="parabola of the standard deviation"),
-        Line2D([], [], color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit"),
-        Patch(color=style.NOISE_COLOUR, label=f"{100 * level:.0f} % interval"),
-    ]
-    if summary.get("misfit"):
-        label = "† standard deviation with the misfit"
-        handles.append(Line2D([], [], color=style.MEASURED_COLOUR, lw=1.2, ls=(0, (4, 1, 1, 1)), label=label))
-    style.legend_below(figure, handles)
+    style.legend_below(figure)
     return figure
 
 
@@ -148,19 +136,20 @@ def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str,
     factor, unit = axis_scale(values, profile["unit"])
     low, high = _reach(values, rise, profile, limit)
     ends = [end if profile[key] is None else profile[key] for key, end in (("low", low), ("high", high))]
-    ax.axvspan(factor * ends[0], factor * ends[1], color=style.NOISE_COLOUR, lw=0, zorder=0)
-    for key, colour, dashes in (
-        ("std", style.MODEL_COLOUR, (4, 1.5)),
-        ("std_misfit", style.MEASURED_COLOUR, (4, 1, 1, 1)),
+    interval: dict[str, Any] = {"color": style.NOISE_COLOUR, "label": f"{100 * profile['level']:.0f} % interval"}
+    ax.axvspan(factor * ends[0], factor * ends[1], lw=0, zorder=0, **interval)
+    for key, colour, dashes, label in (
+        ("std", style.MODEL_COLOUR, (4, 1.5), "parabola of the standard deviation"),
+        ("std_misfit", style.MEASURED_COLOUR, (4, 1, 1, 1), "† standard deviation with the misfit"),
     ):
         if quoted.get(key):
             x = np.linspace(low, high, N_CURVE_POINTS)
             curve = ((x - profile["value"]) / quoted[key]) ** 2
-            ax.plot(factor * x, curve, color=colour, lw=1.2, ls=(0, dashes))
+            ax.plot(factor * x, curve, color=colour, lw=1.2, ls=(0, dashes), label=label)
     x, curve = _smooth(values, rise, profile["value"])
-    ax.plot(factor * x, curve, color=style.BLUE, lw=1.5)
+    ax.plot(factor * x, curve, color=style.BLUE, lw=1.5, label="profile, all others fitted again")
     ax.plot(factor * values, rise, color=style.BLUE, **(style.DOT_STYLE | {"markersize": 5.0}))
-    ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)))
+    ax.axhline(limit, color="#666666", lw=0.8, ls=(0, (1, 1)), label="limit")
     if ends[0] > 0 and ends[1] > LOG_AXIS_RATIO * ends[0]:
         low, high = 0.8 * ends[0], 1.25 * ends[1]
         ax.set_xscale("log")
@@ -170,8 +159,8 @@ def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str,
     ax.set_ylim(-0.06 * limit, MAX_SHOWN_RISE * limit)
     ax.set_title(name, fontweight="normal")
     known = profile["low"] is not None or profile["high"] is not None
-    interval = format_interval((profile["low"], profile["high"]), factor)
-    ax.set_xlabel(f"{interval} {format_unit(unit) if known else ''}".strip())
+    reach = format_interval((profile["low"], profile["high"]), factor)
+    ax.set_xlabel(f"{reach} {format_unit(unit) if known else ''}".strip())
 
 
 def _reach(values: Array, rise: Array, profile: Mapping[str, Any], limit: float) -> tuple[float, float]:

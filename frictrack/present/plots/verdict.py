@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
@@ -261,7 +259,7 @@ MAX_LIMITS = 8
 ERRORS_WIDTH_IN = 3.3  # of the panel of errors
 MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
 BEFORE, AFTER = style.VERMILION, style.BLUE
-FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0}
+FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0, "label": "fails here"}
 
 
 @styled
@@ -290,12 +288,12 @@ def verdict(found: Results | Summarised, better: AnyModel | None = None, *, titl
     data = data_of_study(found) if isinstance(found, Results) else data_of_diagnosis(found, better)
     figure = new_figure(HEIGHT_IN + 0.3 * title, _headline(data) if title else "")
     left, middle, right = figure.subplots(1, 3, width_ratios=[1.15, 1.15, 0.8])
-    handles = [*_draw_residuals(left, data), *_draw_force(middle, data)]
+    _draw_residuals(left, data)
+    _draw_force(middle, data)
     if data.before is not None and "residual_force" in data.figures:
         middle.set_xlim(left.get_xlim())
     _draw_errors(right, data)
-    if handles:
-        style.legend_below(figure, handles, handlelength=1.8, columnspacing=1.4)
+    style.legend_below(figure, handlelength=1.8, columnspacing=1.4)
     return figure
 
 
@@ -317,27 +315,22 @@ def _lacking(diagnosis: Mapping[str, Any]) -> str:
 # ---- residual before and after
 
 
-def _draw_residuals(ax: Axes, data: VerdictData) -> list[Any]:
-    """Draw the residuals over their noise band; return the handles of the legend."""
+def _draw_residuals(ax: Axes, data: VerdictData) -> None:
+    """Draw the residuals over their noise band."""
     if data.before is None:
-        return _say(ax, "No residual is stored; diagnose again")
-    handles: list[Any] = []
+        _say(ax, "No residual is stored; diagnose again")
+        return
     shown = _worst_runs(data.before)
     for whole, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
         if whole is not None:
-            _draw_lines(ax, whole.rows, data.axis, "values", shown, color=colour, lw=0.9, alpha=0.85)
             label = whole.name + (_how_many(whole) if whole is data.before else "")
-            handles.append(Line2D([], [], color=colour, lw=1.8, label=label))
+            _draw_lines(ax, whole.rows, data.axis, "values", shown, color=colour, lw=0.9, alpha=0.85, label=label)
     band = style.BAND_SIGMAS * float(np.median(data.before.rows["sigma"]))
-    ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6)
+    ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6, label=f"noise, {style.BAND_LABEL}")
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-    handles.append(Patch(color=style.NOISE_COLOUR, label=f"noise, ± {style.BAND_SIGMAS:g} std"))
-    handles += _shade_spans(ax, data)
-    ax.set_xlabel(_x_label(data.axis))
-    ax.set_ylabel(axis_label("residual", data.unit))
-    ax.set_title(_residual_title(data))
+    _shade_spans(ax, data)
+    ax.set(xlabel=_x_label(data.axis), ylabel=axis_label("residual", data.unit), title=_residual_title(data))
     ax.margins(x=0.01)
-    return handles
 
 
 def _worst_runs(residuals: Residuals) -> Array:
@@ -383,12 +376,10 @@ def _draw_lines(
         ax.plot(at, np.where(broken, np.nan, values[mine]), rasterized=many, **look)
 
 
-def _shade_spans(ax: Axes, data: VerdictData) -> list[Any]:
-    """Shade the union of the failing spans of all runs; return the handle of the legend if there is any."""
-    spans = _spans(data)
-    for low, high in spans:
+def _shade_spans(ax: Axes, data: VerdictData) -> None:
+    """Shade the union of the failing spans of all runs."""
+    for low, high in _spans(data):
         ax.axvspan(low, high, zorder=0.4, **FAILS_STYLE)
-    return [Patch(label="fails here", **FAILS_STYLE)] if spans else []
 
 
 def _spans(data: VerdictData) -> list[tuple[float, float]]:
@@ -409,44 +400,38 @@ def _spans(data: VerdictData) -> list[tuple[float, float]]:
 # ---- the missing force
 
 
-def _draw_force(ax: Axes, data: VerdictData) -> list[Any]:
-    """Draw the missing force or, where nothing is missing, what would be seen; return the handles of the legend."""
+def _draw_force(ax: Axes, data: VerdictData) -> None:
+    """Draw the missing force or, where nothing is missing, what would be seen."""
     if "residual_force" in data.figures:
-        return _draw_missing_force(ax, data)
-    if data.diagnosis.get("detection_limits") and not data.fails:
-        return _draw_limits(ax, data.diagnosis["detection_limits"])
-    return _say(ax, "The missing force is not computed yet")
+        _draw_missing_force(ax, data)
+    elif data.diagnosis.get("detection_limits") and not data.fails:
+        _draw_limits(ax, data.diagnosis["detection_limits"])
+    else:
+        _say(ax, "The missing force is not computed yet")
 
 
-def _draw_missing_force(ax: Axes, data: VerdictData) -> list[Any]:
+def _draw_missing_force(ax: Axes, data: VerdictData) -> None:
     whole, axis = at_reference_load(data.figures["residual_force"]), data.axis
     factor, unit = style.axis_scale(whole["F"], "N")
     n = len(np.unique(whole["run"]))
-    handles: list[Any] = []
     if n <= MAX_RUNS_DRAWN:
-        draw_runs(ax, whole, axis, factor, [{"color": "#8C8C8C"}] * n)
-        handles.append(Line2D([], [], color="#8C8C8C", lw=1.0, label="missing force, each run"))
+        draw_runs(ax, whole, axis, factor, [{"color": "#8C8C8C", "label": "missing force, each run"}] * n)
     if n > 1:
         draw_common(ax, data.figures.get(f"common_{axis}"), factor)
-        handles.append(Line2D([], [], color=style.BLACK, lw=1.8, label=f"all runs, ± {style.BAND_SIGMAS:g} std"))
     after = data.after
     if after is not None and "force" in after.rows:
         names = np.unique(after.rows["run"])
-        look: dict[str, Any] = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2))}
         shown = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]  # spread over all
         per_load = factor / _load_of(whole, after.rows["run"])
-        _draw_lines(ax, after.rows, axis, "force", shown, per_load, **look, zorder=5)
         effects = after.name.removeprefix("with ").removesuffix(", as tried")
-        label = f"force of {effects}{', each run' if len(names) > 1 else ''}"
-        handles.append(Line2D([], [], label=label, **look))
+        look: dict[str, Any] = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2)), "zorder": 5}
+        look["label"] = f"force of {effects}{', each run' if len(names) > 1 else ''}"
+        _draw_lines(ax, after.rows, axis, "force", shown, per_load, **look)
     _shade_spans(ax, data)
     low, high = force_limits(whole)
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
     ax.set_ylim(factor * low, factor * high)
-    ax.set_xlabel(_x_label(axis))
-    ax.set_ylabel(axis_label(force_label(whole), unit))
-    ax.set_title(_force_title(data))
-    return handles
+    ax.set(xlabel=_x_label(axis), ylabel=axis_label(force_label(whole), unit), title=_force_title(data))
 
 
 def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
@@ -464,11 +449,12 @@ def _force_title(data: VerdictData) -> str:
     return "The missing force"
 
 
-def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> None:
     """Draw the smallest force of each effect that these runs would show, the best seen on top."""
     known = sorted((one["value"], name) for name, one in limits.items() if one["unit"] == "N" and one["value"])
     if not known:
-        return _say(ax, "No force is detectable in these runs")
+        _say(ax, "No force is detectable in these runs")
+        return
     shown = known[:MAX_LIMITS]
     sizes = [value for value, _ in shown]
     factor, unit = style.axis_scale(np.array(sizes), "N")
@@ -484,7 +470,6 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> list[Any]
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(axis_label("smallest force that would be detected", unit))
     ax.set_title("What these runs would have shown")
-    return []
 
 
 # ---- the held-out errors
@@ -510,8 +495,7 @@ def _errors_title(data: VerdictData, values: Array) -> str:
 # ---- common to the panels
 
 
-def _say(ax: Axes, words: str) -> list[Any]:
+def _say(ax: Axes, words: str) -> None:
     """Write a sentence instead of a panel."""
     ax.set_axis_off()
     ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color="#666666")
-    return []

@@ -6,9 +6,7 @@ report.print_pdf(page)  # report.pdf
 """
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.present.report.batch_and_plan_pages import write_campaign, write_plan
 from frictrack.present.report.markup import SvgEmbedder, mark_code, mark_equation, page_template
-from frictrack.present.report.measurement_quality import failed_checks, is_good
-from frictrack.present.report.page import print_pdf, render, write
+from frictrack.present.report.page import print_pdf, render, write, write_campaign, write_plan
 from frictrack.present.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
-from frictrack.present.report.verdict_text import study_verdict
+from frictrack.present.report.texts import failed_checks, is_good, study_verdict

@@ -17,10 +17,14 @@ from frictrack.base.glossary import hover_pattern, meaning_of
 from frictrack.base.number_format import (
     MINUS,
     describe_change,
+    format_change,
+    format_interval,
     format_number,
     format_quantity,
     format_range,
     format_share,
+    format_size,
+    format_unit,
     join_words,
     lower_first,
     upper_first,
@@ -108,12 +112,20 @@ ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 def _templates(*packages: str) -> Environment:
     loader = ChoiceLoader([PackageLoader("frictrack", package) for package in (*packages, "present/report")])
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    pages.filters |= {"number": format_number, "quantity": format_quantity, "range": format_range}
-    pages.filters |= {"join_words": join_words, "upper_first": upper_first, "lower_first": lower_first}
     pages.filters |= {
-        "change_to": describe_change,
-        "code": mark_code,
+        "number": format_number,
+        "quantity": format_quantity,
+        "size": format_size,
+        "unit": format_unit,
+        "range": format_range,
+        "interval": format_interval,
         "share": format_share,
+        "change": format_change,
+        "change_to": describe_change,
+        "join_words": join_words,
+        "upper_first": upper_first,
+        "lower_first": lower_first,
+        "code": mark_code,
         "evidence": describe_evidence,
     }
     return pages

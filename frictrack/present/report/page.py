@@ -1,4 +1,4 @@
-"""Write the report of a study: one HTML page that contains all its figures; print a page to PDF."""
+"""Write the pages of a study, of a batch and of a plan, each with all its figures; print a page to PDF."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
 from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
-from frictrack.present.report import fit_text, measurement_quality, tables, verdict_text
+from frictrack.present.report import tables, texts
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
@@ -81,8 +83,7 @@ def render(results: Results, key: str = "") -> str:
     html = page_template("page.html.j2").render(
         plots=plots,
         tables=tables,
-        fit_text=fit_text,
-        measurement_quality=measurement_quality,
+        texts=texts,
         results=results,
         model=results.current,
         key=key,
@@ -92,7 +93,7 @@ def render(results: Results, key: str = "") -> str:
         figures=figures,
         mark_equation=mark_equation,
         symbols_in=symbols_in,
-        verdict=verdict_text.study_verdict(results),
+        verdict=texts.study_verdict(results),
         judged=judged,
         earlier=earlier,
         failed=plots.failed_model(results),
@@ -123,7 +124,7 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
 
 
 def _headline(model: ModelResults) -> str:
-    return f"{plots.plain_name(model.name)} {verdict_text.model_status(model.diagnosis or {})}"
+    return f"{plots.plain_name(model.name)} {texts.model_status(model.diagnosis or {})}"
 
 
 def _first_frame(run: RunResults, *, wide: bool) -> Markup:
@@ -190,3 +191,83 @@ def print_pdf(page: Path) -> Path:
                 f"{browser} could not print {page.name}: {lines[-1] if lines else 'it gave no reason'}"
             )
     return target
+
+
+MAX_STUDIES_SHOWN = 1000  # in the table of the page; the files hold all
+MAX_PANELS = 12  # trends drawn, the most significant first
+ORDER = ("complete", "undetermined", "missing", "ambiguous", "unexplained")
+
+
+def write_campaign(
+    result: Mapping[str, Any], trends: Sequence[Mapping[str, Any]], links: Mapping[str, str], path: Path
+) -> Path:
+    """Write the page of a batch as HTML, completely or not at all.
+
+    Parameters
+    ----------
+    result : mapping
+        The JSON of `frictrack batch`.
+    trends : sequence of mappings
+        Quantities over the series, as `plots.trends` draws them.
+    links : mapping
+        Address of the report of each study, relative to the page.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
+    """
+    clearest = sorted(trends, key=lambda one: one["p"])[:MAX_PANELS]
+    finished = [one for one in result["studies"] if not one["reason"]]
+    html = page_template("campaign.html.j2").render(
+        result=result,
+        links=links,
+        finished=len(finished),
+        trends=sorted(trends, key=lambda one: one["p"]),
+        series=SvgEmbedder()(plots.trends(clearest)) if clearest else Markup(""),
+        left_out=len(trends) - len(clearest),
+        order=[*ORDER, *(name for name in result["verdicts"] if name not in ORDER)],
+        missing=Counter(name for one in finished for name in one["missing"]).most_common(),
+        max_studies=MAX_STUDIES_SHOWN,
+        written=now(),
+    )
+    return replace_text(path, html)
+
+
+def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
+    """Write the page of a plan as HTML, completely or not at all.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of `frictrack plan`.
+    path : Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    FrictrackError
+        If the folder cannot be written.
+
+    """
+    draw = SvgEmbedder()
+    html = page_template("plan.html.j2").render(
+        plan=plan,
+        written=now(),
+        remaining=draw(plots.remaining_pairs(plan)),
+        separation=draw(plots.pair_separation(plan)),
+    )
+    return replace_text(path, html)

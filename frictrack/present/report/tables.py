@@ -11,11 +11,9 @@ from markupsafe import Markup
 
 from frictrack.base.number_format import (
     DASH,
-    format_change,
     format_interval,
     format_number,
     format_quantity,
-    format_share,
     format_size,
     format_unit,
 )
@@ -25,7 +23,6 @@ from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
 from frictrack.results.error_rows import error_rows
-from frictrack.results.motion_axes import AXES
 
 Cell = str | Markup
 
@@ -219,9 +216,6 @@ def run_table(model: ModelResults) -> TextTable:
     return make_table(heads, rows, range(2, len(heads)))
 
 
-MIN_P_SHOWN = 1e-6  # smaller p-values get no digits: the distribution of the noise is not known that far out
-
-
 def history_table(models: Sequence[ModelResults]) -> TextTable:
     """Table of the models in the order in which they were fitted, with their errors and verdicts."""
     errors = error_rows(m.summary["errors"] for m in models)
@@ -244,42 +238,6 @@ def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
         rows.append((e.name, *(f"{format_number(value)} {e.unit}".strip() for value in e.values)))
     heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
     return make_table(heads, rows, (1, 2))
-
-
-def failing_span_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the spans in which a model fails."""
-    rows = [
-        (
-            s["run"],
-            format_interval(s.get("t"), 1e3),
-            format_interval(s.get("x")),
-            format_interval(s.get("v")),
-            format_share(s["share_of_error"]),
-            _p_value(s.get("p")),
-        )
-        for s in spans
-    ]
-    return make_table(("run", "t / ms", "x / m", "v / (m/s)", "share of the misfit", "p"), rows, (1, 2, 3, 4, 5))
-
-
-def _p_value(p: float | None) -> str:
-    return "" if p is None else "< 10⁻⁶" if p < MIN_P_SHOWN else format_number(p, 1)
-
-
-def repeatability_table(found: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of how far the other runs predict the misfit of each run, by axis."""
-    rows = [
-        (
-            AXES[r["axis"]].name + (f" ({format_number(r['frequency'], 3)} Hz)" if r.get("frequency") else ""),
-            f"{100 * r['share']:.0f} %",
-            f"{r['runs']} of {r['of']}",
-            format_change(r["evidence"]),
-            "yes" if r["holds"] else "no",
-        )
-        for r in found
-    ]
-    headings = ("over", "misfit that the other runs predict", "runs", "evidence", "repeats")
-    return make_table(headings, rows, (1, 2, 3))
 
 
 def track_table(runs: Sequence[RunResults]) -> TextTable:
@@ -342,15 +300,6 @@ def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[
 def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
     """Describe the effects that no run can distinguish, and what else can."""
     return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
-
-
-def experiment_table(steps: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Table of the proposed experiments, best first."""
-    rows = [
-        (f"{k}.", mark_code(step["what"]), step["tells"], format_number(step["expected_delta_bic"], 2))
-        for k, step in enumerate(steps, 1)
-    ]
-    return make_table(("", "what to do", "distinguishes", "expected delta BIC, at least"), rows, (3,))
 
 
 TEXT_KEYS = ("what", "looks_like", "here", "confirm")
@@ -425,31 +374,6 @@ def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]
     return table(shown), table([row for row in rows if row not in shown])
 
 
-def importance_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the misfit that each effect explains alone and after the effects above it."""
-    rows = []
-    for row in diagnosis.get("importance") or []:
-        shares = [_share_of_misfit(row[key]) for key in ("explained_alone", "explained_in_sequence")]
-        unit = "um" if "heldout_rms_after_um" in row else "N"
-        error = row[f"heldout_rms_after_{unit}"]
-        after = "" if error is None else f"{format_number(error)} {format_unit(unit)}"
-        rows.append((code_cell(row["effect"]), *shares, after, "stop here" if row["stop"] else ""))
-    return make_table(("effect", "explains alone", "adds in sequence", "held-out error after it", ""), rows, (1, 2, 3))
-
-
-def _share_of_misfit(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f} %"
-
-
-def undetermined_table(diagnosis: Mapping[str, Any]) -> TextTable:
-    """Table of the questions that the runs leave open, and what would answer them."""
-    rows = [
-        (mark_code(gap["what"]), mark_code(gap["why"]), mark_code(gap["settled_by"] or ""))
-        for gap in diagnosis.get("undetermined") or []
-    ]
-    return make_table(("not determined", "why", "what settles it"), rows)
-
-
 def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
     """Table of the smallest size of each effect that 95 of 100 repeats would detect."""
     rows = [
@@ -469,38 +393,3 @@ def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
     kind = effects.known().get(effect.split(":", maxsplit=1)[0])
     units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
     return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())
-
-
-BUDGET_HEADS = ("run", "source", "size", "known from", "mean force / N", "share", "one frame / N", "common to")
-
-
-def budget_sentences(runs: Sequence[RunResults]) -> list[Markup]:
-    """Describe each run's error of the force, its largest source, and what would halve it.
-
-    Returns
-    -------
-    list of Markup
-        One sentence per run that has an error budget.
-
-    """
-    return [Markup("<b>{}</b>: {}.").format(run.name, "; ".join(run.budget["says"])) for run in runs if run.budget]
-
-
-def source_table(runs: Sequence[RunResults]) -> TextTable:
-    """Table of all error sources of all runs.
-
-    Standard deviations are those of the mean force and of one frame, N.
-    """
-    rows: list[Sequence[Cell]] = []
-    for run in runs:
-        for k, row in enumerate(run.budget.get("rows", ())):
-            rows.append((run.name if k == 0 else "", *_budget_cells(row)))
-    return make_table(BUDGET_HEADS, rows, (4, 5, 6))
-
-
-def _budget_cells(row: Mapping[str, Any]) -> tuple[Cell, ...]:
-    size = "not known" if row["size"] is None else f"{format_number(row['size'], 2)} {format_unit(row['unit'])}"
-    share = "" if row["share_mean"] is None else f"{100 * row['share_mean']:.0f} %"
-    name, size, share = (row["source"], size, share) if row["source"] != "total" else (Markup("<b>total</b>"), "", "")
-    mean, frame = (format_number(row[key], 2) for key in ("mean_N", "frame_N"))
-    return name, size, row["told"], mean, share, frame, row["common"]

@@ -4,5 +4,4 @@
 
 from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, cramer_rao_shift_std
 from frictrack.simulate.rendering.film_writer import write_film
-from frictrack.simulate.rendering.renderer import Target, render, render_clean
-from frictrack.simulate.rendering.surface import Surface
+from frictrack.simulate.rendering.renderer import Surface, Target, render, render_clean

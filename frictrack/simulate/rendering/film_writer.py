@@ -21,12 +21,7 @@ Frame = NDArray[Any]
 WriteFrame = Callable[[Frame], object]
 
 
-def write_film(
-    frames: Iterable[Frame],
-    path: str | os.PathLike[str],
-    fps: float,
-    quality: int = 95,
-) -> int:
+def write_film(frames: Iterable[Frame], path: str | os.PathLike[str], fps: float, quality: int = 95) -> int:
     """Write frames to a film; the suffix of the path chooses the format.
 
     .avi is MJPEG with 8 bit, .mov has lossless PNG frames with 8 bit, .tif and .tiff are uncompressed ImageJ stacks

@@ -1,8 +1,8 @@
 """Read the files of other programs as tables: which format a file has, and who reads it.
 
     video_projects     Tracker (Open Source Physics): .trk, .trz; Kinovea: .kva
-    pose_tracks        DeepLabCut: .csv, .h5; movement: .nc; SLEAP: .h5; `hdf5_contents` reads HDF5 in another process
-    image_correlation  DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
+    picture_tracks     DeepLabCut: .csv, .h5; movement: .nc; SLEAP: .h5; `hdf5_contents` reads HDF5 in another process;
+                       DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
     instruments        LabVIEW: .lvm, .tdms; MATLAB: .mat
     track_table        positions of several tracks -> one table
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from frictrack.study.table_layout import TableFile
-from frictrack.study.track_formats import image_correlation, instruments, pose_tracks, video_projects
+from frictrack.study.track_formats import instruments, picture_tracks, video_projects
 
 FOLDER = "/"  # in place of the end of a name
 
@@ -42,14 +42,17 @@ FORMATS = (
     TrackFormat("Tracker", (".trk", ".trz"), video_projects.read_tracker_project),
     TrackFormat("Kinovea", (".kva",), video_projects.read_kinovea_project),
     TrackFormat("Kinovea", (".xml",), video_projects.read_kinovea_project, video_projects.is_kinovea_project),
-    TrackFormat("DeepLabCut", (".csv",), pose_tracks.read_deeplabcut_text, pose_tracks.is_deeplabcut_text),
-    TrackFormat("DICe", (".txt", ".csv"), image_correlation.read_dice, image_correlation.is_dice_file),
-    TrackFormat("DICe", (FOLDER,), image_correlation.read_dice, image_correlation.is_dice_folder),
+    TrackFormat("DeepLabCut", (".csv",), picture_tracks.read_deeplabcut_text, picture_tracks.is_deeplabcut_text),
+    TrackFormat("DICe", (".txt", ".csv"), picture_tracks.read_dice, picture_tracks.is_dice_file),
+    TrackFormat("DICe", (FOLDER,), picture_tracks.read_dice, picture_tracks.is_dice_folder),
     TrackFormat(
-        "DeepLabCut, movement or SLEAP", (".h5", ".hdf5", ".nc"), pose_tracks.read_hdf5_tracks, pose_tracks.is_hdf5
+        "DeepLabCut, movement or SLEAP",
+        (".h5", ".hdf5", ".nc"),
+        picture_tracks.read_hdf5_tracks,
+        picture_tracks.is_hdf5,
     ),
-    TrackFormat("pyidi", (".npy",), image_correlation.read_pyidi_displacements),
-    TrackFormat("pyidi", (".pkl", ".pickle"), image_correlation.refuse_pickle),
+    TrackFormat("pyidi", (".npy",), picture_tracks.read_pyidi_displacements),
+    TrackFormat("pyidi", (".pkl", ".pickle"), picture_tracks.refuse_pickle),
 )
 
 

@@ -14,9 +14,9 @@ No other module of this package knows HDF5 or MATLAB: on malicious bytes their r
 
 from __future__ import annotations
 
-import pickletools
+import pickle
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,6 @@ from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
 MAX_PICKLE_BYTES = 1 << 22
-_MARK = object()  # where a tuple or list begins
 MATLAB_NUMBERS = (
     b"double",
     b"single",
@@ -130,8 +129,19 @@ def _matlab_variables(path: Path) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
 
 def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     for name, value in values.items():
+        parts: Any = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
         if hasattr(value, "_fieldnames"):
-            yield from _fields({field: getattr(value, field) for field in value._fieldnames}, f"{before}{name}.")
+            fields = {field: getattr(value, field) for field in value._fieldnames}
+            named = (
+                str(fields.pop("Name", name)) if "Data" in fields else ""
+            )  # a signal of dSPACE: its name, unit, data
+            unit = f" ({fields['Unit']})" if fields.get("Unit") else ""
+            signal = {f"{named}{unit}": fields["Data"]} if named and np.ndim(fields["Data"]) == 1 else {}
+            yield from _fields(signal, before) if signal else _fields(fields, f"{before}{name}.")
+        elif len(parts) and all(hasattr(part, "_fieldnames") for part in parts):  # an array of structures
+            yield from _fields({f"{name}({i})": part for i, part in enumerate(parts, 1)}, before)
+        elif len(parts) and all(isinstance(part, str) for part in parts):  # names of columns
+            yield f"{before}{name}", np.array(parts, dtype=str)
         elif np.asarray(value).dtype.kind in "fiu" and np.ndim(value) <= 2:
             yield f"{before}{name}", np.asarray(value)
 
@@ -157,50 +167,24 @@ def _deeplabcut(file: h5py.File) -> dict[str, Any]:
     return {"names": np.array([name[1:] for name in names]), "frames": frames, "values": values}
 
 
+class _Texts(pickle.Unpickler):
+    """Reader of a pickle of lists, tuples and texts: it looks up no class and no function."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Refuse whatever is not built in."""
+        raise ValueError("expected names of columns but got global in their place")
+
+
 def _names_in_pickle(stored: bytes) -> list[tuple[str, ...]]:
     """Return the list of tuples of texts that a pickle describes; nothing in it is executed, other content refused."""
     if len(stored) > MAX_PICKLE_BYTES:
         raise ValueError(f"{len(stored) / 1e6:.0f} MB of names")
-    stack: list[Any] = []
-    memo: dict[Any, Any] = {}
-    for operation, argument, _ in pickletools.genops(stored):
-        if operation.name == "PUT":
-            memo[argument] = stack[-1]
-        elif operation.name == "GET":
-            stack.append(memo[argument])
-        elif operation.name in PICKLE_STEPS:
-            PICKLE_STEPS[operation.name](stack, argument)
-        else:
-            raise ValueError(f"expected names of columns but got {operation.name.lower()} in their place")
-    names = stack[0]
+    names = _Texts(BytesIO(stored)).load()
     if not isinstance(names, list) or not all(
         isinstance(name, tuple) and all(isinstance(text, str) for text in name) for name in names
     ):
         raise ValueError("expected the names of the columns as texts")
     return names
-
-
-def _since_mark(stack: list[Any]) -> list[Any]:
-    """Take what lies on the stack above its last mark, and the mark."""
-    at = len(stack) - 1 - stack[::-1].index(_MARK)
-    parts = stack[at + 1 :]
-    del stack[at:]
-    return parts
-
-
-def _append(stack: list[Any], _: Any) -> None:
-    last = stack.pop()
-    stack[-1].append(last)
-
-
-PICKLE_STEPS: Mapping[str, Callable[[list[Any], Any], None]] = {  # what lists and tuples of texts are made of
-    "UNICODE": lambda stack, text: stack.append(text),
-    "MARK": lambda stack, _: stack.append(_MARK),
-    "TUPLE": lambda stack, _: stack.append(tuple(_since_mark(stack))),
-    "LIST": lambda stack, _: stack.append(_since_mark(stack)),
-    "APPEND": _append,
-    "STOP": lambda stack, _: None,
-}
 
 
 def _movement(file: h5py.File) -> dict[str, Any]:

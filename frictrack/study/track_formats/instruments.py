@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
-from frictrack.study.track_formats.pose_tracks import read_arrays
+from frictrack.study.track_formats.picture_tracks import read_arrays
 from frictrack.study.track_formats.track_table import SECONDS
 
 LABVIEW = "LabVIEW Measurement"  # first words of a text
@@ -118,18 +118,21 @@ def _waveforms(channels: list[Any]) -> Channels:
         if "wf_increment" in said:
             times = said.get("wf_start_offset", 0.0) + said["wf_increment"] * np.arange(len(values))
             found.setdefault(SECONDS, times)
-        found[_with_unit(channel.name, said.get("unit_string", ""))] = values
+        found[_with_unit(channel.name, said.get("unit_string") or said.get("NI_UnitDescription", ""))] = values
     return found
 
 
 def read_matlab(path: Path) -> TableFile:
     """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
-    variables = read_arrays(path)
+    variables = dict(read_arrays(path))
+    texts = [list(map(str, variables.pop(name))) for name in list(variables) if variables[name].dtype.kind == "U"]
     vectors = {name: values for name, values in variables.items() if np.size(values) >= MIN_VALUES}
     recordings: dict[str, Channels] = {}
     for name, values in vectors.items():
         label, _, own = name.rpartition(".")
-        columns = {own: values} if np.ndim(values) == 1 else {f"{own} {i + 1}": one for i, one in enumerate(values.T)}
+        named = next((text for text in texts if np.ndim(values) > 1 and len(text) == np.shape(values)[1]), None)
+        headers = named or ([own] if np.ndim(values) == 1 else [f"{own} {i + 1}" for i in range(np.shape(values)[1])])
+        columns = dict(zip(headers, np.atleast_2d(np.transpose(values)), strict=True))
         recordings.setdefault(label, {}).update(columns)
     rate = next((float(np.ravel(value)[0]) for name, value in variables.items() if _is_rate(name, value)), None)
     return _table("MATLAB", recordings, rate)

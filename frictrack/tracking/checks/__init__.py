@@ -11,9 +11,8 @@ from scipy.ndimage import shift
 from frictrack.base.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track, stretches
-from frictrack.sampling import SampledPath, Slip, correct_ticks, describe_frames, find_slips, frame_numbers
-
-__all__ = ["Slip", "correct_ticks", "slips", "timing_note"]
+from frictrack.sampling import SampledPath, Slip, describe_frames, find_slips, frame_numbers
+from frictrack.tracking.template_learning import pixel_harmonics
 
 MIN_JUMP_PX = 0.1  # errors of the tracker may be as large
 MIN_SIGMA_PX = 1e-4  # no track is more accurate
@@ -82,7 +81,7 @@ def _main_direction(track: Track) -> SampledPath:
 
 SMOOTHING_FRAMES = 15  # window of the local cubic about which residuals are taken
 MIN_TRAVEL_PX = 2.0  # over less, motion and periodic errors cannot be separated
-N_HARMONICS = 2  # of one cycle per pixel
+N_HARMONICS = 2  # of one cycle per pixel, `pixel_harmonics`
 ALPHA_PEAK_LOCKING = 1e-3  # significance level of peak locking
 MIN_AMPLITUDE_SIGMAS = 0.2  # standard deviations of a frame, from which the amplitude is reported
 LOW_SCORE_MARGIN = 0.1  # below the typical score, from which a score is low
@@ -135,7 +134,7 @@ def peak_locking(track: Track) -> PeakLocking | None:
     if not parts or np.ptp(x[track.found]) < MIN_TRAVEL_PX:
         return None
     residual = np.concatenate([_detrend(x[part]) for part in parts])
-    harmonics = np.concatenate([_detrend(_pixel_harmonics(x[part])) for part in parts])
+    harmonics = np.concatenate([_detrend(pixel_harmonics(x[part])) for part in parts])
     sigma = np.concatenate([track.sigma_px[part] for part in parts])
     keep = np.isfinite(sigma) & (np.abs(residual) < 6 * robust_std(residual) + 1e-12)
     design, value = harmonics[keep] / sigma[keep, None], residual[keep] / sigma[keep]
@@ -148,7 +147,7 @@ def peak_locking(track: Track) -> PeakLocking | None:
     noise = float(np.sum((value - design @ curve) ** 2)) / dof
     covariance = inverse * noise
     strength = float(curve @ np.linalg.solve(covariance, curve))
-    pixel = _pixel_harmonics(np.linspace(0, 1, 200))
+    pixel = pixel_harmonics(np.linspace(0, 1, 200))
     error = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", pixel, covariance, pixel))))
     speed = float(np.median(np.abs(np.concatenate([np.gradient(x[part], t[part]) for part in parts]))))
     rate = 1 / float(np.median(np.diff(t)))
@@ -156,12 +155,6 @@ def peak_locking(track: Track) -> PeakLocking | None:
     amplitude = float(np.ptp(pixel @ curve)) / 2
     acceleration = amplitude * (2 * np.pi * frequency) ** 2
     return PeakLocking(amplitude, error, float(chi2_sf(strength, 2 * N_HARMONICS)), frequency, acceleration)
-
-
-def _pixel_harmonics(x: Array) -> Array:
-    """Cosine and sine of one and two cycles per pixel (n, 4)."""
-    phase = 2 * np.pi * np.asarray(x)[:, None] * np.arange(1, N_HARMONICS + 1)
-    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
 
 
 def _long_stretches(found: Mask) -> list[slice]:

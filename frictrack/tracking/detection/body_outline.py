@@ -291,7 +291,7 @@ def foreground_at(scene: SampledScene, rectangle: Rectangle, frame: int) -> Mask
     rectangle : tuple of int
         x, y, w, h on the full picture, px.
     frame : int
-        Number of the frame, one of the sampled ones.
+        Number of the frame.
 
     Returns
     -------
@@ -299,8 +299,11 @@ def foreground_at(scene: SampledScene, rectangle: Rectangle, frame: int) -> Mask
         The region that holds most of the rectangle, to the middle of its blurred edge; empty without one.
 
     """
+    height, width = scene.frames[0].shape
+    found = np.zeros((height, width), np.bool_)
+    if frame not in scene.index:  # it cannot be read
+        return found
     row = scene.index.index(frame)
-    height, width = scene.frames[row].shape
     x, y, w, h = rectangle
     reach = max(w, h)
     x0, y0, x1, y1 = max(x - reach, 0), max(y - reach, 0), min(x + w + reach, width), min(y + h + reach, height)
@@ -318,7 +321,6 @@ def foreground_at(scene: SampledScene, rectangle: Rectangle, frame: int) -> Mask
     inside = labels[y - y0 : y - y0 + h, x - x0 : x - x0 + w]
     counts = np.bincount(inside.ravel())
     counts[0] = 0
-    found = np.zeros((height, width), np.bool_)
     if counts.any():
         found[y0:y1, x0:x1] = labels == int(np.argmax(counts))
     return found

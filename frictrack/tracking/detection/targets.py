@@ -475,15 +475,10 @@ def resolve_areas(recording: Recording, areas: Areas, template: int = 0) -> tupl
 
     """
     rectangle, frame = resolve_target(recording, areas.target, template)
-    is_click = areas.target is not None and not isinstance(areas.target, str | Path) and np.shape(areas.target) == (2,)
     if is_polygon(areas.target):
         return areas, rectangle, frame
-    if areas.target is None or is_click:
-        scene = _scene_with(recording, frame)
-        mask = foreground_at(scene, rectangle, frame) if frame in scene.index else np.zeros(recording.shape, np.bool_)
-        if is_click and not mask.any() and (plain := _plain_region(recording.frame(frame), np.asarray(areas.target))):
-            mask = plain
-        outline = round_outline(mask)
+    if areas.target is None or np.shape(areas.target) == (2,):
+        outline = round_outline(foreground_at(_scene_with(recording, frame), rectangle, frame))
         if outline:
             return replace(areas, target=outline), bounding_rectangle(outline), frame
     return replace(areas, target=rectangle), rectangle, frame

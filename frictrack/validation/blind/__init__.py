@@ -5,7 +5,7 @@
     score(Path("blind"))                # shares of effects named first, false alarms, misses, ... with intervals
 
 A study is drawn at random and a hidden effect is scaled to a size that an ideal detector can just see
-(`truth_sampling`, `ideal_detector`), its tables or films are written (`study_files`), and each diagnosis becomes an
+(`truth_sampling`, `ideal_detector`), its tables or films are written (`benchmark`), and each diagnosis becomes an
 `Outcome`. Effects that fit as well as the hidden one (`equivalent_effects`) count as correct within a group.
 """
 # ruff: noqa: F401 - the imports are the interface

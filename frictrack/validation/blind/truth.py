@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.integrate import DOP853, cumulative_trapezoid
@@ -389,16 +388,3 @@ def effect_named(name: str) -> Effect:
 
     """
     return foreign_effect(name) if name in FOREIGN else effects.get(name)
-
-
-def read_truth(raw: dict[str, Any]) -> Truth:
-    """Read a truth from its JSON."""
-    known = lists_as_tuples(raw)
-    return Truth(**known | {"runs": tuple(RunTruth(**run) for run in known["runs"])})
-
-
-def lists_as_tuples(value: Any) -> Any:
-    """The same JSON value with tuples in place of its lists, as the frozen records have them."""
-    if isinstance(value, dict):
-        return {key: lists_as_tuples(one) for key, one in value.items()}
-    return tuple(map(lists_as_tuples, value)) if isinstance(value, list | tuple) else value

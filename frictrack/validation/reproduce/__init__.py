@@ -15,13 +15,21 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from frictrack.base.errors import os_errors_as
 from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
 from frictrack.flow import Progress, no_progress
-from frictrack.validation.reproduce.first_paper import equation_4, orders, time_units, tustin_groups, two_models
+from frictrack.validation.reproduce.identification import (
+    equation_4,
+    orders,
+    sine_filter,
+    time_units,
+    tustin_groups,
+    two_models,
+)
 from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
-from frictrack.validation.reproduce.second_paper import sine_filter
 from frictrack.validation.reproduce.sections import (
+    ANOTHER_FOLDER,
     FULL,
     QUICK,
     Claim,
@@ -30,7 +38,6 @@ from frictrack.validation.reproduce.sections import (
     ResultTable,
     Section,
     SectionStore,
-    cannot_write,
     tables_html,
     write_reproduction,
 )
@@ -85,13 +92,11 @@ def run_sections(folder: Path, *, quick: bool = False, seed: int = 0, progress: 
     left = sorted(SECTIONS.keys() - done.keys(), key=lambda name: -SECTIONS[name][2])  # the longest first
     progress(0, 0, describe_work(len(done), left, quick=quick))
     work = {name: partial(_timed, name, {key: known[key] for key in SECTIONS[name][1]}) for name in left}
-    try:
+    with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):
         for name, (part, seconds) in run_parallel(work, 1 if quick else None):
             store.write(part, seconds)
             done[name] = part, seconds
             progress(len(done), len(SECTIONS), "reproduce")
-    except OSError as e:
-        raise cannot_write(e, folder) from e
     parts = tuple(done[name][0] for name in SECTIONS)
     return Reproduction(parts, seed, quick, {name: done[name][1] for name in SECTIONS})
 

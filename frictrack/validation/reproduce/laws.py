@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack import effects
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import UsageError
 from frictrack.effects import models
 from frictrack.effects.models import Model, Values
 from frictrack.records import Array
@@ -188,7 +188,7 @@ def law_by_name(name: str) -> PaperLaw:
     if name == "tustin":
         return tustin()
     if kind not in makers or not order.isdigit():
-        raise FrictrackError(f'expected a law of the papers (tustin, atm1:2, atm2:2) but got "{name}"', usage=True)
+        raise UsageError(f'expected a law of the papers (tustin, atm1:2, atm2:2) but got "{name}"')
     return makers[kind](int(order))
 
 

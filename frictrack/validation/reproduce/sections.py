@@ -18,13 +18,14 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from frictrack import search
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import os_errors_as
 from frictrack.base.number_format import format_number
 from frictrack.present import plots
 from frictrack.present.report import SvgEmbedder, page_template
 from frictrack.validation.reproduce.laws import RUNS
 
 Cell = str | float | None
+ANOTHER_FOLDER = "choose another folder with -o"
 HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot be decided"
 
 
@@ -290,20 +291,13 @@ def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, An
         If the folder cannot be written.
 
     """
-    try:
+    with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):
         folder.mkdir(parents=True, exist_ok=True)
         page = folder / "reproduce.html"
         page.write_text(render_page(reproduction), encoding="utf-8")
         result = reproduction.summary() | {"page": str(page), "output": str(folder)}
         _write_json(result, folder / "reproduce.json")
-    except OSError as e:
-        raise cannot_write(e, folder) from e
     return result
-
-
-def cannot_write(e: OSError, folder: Path) -> FrictrackError:
-    """The error for a folder that cannot be written."""
-    return FrictrackError(f"cannot write {e.filename or folder}: {e.strerror or e}; choose another folder with -o")
 
 
 def _write_json(content: dict[str, Any], path: Path) -> None:

@@ -6,12 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from frictrack.base.number_format import describe_change, format_change, format_number, upper_first
 from frictrack.flow import ResultsReader, effect_of_formula
 from frictrack.present import plots
-from frictrack.present.plots.style import BAND_SIGMAS
 from frictrack.present.report import (
     CandidateCard,
     candidate_cards,
@@ -20,17 +17,15 @@ from frictrack.present.report import (
     separating_experiments,
     study_verdict,
 )
-from frictrack.records import Array
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import describe_formula, force_without_effect
 from frictrack.study import Study
-from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns, compared_runs, comparison_plots
+from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns
 from frictrack.workbench.summaries.models import model_errors
 from frictrack.workbench.summaries.snapshot import Snapshot
 
-BINS = 40  # of the horizontal axis of a plot
 PLOT_OVER = dict(zip(("t", "x", "v"), RESIDUAL_TITLES, strict=True))  # title of the plot over each axis
 MAX_FORMULAS = 3
 
@@ -49,7 +44,7 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     -------
     PlotData or None
         The columns "with" (residual) and "F_with" (force, N) for the rows of `comparison_plots`, without plots; in
-        `extra`: name, plot (title of the plot in which the curves differ most), errors and fitted. None if the job
+        `extra`: name, errors and fitted. None if the job
         "attempt" has not fitted the current model with this effect.
 
     """
@@ -63,7 +58,6 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     columns = candidate_columns(results.runs, results.current, tried)
     about = {
         "name": effect,
-        "plot": _most_changed_plot(results, results.current, columns["with"]),
         "errors": error_change(results.current, tried),
         "fitted": True,
     }
@@ -91,30 +85,6 @@ def error_change(now: ModelResults, tried: ModelResults) -> dict[str, Any]:
     chi2 = describe_change(before["reduced_chi2"], after["reduced_chi2"])
     words = f"{name} {describe_change(first, second, before[unit])}; reduced chi-squared {chi2}."
     return {"now": first, "with": second, "unit": before[unit], "words": words}
-
-
-def _most_changed_plot(results: Results, model: ModelResults, residual: Array) -> str:
-    """Title of the plot in which a candidate changes the residual most in the same way in all runs.
-
-    A change that belongs to places is common to all runs over the place, and cancels over the time.
-    """
-    now, runs = comparison_plots(results, model).columns, compared_runs(results.runs, model)
-    change = (residual - now["left"]) / (now["noise_high"] / BAND_SIGMAS)
-    known = np.isfinite(change)
-    if not known.any():
-        return RESIDUAL_TITLES[0]
-    run = np.repeat(np.arange(len(runs)), [len(one.motion) for one in runs])[known]
-
-    def common_power(axis: Array) -> float:
-        """Sum over bins of an axis of the products of the changes of any two runs, per frame."""
-        place = (axis - axis.min()) / max(np.ptp(axis), 1e-300)
-        bins = np.minimum((BINS * place).astype(np.int64), BINS - 1)
-        sums = np.zeros((len(runs), BINS))
-        np.add.at(sums, (run, bins), change[known])
-        pairs = np.sum(sums, axis=0) ** 2 - np.sum(sums**2, axis=0)
-        return float(np.sum(pairs / np.maximum(np.bincount(bins, minlength=BINS), 1)))
-
-    return PLOT_OVER[max(PLOT_OVER, key=lambda axis: common_power(now[axis][known]))]
 
 
 def summarise_diagnosis(snapshot: Snapshot) -> dict[str, Any] | None:

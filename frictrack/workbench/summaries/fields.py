@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.base.units import lacks_unit
 from frictrack.flow import start_study, table_needs_mass
@@ -28,13 +28,15 @@ _MASS_NEEDED: dict[Any, bool] = {}  # whether a table needs a mass, by its versi
 Field = dict[str, Any]  # of the page; see `study_fields`
 
 
-def study_fields(snapshot: Snapshot) -> dict[str, Field]:
-    """Describe the values that hold for all runs that have no own.
+def study_fields(snapshot: Snapshot, run: RunTable | None = None) -> dict[str, Field]:
+    """Describe the values that hold for all runs that have no own, or those of one run: its own or the common ones.
 
     Parameters
     ----------
     snapshot
         The study as its files are.
+    run
+        The run; None for all runs.
 
     Returns
     -------
@@ -44,11 +46,6 @@ def study_fields(snapshot: Snapshot) -> dict[str, Field]:
         error (sentences; a value with an error cannot be used), needed (nothing can be measured before it is given).
 
     """
-    return {key: _field_of(snapshot, key) for key in KEYS}
-
-
-def run_fields(snapshot: Snapshot, run: RunTable) -> dict[str, Field]:
-    """Describe the values of one run: its own, or those that it inherits."""
     return {key: _field_of(snapshot, key, run) for key in KEYS}
 
 
@@ -92,7 +89,7 @@ def new_study(path: Path, recordings: Sequence[str], fields: Mapping[str, Any]) 
     """
     typed = {key: value for key, value in fields.items() if key in KEYS and value not in (None, "")}
     if errors := [field["error"] for field in check_fields(typed).values() if field["error"]]:
-        raise FrictrackError("; ".join(errors), usage=True)
+        raise UsageError("; ".join(errors))
     if "fps" in typed:
         rate = read_frame_rate(typed["fps"])
         typed["fps"] = int(rate) if rate == int(rate) else rate
@@ -116,7 +113,7 @@ def refuse_implausible(table: str, key: str, value: Any) -> None:
     if key in KEYS and table in ("study", "camera", "run") and value is not None:
         error = _read_typed(key, value)["error"]
         if error:
-            raise FrictrackError(error, usage=True)
+            raise UsageError(error)
 
 
 def missing_fields(snapshot: Snapshot) -> list[str]:

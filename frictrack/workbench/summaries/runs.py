@@ -7,21 +7,25 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.number_format import format_number, join_words, lower_first
+from frictrack.base.number_format import format_number, join_words, lower_first, upper_first
 from frictrack.flow import contact_sheet_path
 from frictrack.measure.repairing import suspect_spans
 from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
 from frictrack.results import RunResults
+from frictrack.results.verdicts import describe_lost
 from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
 from frictrack.study import RunTable, Study
-from frictrack.workbench.summaries.fields import KEYS, NAMES, missing_fields, run_fields, study_fields
+from frictrack.workbench.summaries.fields import KEYS, NAMES, missing_fields, study_fields
 from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
 
 MAX_CACHED_RUNS = 1000
 MAX_SUSPECT_SPANS = 50
-NOT_MEASURED = {"n_frames_lost": 0, "suspect": [], "checks": [], "notes": [], "warnings": [], "motion": None}
+NOT_MEASURED: dict[str, Any] = {
+    **{"n_frames_lost": 0, "lost_words": "", "motion": None},
+    **{key: [] for key in ("suspect", "checks", "notes", "warnings")},
+}
 
 
 def summarise_runs(snapshot: Snapshot) -> list[dict[str, Any]]:
@@ -41,7 +45,7 @@ def _run(snapshot: Snapshot, study: Study, index: int, run: RunTable, results: R
         "kind": "film" if run.video else "table",
         "index": index,
         "film": _film(run, results),
-        "fields": run_fields(snapshot, run),
+        "fields": study_fields(snapshot, run),
         "shapes": _shapes(run, results),
         "repairs": [repair.to_dict() for repair in run.repair],
         "state": "measured" if results else "tracked" if sheet.exists() else "new",
@@ -95,8 +99,10 @@ def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
 def _measured_part(run: RunResults) -> dict[str, Any]:
     """Describe a measured run; `RunResults` are compared by identity, so that an unchanged run is described once."""
     checks = failed_checks(run) if run.quality else []
+    lost = 0 if run.track is None else int((~run.track.found).sum())
     return {
-        "n_frames_lost": 0 if run.track is None else int((~run.track.found).sum()),
+        "n_frames_lost": lost,
+        "lost_words": "" if run.track is None else f"{upper_first(describe_lost(lost, len(run.track)))}.",
         "suspect": suspect_frames(run),
         "checks": _checks(run),
         "notes": list(run.notes),

@@ -14,8 +14,7 @@ import frictrack as ft
 from formulas.causes import CAUSES, normalised
 from formulas.comparison import compared
 from formulas.studies import Sealed, draw
-from frictrack.diagnose.formulas import FormulaSearch
-from frictrack.diagnose.unexplained import unexplained_force
+from frictrack.diagnose.formulas import FormulaSearch, unexplained_force
 from frictrack.effects import definitions, read_settings
 
 LAW = ["coulomb", "viscous"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.validation.blind.tally import count_with_interval
+from frictrack.validation.blind.outcome import count_with_interval
 from reality.faults import KINDS, NONE
 from reality.judge import BROKEN, CPU_LIMIT_S, MAX_DEVIATION_SIGMAS, OUT_OF_TIME, Outcome
 

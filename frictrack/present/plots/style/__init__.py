@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from functools import lru_cache, wraps
 from html import escape
 from threading import RLock
-from typing import Any, ParamSpec, Protocol
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -30,7 +30,6 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -42,13 +41,17 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
 REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
-REPAIRED_STYLE: Any = {"color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none"}
+REPAIRED_STYLE: Any = {
+    "color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "label": "repaired by the user"
+}  # fmt: skip
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
     for color in (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
 ]  # one per run, then again dashed and dotted
 DOT_STYLE: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
+MODEL_STYLE: dict[str, Any] = {"color": MODEL_COLOUR, "linestyle": (0, (4, 1.2)), "label": "model"}
+ZERO_STYLE: dict[str, Any] = {"color": "#BBBBBB", "linewidth": 0.7, "zorder": 0}  # of a line at zero behind all else
 
 RC_PARAMS: Any = {
     "font.family": "sans-serif",
@@ -160,6 +163,7 @@ def numbered_name(group: str) -> str:
 
 Y_MARGIN = 0.08  # of the range of values, above and below
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
+BAND_LABEL = f"± {BAND_SIGMAS:g} std"
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
 MAX_FINE_RATIO = 200.0  # of the ends of a logarithmic axis with ticks at 1, 2 and 5
@@ -314,14 +318,8 @@ def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> Non
     if codes is None or not np.any(codes):
         return
     at = x[codes > 0]
-    ax.plot(at, np.zeros(len(at)), transform=ax.get_xaxis_transform(), clip_on=False, zorder=4, **REPAIRED_STYLE)
-
-
-def repaired_handles(codes: np.ndarray[Any, Any] | None) -> list[Line2D]:
-    """Return the entry of a legend for the ticks of `mark_repaired`; empty if no frame was repaired."""
-    if codes is None or not np.any(codes):
-        return []
-    return [Line2D([], [], label="repaired by the user", **REPAIRED_STYLE)]
+    look = REPAIRED_STYLE | {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 4}
+    ax.plot(at, np.zeros(len(at)), **look)
 
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
@@ -368,21 +366,29 @@ def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figur
 HANDLE_IN, LETTER_IN = 0.62, 0.082  # inches of a legend: a sample with its gaps, a letter of the mean width
 
 
-def legend_below(figure: Figure, handles: Sequence[Any], **look: Any) -> None:
+def labelled(figure: Figure) -> list[Any]:
+    """What is drawn in the panels of a figure with a label, each label once."""
+    found = [handle for ax in figure.axes for handle in ax.get_legend_handles_labels()[0]]
+    return list({str(handle.get_label()): handle for handle in reversed(found)}.values())[::-1]
+
+
+def legend_below(figure: Figure, *more: Any, **look: Any) -> None:
     """Draw the legend below the panels, in as many columns as fit into the width of the figure.
 
     Parameters
     ----------
     figure : Figure
-        The figure.
-    handles : sequence of artist
-        What is explained, with its label; of equal labels the first counts.
+        The figure: everything in its panels that has a label is explained; of equal labels the first counts.
+    *more : artist
+        What is explained beside it.
     **look
         For `Figure.legend`.
 
     """
-    by_label = {str(h.get_label()): h for h in reversed(handles)}
-    labels = [label for label in dict.fromkeys(str(h.get_label()) for h in handles)]
+    by_label = {str(h.get_label()): h for h in (*labelled(figure), *more)}
+    labels = list(by_label)
+    if not labels:
+        return
     widths = [HANDLE_IN + LETTER_IN * len(label) for label in labels]
 
     def fits(n: int) -> bool:
@@ -394,7 +400,13 @@ def legend_below(figure: Figure, handles: Sequence[Any], **look: Any) -> None:
 
 
 def panel_grid(
-    n: int, size: tuple[float, float], title: str, labels: tuple[str, ...], **subplots: Any
+    n: int,
+    size: tuple[float, float],
+    title: str,
+    labels: tuple[str, ...],
+    *,
+    width: float = PAGE_WIDTH_IN,
+    **subplots: Any,
 ) -> tuple[Figure, list[Any]]:
     """Create a figure of n cells in rows as even as possible, each with its panels one above the other.
 
@@ -408,6 +420,8 @@ def panel_grid(
         As for `new_figure`.
     labels : tuple of str
         Label of the x axis, then of the y axis of each panel of a cell.
+    width : float
+        Width of the figure, inches.
     **subplots
         For `Figure.subplots`; `height_ratios` of one cell; `sharex` = "cell": the panels of a cell share their x axis.
 
@@ -423,7 +437,7 @@ def panel_grid(
     if "height_ratios" in subplots:
         subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
     in_cells = subplots.get("sharex") == "cell" and subplots.pop("sharex")
-    figure = new_figure(size[0] * rows + size[1], title)
+    figure = new_figure(size[0] * rows + size[1], title, width)
     panels: Any = figure.subplots(each * rows, columns, squeeze=False, **subplots)
     cells = [panels[each * (k // columns) : each * (k // columns + 1), k % columns] for k in range(rows * columns)]
     for k, cell in enumerate(cells):
@@ -537,15 +551,7 @@ def pdf(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-class Drawable(Protocol):
-    """What prints itself in a line and can be drawn."""
-
-    def plot(self) -> Figure:
-        """Return the figure."""
-        ...
-
-
-def html(result: Drawable) -> str:
+def html(result: Any) -> str:
     """Return the text and the figure of a result as HTML, for a notebook.
 
     Parameters

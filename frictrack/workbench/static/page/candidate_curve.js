@@ -8,7 +8,7 @@ import { say, useStore } from "./store.js";
 const RETRY_MS = 250; // while the server is fitting the candidate
 
 /**
- * Draw the curve of the candidate in `store.tried`; returns null, {name, pending: true} or {name, plot, errors}.
+ * Draw the curve of the candidate in `store.tried`; returns null, {name, pending: true} or {name, errors}.
  * Curves are kept for one state of the study.
  */
 export function useCandidateCurve(parts) {
@@ -23,8 +23,8 @@ export function useCandidateCurve(parts) {
     }
     const abort = new AbortController();
     const draw = (found) => {
-      parts.view.setCandidate(found.columns, { name, plot: found.scene.plot, label: found.scene.errors?.words || `with ${name}` });
-      setShown({ name, plot: found.scene.plot, errors: found.scene.errors });
+      parts.view.setCandidate(found.columns, { name, label: found.scene.errors?.words || `with ${name}` });
+      setShown({ name, errors: found.scene.errors });
     };
     const read = async () => {
       if (kept.has(`${key} ${name}`)) return draw(kept.get(`${key} ${name}`));

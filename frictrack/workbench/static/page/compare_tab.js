@@ -84,7 +84,7 @@ export function CompareTab() {
   return html`
     <div class=${`ui-compare ${fitted ? "" : "unfitted"}`}>
       <div class=${`ui-work ${stale ? "stale" : ""}`}>
-        <${Linked} path=${path} film=${film} films=${films} large=${candidate?.plot || large} ready=${setParts} empty=${fitted ? null : html`<${Nothing} />`} />
+        <${Linked} path=${path} film=${film} films=${films} large=${large} ready=${setParts} empty=${fitted ? null : html`<${Nothing} />`} />
       </div>
       <aside class="ui-side" aria-label="Verdict and candidates">
         <${Models} />

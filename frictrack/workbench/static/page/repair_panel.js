@@ -4,7 +4,6 @@
 import { html, useEffect, useState } from "./hooks.js";
 import { edit, start } from "./actions.js";
 import { Button, Panel, TextBox } from "./controls.js";
-import { count } from "./format.js";
 import { Icon } from "./icons.js";
 import { foreground } from "./selectors.js";
 import { say, store, update, useStore } from "./store.js";
@@ -55,7 +54,7 @@ async function mend(run, repair) {
 function Suspects({ run }) {
   const span = useStore((s) => s.span);
   const choose = (one) => update({ span: { from: one.from, to: one.to }, tool: "repair" });
-  if (!run.suspect?.length) return html`<p class="ui-note"><${Icon} name="good" /><span>${run.n_frames_lost ? "No frame needs to be mended." : "No frame was lost."}</span></p>`;
+  if (!run.suspect?.length) return html`<p class="ui-note"><${Icon} name="good" /><span>${run.lost_words}${run.n_frames_lost ? " None needs a repair." : ""}</span></p>`;
   return html`
     <ul class="ui-spans">
       ${run.suspect.map(
@@ -114,9 +113,8 @@ function Mended({ run }) {
 export function RepairPanel({ run, repair }) {
   const span = useStore((s) => s.span);
   if (run.state === "new" && !run.repairs?.length && !span) return null;
-  const lost = run.n_frames_lost;
   return html`
-    <${Panel} title="Lost frames" className="ui-repair" aside=${lost ? html`<span class="ui-aside">${count(lost, "frame")} lost</span>` : null}>
+    <${Panel} title="Lost frames" className="ui-repair" aside=${run.n_frames_lost && run.suspect?.length ? html`<span class="ui-aside">${run.lost_words}</span>` : null}>
       <${Suspects} run=${run} />
       <${Editor} run=${run} repair=${repair} />
       ${!span && run.film && html`<${Button} small icon="repair" label="Choose frames" onClick=${() => update({ span: repair.near(), tool: "repair" })} />`}

@@ -3,9 +3,13 @@
 Along an axis u every force is a spline through its values at a few hundred nodes. Chi-squared of model and force is
 then a small quadratic form in these values, made once for a variable and shared by all shapes and settings over it.
 
+The evidence of a form is its likelihood averaged over its coefficients and parameters (Laplace's approximation). Its
+prior halves with every coefficient, parameter and further operator.
+
 References
 ----------
-Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432.
+Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432; MacKay (1992), Neural Computation 4, 415-447;
+Zellner (1986), in Bayesian Inference and Decision Techniques, 233-243.
 
 """
 
@@ -21,11 +25,8 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
-from frictrack.diagnose.compressed import CompressedResidual
-from frictrack.diagnose.formulas.probability import log_volume, relative_evidence
-from frictrack.diagnose.formulas.shapes import Shape
-from frictrack.diagnose.formulas.terms import Term, formula_axes, parameter_bounds
-from frictrack.diagnose.smooth_forces import Axis
+from frictrack.diagnose.compressed import Axis, CompressedResidual
+from frictrack.diagnose.formula_terms import Shape, Term, formula_axes, parameter_bounds, parameter_ranges
 from frictrack.records import Array
 
 N_NODES = 160  # per axis; more than three for a period of the fastest wave
@@ -39,6 +40,7 @@ MIN_GAIN_RATIO_REFINED = 0.4  # of the best gain on the grid that a form must re
 MAX_GAIN_BEHIND = 40.0  # times the reduced chi-squared: a form that gains so much less has no probability
 N_STARTS = 2  # settings of the grid from which a form is refined
 MIN_GAIN_RATIO_START = 0.8  # of the best setting of a form, for further starts
+LOG_PRIOR_PER_UNKNOWN = float(np.log(0.5))
 REACH, REACH_AGAIN = (30.0, 3.0), (1.5, 0.3)  # of both refinements: factor of a width, resolution cells of a place
 
 
@@ -48,6 +50,15 @@ class Scan:
 
     terms: list[Term]
     sizes: list[int]
+
+    @property
+    def power(self) -> float:
+        """Fall of chi-squared by the best form."""
+        return max(t.gain for t in self.terms)
+
+    def evidence(self, unit: float) -> dict[str, float]:
+        """Logarithm of the relative evidence of every form."""
+        return {t.form: relative_evidence(t, self.power, unit) for t in self.terms}
 
 
 def scan_forms(compressed: CompressedResidual, shapes: Sequence[Shape], n_refined: int, unit: float) -> Scan:
@@ -156,7 +167,7 @@ class _Variable:
 
         def traces(parameters: Array) -> Array:
             columns = _finite(form.shape.columns_at(self.u, parameters)) * self.factor[:, None]
-            return self.compressed.traces_of(self.compressed.split_by_piece(columns))
+            return self.compressed.traces_of(columns)
 
         return traces, self.compressed.residual
 
@@ -212,3 +223,26 @@ def _refine(term: Term, reach: tuple[float, float], traces: Traces, residual: Ar
     gain = float(residual @ residual - left @ left)
     refined = replace(term, parameters=tuple(parameters.tolist()), gain=gain, coefficients=tuple(coefficients.tolist()))
     return replace(refined, log_volume=log_volume(refined, jacobian))
+
+
+def log_volume(term: Term, jacobian: Array) -> float:
+    """Logarithm of the share of the prior range of its parameters that the data leave to a form.
+
+    `jacobian` (M, q) is the derivative of the whitened residual. Parameters that the data do not determine keep all.
+    """
+    ranges, logarithmic = parameter_ranges(term)
+    per_step = jacobian * np.where(logarithmic, np.abs(term.parameters), 1.0)
+    precision = per_step.T @ per_step + np.diag(2 * np.pi / ranges**2)
+    sign, log_det = np.linalg.slogdet(precision)
+    whole = 0.5 * (len(ranges) * float(np.log(2 * np.pi)) - float(log_det)) - float(np.sum(np.log(ranges)))
+    return min(whole, 0.0) if sign > 0 else 0.0
+
+
+def relative_evidence(term: Term, power: float, unit: float = 1.0) -> float:
+    """Logarithm of the evidence of a form times its relative prior, over that of no force.
+
+    The prior of the size of a force is taken from `power`, the fall of chi-squared by the best form (Zellner 1986).
+    `unit` is the reduced chi-squared, if it is above 1.
+    """
+    coefficients = 0.5 * len(term.shape.columns) * float(np.log1p(power / unit))
+    return 0.5 * term.gain / unit - coefficients + term.log_volume + LOG_PRIOR_PER_UNKNOWN * term.size
