@@ -25,6 +25,7 @@ from runs import (
     with_hidden,
 )
 
+from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
 from frictrack.fit import fit, refine, restore, state
@@ -456,3 +457,10 @@ def test_a_rejected_model_is_fitted_through_a_stop():
     fitted = fit("tustin", runs)
     assert fitted.model.names == ["coulomb", "stribeck", "viscous"]
     assert fitted.reduced_chi2 > 100
+
+
+@pytest.mark.parametrize("effect", ["timebase", "rolling_shutter", "out_of_plane"])
+def test_a_model_that_lacks_much_is_fitted_no_worse_with_one_effect_more(effect):
+    runs = samples.runs()  # a patch is missing
+    law = ["coulomb", "stribeck", "viscous"]
+    assert fit([*law, effect], runs).solution.objective < 1.001 * fit(law, runs).solution.objective
