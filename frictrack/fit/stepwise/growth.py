@@ -100,8 +100,9 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     can_grow = not any(e.relaxed or e.memory for e in model.effects)
     if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
         *rest, last = model.effects
-        with suppress(FrictrackError):  # beside a fit of the others, the last effect may find what all together miss
-            found.append(_add_later(_by_variable_projection(Model(tuple(rest)), pieces, names, fps), model, [last]))
+        if all(ties_are_resolved(e, rest) for e in rest):
+            with suppress(FrictrackError):  # beside a fit of the others, the last may find what all together miss
+                found.append(_add_later(_by_variable_projection(Model(tuple(rest)), pieces, names, fps), model, [last]))
         for other in (model, *reversed_ties(model)):
             with suppress(FrictrackError) if found else nullcontext():
                 first, later = entry_order(other)
