@@ -41,6 +41,7 @@ MIN_TRAVEL_M = 1e-15  # m: what moves by less does not move
 MEASURED_COLUMNS = ("x", "y", "drive", "friction", "a", "pressure")
 MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of positions, that stamps may add
+MIN_STAMP_ERROR = 1e-6  # of the interval; below are the digits of the numbers themselves
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
 MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
@@ -211,6 +212,8 @@ def _stamps_add_noise(data: TableData) -> bool:
     frames = sampling.frame_numbers(data.t)
     off = float(np.std(data.t - np.polyval(np.polyfit(frames, data.t, 1), frames)))
     assert data.x is not None
+    if off < MIN_STAMP_ERROR * float(np.median(np.diff(data.t))):
+        return False  # rounding of the numbers themselves
     fast = float(np.quantile(np.abs(np.diff(data.x) / np.maximum(np.diff(data.t), off)), FAST_QUANTILE))
     return fast * off > MIN_STAMP_NOISE_SHARE * noise_of_differences(np.diff(data.x, 3), 3)
 
