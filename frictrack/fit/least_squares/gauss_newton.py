@@ -16,6 +16,7 @@ Conn, A. R., Gould, N. I. M. & Toint, P. L. (2000). Trust-Region Methods. SIAM.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,8 @@ from frictrack.records import Array, Mask
 
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
+SCATTER_SHRINKAGE, SCATTER_GROWTH = 0.25, 4.0  # of the largest change of log tau, after a refused and an accepted one
+MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a refusal
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals, not smooth between nodes, or memory, solved iteratively
@@ -190,36 +193,49 @@ class _Refinement:
 
     def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
         """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
-        region = TrustRegion()
+        region, reach, before = TrustRegion(), np.inf, state
         if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
-        state, step = self.next_step(state, region)
+        state, step, rise = self.next_step(before, region, reach)
         for _ in range(max_steps):
-            threshold = min_fall * max(1.0, state.objective / max(self.problem.n_frames, 1))
-            if step.predicted_fall < threshold or self.problem.budget.stops():
+            threshold = min_fall * max(1.0, before.objective / max(self.problem.n_frames, 1))
+            if step.predicted_fall < threshold:
+                return state
+            if self.problem.budget.stops():
                 break
-            try:
-                trial = self.after_trial(state, step.values)
-            except FrictrackError:  # the motion diverges: take a shorter step
+            trial = self.after_trial(state, step.values)
+            if state is not before and (trial is None or trial.objective + rise > before.objective + threshold):
+                # the runs do not follow to the scatter that the linearised model promises
+                reach = SCATTER_SHRINKAGE * abs(float(np.log(state.tau / before.tau)))
+                state, step, rise = self.next_step(before, region, reach)
+                continue
+            if trial is None:  # the motion diverges: take a shorter step
                 region = replace(region, radius=MAX_SHRINKAGE * step.length)
                 step = self.step(state, region)
                 continue
             fall, region = state.objective - trial.objective, region.after(step, state.objective - trial.objective)
-            state, unmoved = (trial, False) if fall > 0 else (state, True)
+            if state is not before or step.length > 1.0:  # by more than a standard deviation
+                reach *= SCATTER_GROWTH
+            before, unmoved = (trial, False) if fall > 0 else (state, True)
             if is_converged(step, fall, threshold):
                 break
-            state, step = (state, self.step(state, region)) if unmoved else self.next_step(state, region)
+            state, step, rise = self.next_step(before, region, 0.0 if unmoved else reach)
             if unmoved and step.length**2 < MIN_CHI2_FALL:  # too short to change the misfit
                 break
-        return state
+        return before
 
-    def next_step(self, state: Solution, region: TrustRegion) -> tuple[Solution, DampedStep]:
-        """A new state with its scatter of the levels, and the step from there."""
+    def next_step(self, state: Solution, region: TrustRegion, reach: float) -> tuple[Solution, DampedStep, float]:
+        """A state with the scatter of its levels, the step from there, and the rise of the determinant term by it.
+
+        The scatter changes by at most a factor of exp(reach).
+        """
         step = self.step(state, region)
-        if not self.estimates_scatter or step.predicted_fall > MAX_FALL_SHARE_SCATTER * state.objective:
-            return state, step
-        state = state.with_scatter(state.level_scatter())
-        return state, self.step(state, region)
+        near = step.predicted_fall <= MAX_FALL_SHARE_SCATTER * state.objective
+        if not self.estimates_scatter or not near or reach < MIN_SCATTER_CHANGE:
+            return state, step, 0.0
+        tau, rise = state.level_scatter(reach)
+        state = state.with_scatter(tau)
+        return state, self.step(state, region), rise
 
     def step(self, state: Solution, region: TrustRegion, bounds: tuple[Array, Array] | None = None) -> DampedStep:
         """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
@@ -246,23 +262,26 @@ class _Refinement:
         pairs = zip(state.starts, state.responses, strict=True)
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
 
-    def after_trial(self, state: Solution, step: Array) -> Solution:
-        """The solution after a trial step."""
+    def after_trial(self, state: Solution, step: Array) -> Solution | None:
+        """The solution after a trial step; None if its motion cannot be integrated."""
         # if the step went too far, the coefficients are solved again for its non-linear parameters (variable
         # projection)
-        trial, linear, (low, high) = self.after_step(state, step), self.problem.layout.coefficients, self.bounds
-        for _ in range(MAX_PROJECTIONS):
-            if trial.objective < state.objective:
-                break
-            bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
-            projection = self.step(trial, TrustRegion(MIN_DAMPING), bounds)
-            if trial.objective - projection.predicted_fall >= state.objective:
-                break
-            projected = self.after_step(trial, projection.values)
-            if projected.objective >= trial.objective:
-                break
-            trial = projected
-        return trial
+        linear, (low, high) = self.problem.layout.coefficients, self.bounds
+        with suppress(FrictrackError):
+            trial = self.after_step(state, step)
+            for _ in range(MAX_PROJECTIONS):
+                if trial.objective < state.objective:
+                    break
+                bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
+                projection = self.step(trial, TrustRegion(MIN_DAMPING), bounds)
+                if trial.objective - projection.predicted_fall >= state.objective:
+                    break
+                projected = self.after_step(trial, projection.values)
+                if projected.objective >= trial.objective:
+                    break
+                trial = projected
+            return trial
+        return None
 
 
 @dataclass(frozen=True)

@@ -200,16 +200,19 @@ class Solution:
         departure = self._departure()
         return np.concatenate([r.r + r.jac @ departure[r.active] for r in self.responses])
 
-    def level_scatter(self) -> float:
-        """Estimate tau, the relative standard deviation of the friction levels.
+    def level_scatter(self, reach: float = np.inf) -> tuple[float, float]:
+        """Estimate tau, the relative standard deviation of the friction levels, near its present value.
 
-        The other unknowns enter as they do at level one. At the fitted levels l, more Coulomb friction and less of a
-        constant force is the pattern l - 1 itself, which would leave no scatter.
+        Log tau changes by at most `reach`. Also returned is by how much the determinant term of the restricted
+        likelihood rises. The other unknowns enter as they do at level one. At the fitted levels l, more Coulomb
+        friction and less of a constant force is the pattern l - 1 itself, which would leave no scatter.
         """
         rows, residual = self.few_rows_and_residual
         data = residual + rows @ self._departure()
         basis = self._basis_of(self._few_rows_at_level_one())
-        return basis.spread(basis.u.T @ data, float(data @ data))
+        tau = basis.spread(basis.u.T @ data, float(data @ data))
+        tau = float(np.clip(tau, self.tau * np.exp(-reach), self.tau * np.exp(reach)))
+        return tau, basis.logdet(tau) - basis.logdet(self.tau)
 
     def _few_rows_at_level_one(self) -> Array:
         """The Jacobian in few rows (M, P), its sensitivities to what carries the load over the level of the run."""
