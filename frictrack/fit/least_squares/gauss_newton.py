@@ -204,8 +204,8 @@ class _Refinement:
             if self.problem.budget.stops():
                 break
             trial = self.after_trial(state, step.values)
-            if state is not before and (trial is None or trial.objective + rise > before.objective + threshold):
-                # the runs do not follow to the scatter that the linearised model promises
+            if state.tau < before.tau and (trial is None or trial.objective + rise > before.objective + threshold):
+                # the runs do not follow to the smaller scatter that the linearised model promises
                 reach = SCATTER_SHRINKAGE * abs(float(np.log(state.tau / before.tau)))
                 state, step, rise = self.next_step(before, region, reach)
                 continue

@@ -6,9 +6,10 @@ that leaves more than noise, effects are added one by one, each where its scan g
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -93,21 +94,26 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     pieces = [p.with_clock(1.0) for p in pieces]  # pieces drawn from a fit may have its clock rate
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, fps)
-    found = []
-    with suppress(FrictrackError):  # its motion cannot be integrated; adding effects one by one may work
-        found.append(_by_variable_projection(model, pieces, names, fps))
-    # a relaxed effect has too many parameters for a scan; one with memory takes ten times as long
-    can_grow = not any(e.relaxed or e.memory for e in model.effects)
-    if not found or (can_grow and found[0].chi2 > GOOD_CHI2_PER_FRAME * found[0].problem.n_frames):
-        *rest, last = model.effects
-        if all(ties_are_resolved(e, rest) for e in rest):
-            with suppress(FrictrackError):  # beside a fit of the others, the last may find what all together miss
-                found.append(_add_later(_by_variable_projection(Model(tuple(rest)), pieces, names, fps), model, [last]))
-        for other in (model, *reversed_ties(model)):
-            with suppress(FrictrackError) if found else nullcontext():
-                first, later = entry_order(other)
-                problem = _problem_of(first, pieces, names, fps)
-                found.append(_with_ties_of(_one_after_the_other(problem, _linear_guess(problem), other, later), model))
+    of = pieces, names, fps
+    *rest, last = model.effects
+    ways: list[Callable[[], Solution]] = [lambda: _by_variable_projection(model, *of)]
+    if rest and all(ties_are_resolved(e, rest) for e in rest):  # the last may find what all together miss
+        ways.append(lambda: _add_later(_by_variable_projection(Model(tuple(rest)), *of), model, [last]))
+    slow = any(e.relaxed or e.memory for e in model.effects)  # to add one by one: many parameters, or long motions
+    enough = len(ways)
+    ways += [partial(_by_growth, model, other, *of) for other in (model, *reversed_ties(model))]
+    found: list[Solution] = []
+    for tried, fit in enumerate(ways):
+        if any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found) or (
+            found and slow and tried >= enough
+        ):
+            break
+        try:
+            found.append(fit())
+        except FrictrackError as error:  # its motion cannot be integrated; another way may work
+            failure = error
+    if not found:
+        raise failure
     return refit_until_stop(min(found, key=lambda s: s.objective))
 
 
@@ -162,6 +168,13 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
         if solution.objective - freed.objective > bic_penalty(len(own) * (runs - 1), solution.problem.n_frames):
             solution = freed
     return solution
+
+
+def _by_growth(model: Model, tied: Model, *of: Any) -> Solution:
+    """The fit to which effects are added one after the other, with the ties of `tied` until all are there."""
+    first, later = entry_order(tied)
+    problem = _problem_of(first, *of)
+    return _with_ties_of(_one_after_the_other(problem, _linear_guess(problem), tied, later), model)
 
 
 def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, later: list[Effect]) -> Solution:
