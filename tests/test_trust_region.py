@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from runs import study
+from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
-from frictrack import fit, samples
+from frictrack import Run, fit, samples
 from frictrack.fit.least_squares import Solution
 from frictrack.fit.least_squares.gauss_newton import DampedStep, TrustRegion, damped_step, is_converged
 
@@ -93,3 +94,30 @@ def test_a_fit_ends_where_no_step_lowers_the_misfit(monkeypatch):
     fitted = fit(["coulomb", "stribeck", "viscous"], samples.runs())
     assert fitted.solution.objective < 56728.5  # of a fit that went on for 40 steps each time
     assert len(simulated) < 180  # 239 before
+
+
+def nearly_equal_runs():
+    """Four runs of one block, whose levels scatter by 2 %, under Coulomb, Stribeck and viscous friction."""
+    out, rng = [], np.random.default_rng(2)
+    for k in range(4):
+        level = 1 + 0.02 * rng.standard_normal()
+        v_0, m = 3.0 * (1 + 0.15 * k), 0.4
+
+        def slope(_, y, level=level):
+            force = level * (0.8 + 0.4 * np.exp(-((y[1] / 0.5) ** 2))) + 0.05 * y[1]
+            return [y[1], -(force + 0.06 * level * np.sin(2 * np.pi * y[0] / 0.021 + 0.7)) / m]
+
+        t = np.arange(0, 0.08, 1 / 4000)
+        motion = solve_ivp(slope, (0, t[-1]), [0.0, v_0], rtol=1e-10, atol=1e-13, t_eval=t)
+        x = motion.y[0] + 5e-6 * rng.standard_normal(len(t))
+        out.append(Run.from_arrays(t, x, mass=m, sigma=5e-6, name=f"r{k}"))
+    return out
+
+
+@pytest.mark.parametrize("effect", ["rolling_shutter", "clock_rate"])
+def test_an_effect_more_never_fits_worse_because_levels_are_held_at_one(effect):
+    """The linearised model promises levels of one, at the price of values that its motion does not reach."""
+    runs, base = nearly_equal_runs(), ["coulomb", "stribeck", "viscous"]
+    less, more = fit(base, runs).solution, fit([*base, effect], runs).solution
+    assert more.chi2 < less.chi2 + 2.0
+    assert more.tau > 1e-3

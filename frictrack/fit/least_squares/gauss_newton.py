@@ -34,6 +34,7 @@ MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which 
 SCATTER_SHRINKAGE, SCATTER_GROWTH = 0.25, 4.0  # of the largest change of log tau, after a refused and an accepted one
 MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a refusal
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
+MAX_PROJECTION_STEPS = 10.0  # length of such a solve over that of the step; what lies farther off is not linear
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals, not smooth between nodes, or memory, solved iteratively
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
@@ -203,7 +204,7 @@ class _Refinement:
                 return state
             if self.problem.budget.stops():
                 break
-            trial = self.after_trial(state, step.values)
+            trial = self.after_trial(state, step)
             if state.tau < before.tau and (trial is None or trial.objective + rise > before.objective + threshold):
                 # the runs do not follow to the smaller scatter that the linearised model promises
                 reach = SCATTER_SHRINKAGE * abs(float(np.log(state.tau / before.tau)))
@@ -262,18 +263,18 @@ class _Refinement:
         pairs = zip(state.starts, state.responses, strict=True)
         return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
 
-    def after_trial(self, state: Solution, step: Array) -> Solution | None:
+    def after_trial(self, state: Solution, step: DampedStep) -> Solution | None:
         """The solution after a trial step; None if its motion cannot be integrated."""
         # if the step went too far, the coefficients are solved again for its non-linear parameters (variable
         # projection)
         linear, (low, high) = self.problem.layout.coefficients, self.bounds
         with suppress(FrictrackError):
-            trial = self.after_step(state, step)
+            trial = self.after_step(state, step.values)
             for _ in range(MAX_PROJECTIONS):
                 if trial.objective < state.objective:
                     break
                 bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
-                projection = self.step(trial, TrustRegion(MIN_DAMPING), bounds)
+                projection = self.step(trial, TrustRegion(MIN_DAMPING, MAX_PROJECTION_STEPS * step.length), bounds)
                 if trial.objective - projection.predicted_fall >= state.objective:
                     break
                 projected = self.after_step(trial, projection.values)
