@@ -2,7 +2,8 @@
 
 Steps are bounded, damped, and not longer than a radius. The radius shrinks where a step gains much less than predicted,
 to the minimum of the parabola through the last step. It grows again where the prediction holds. The scatter of the
-friction levels is estimated in between.
+friction levels is estimated in between. Where it falls, the simulated motion has to follow within a few steps;
+otherwise the fit goes back and the scatter changes by less (watchdog: Chamberlain et al. 1982).
 
 References
 ----------
@@ -10,6 +11,8 @@ Levenberg, K. (1944). Quarterly of Applied Mathematics 2, 164-168.
 Marquardt, D. W. (1963). SIAM J. Appl. Math. 11, 431-441.
 More, J. J. (1978). The Levenberg-Marquardt algorithm. Lecture Notes in Mathematics 630, 105-116.
 Conn, A. R., Gould, N. I. M. & Toint, P. L. (2000). Trust-Region Methods. SIAM.
+Chamberlain, R. M., Powell, M. J. D., Lemarechal, C. & Pedersen, H. C. (1982). The watchdog technique for forcing
+convergence in algorithms for constrained optimization. Mathematical Programming Study 16, 1-17.
 
 """
 
@@ -32,6 +35,7 @@ from frictrack.records import Array, Mask
 MAX_STEPS_WITH_SCATTER = 40  # Gauss-Newton steps in which the scatter of the levels is estimated too
 MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which a state is near enough to estimate tau
 SCATTER_SHRINKAGE, SCATTER_GROWTH = 0.25, 4.0  # of the largest change of log tau, after a refused and an accepted one
+SCATTER_PATIENCE = 6  # steps in which the simulated motion may follow to a smaller scatter
 MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a refusal
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MAX_PROJECTION_STEPS = 10.0  # length of such a solve over that of the step; what lies farther off is not linear
@@ -194,36 +198,45 @@ class _Refinement:
 
     def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
         """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
-        region, reach, before = TrustRegion(), np.inf, state
+        region, reach, anchor, patience = TrustRegion(), np.inf, state, SCATTER_PATIENCE
         if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
-        state, step, rise = self.next_step(before, region, reach)
+        state, step, rise = self.next_step(anchor, region, reach)
         for _ in range(max_steps):
-            threshold = min_fall * max(1.0, before.objective / max(self.problem.n_frames, 1))
-            if step.predicted_fall < threshold:
-                return state
-            if self.problem.budget.stops():
-                break
-            trial = self.after_trial(state, step)
-            if state.tau < before.tau and (trial is None or trial.objective + rise > before.objective + threshold):
-                # the runs do not follow to the smaller scatter that the linearised model promises
-                reach = SCATTER_SHRINKAGE * abs(float(np.log(state.tau / before.tau)))
-                state, step, rise = self.next_step(before, region, reach)
+            threshold = min_fall * max(1.0, anchor.objective / max(self.problem.n_frames, 1))
+            ended = step.predicted_fall < threshold or self.problem.budget.stops()
+            moved = False
+            if not ended:
+                state, region, moved, ended = self.advance(state, step, region, threshold)
+            if state.tau < anchor.tau and state.objective + rise > anchor.objective + threshold:
+                patience -= 1
+                if patience and not ended:
+                    step = self.step(state, region)
+                    continue
+                # the motion does not follow to the scatter that the linearised model promises: a smaller change
+                reach, region = SCATTER_SHRINKAGE * abs(float(np.log(state.tau / anchor.tau))), TrustRegion()
+                state, step, rise = self.next_step(anchor, region, reach)
+                patience = SCATTER_PATIENCE
                 continue
-            if trial is None:  # the motion diverges: take a shorter step
-                region = replace(region, radius=MAX_SHRINKAGE * step.length)
-                step = self.step(state, region)
-                continue
-            fall, region = state.objective - trial.objective, region.after(step, state.objective - trial.objective)
-            if state is not before or step.length > 1.0:  # by more than a standard deviation
+            if state.tau != anchor.tau or step.length > 1.0:  # by more than a standard deviation
                 reach *= SCATTER_GROWTH
-            before, unmoved = (trial, False) if fall > 0 else (state, True)
-            if is_converged(step, fall, threshold):
+            anchor, patience = state, SCATTER_PATIENCE
+            if ended:
                 break
-            state, step, rise = self.next_step(before, region, 0.0 if unmoved else reach)
-            if unmoved and step.length**2 < MIN_CHI2_FALL:  # too short to change the misfit
+            state, step, rise = self.next_step(anchor, region, reach if moved else 0.0)
+            if not moved and step.length**2 < MIN_CHI2_FALL:  # too short to change the misfit
                 break
-        return before
+        return anchor
+
+    def advance(
+        self, state: Solution, step: DampedStep, region: TrustRegion, threshold: float
+    ) -> tuple[Solution, TrustRegion, bool, bool]:
+        """A state after a trial step, the region from there, whether it moved, and whether little is left to gain."""
+        trial = self.after_trial(state, step)
+        if trial is None:  # the motion diverges: take a shorter step
+            return state, replace(region, radius=MAX_SHRINKAGE * step.length), False, False
+        fall = state.objective - trial.objective
+        return trial if fall > 0 else state, region.after(step, fall), fall > 0, is_converged(step, fall, threshold)
 
     def next_step(self, state: Solution, region: TrustRegion, reach: float) -> tuple[Solution, DampedStep, float]:
         """A state with the scatter of its levels, the step from there, and the rise of the determinant term by it.
