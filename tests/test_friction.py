@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from repeats import few_or_many
+from runs import measured
 from scipy.integrate import solve_ivp
 
 from frictrack.base.errors import FrictrackError
@@ -297,6 +298,16 @@ def test_a_frame_that_was_lost_or_doubled_is_no_impact():
         mask, reason = free_section(filmed(t, shown))
         assert "impact" not in reason
         assert mask[np.searchsorted(t, 0.15)]
+
+
+def test_a_frame_that_was_lost_from_a_precise_record_is_no_rest():
+    """A low-pass smears the jump: its velocity there is uncertain by more than a third of itself."""
+    t = np.arange(0, 0.12, 1 / 4000)
+    true = t + np.where(t > 0.04, 1 / 4000, 0.0)
+    run = measured(t, 4.0 * true - 0.5 * 28.0 * true**2, sigma=1e-7)
+    mask, _ = free_section(run)
+    assert mask.all()
+    assert moving_sections(run) == [slice(0, len(t))]
 
 
 def test_a_frame_that_was_lost_is_no_push():

@@ -21,6 +21,7 @@ from frictrack.measure.motion import white_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
+MIN_SHARE_OF_NEIGHBOURS = 0.5  # of the speed around them, with which frames of uncertain velocity move too
 MAX_PAUSE_SHARE = 0.1  # of the shorter neighbouring span: longest pause at the reversal of a swing
 MAX_SWING_RATIO = 3.0  # acceleration at a reversal over the median; an impact exceeds it
 MIN_MOTION_SIGMAS = 5.0  # |v| over sigma_v that a span of moving frames must reach to be a motion
@@ -259,8 +260,16 @@ def has_measured_force(run: Run) -> bool:
 
 
 def is_moving(run: Run) -> Mask:
-    """Frames (n,) whose velocity exceeds three standard deviations."""
-    return np.asarray(np.abs(run.motion.v) > MIN_MOVING_SIGMAS * run.motion.sigma_v)
+    """Frames (n,) whose velocity exceeds three standard deviations, or is uncertain between two that are as fast."""
+    v = run.motion.v
+    moves = np.abs(v) > MIN_MOVING_SIGMAS * run.motion.sigma_v
+    for gap in stretches(~moves):  # a frame is lost there: the mass does not rest
+        if gap.start > 0 and gap.stop < len(v) and gap.stop - gap.start < MIN_REST_FRAMES:
+            around = v[[gap.start - 1, gap.stop]]
+            moves[gap] = np.min(v[gap] * np.sign(around[0])) > MIN_SHARE_OF_NEIGHBOURS * np.max(
+                around * np.sign(around[0])
+            )
+    return np.asarray(moves)
 
 
 def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
