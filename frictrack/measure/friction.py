@@ -629,8 +629,9 @@ def _release(run: Run) -> float | None:
 def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, int, int]]:
     """The bounces and, of every motion, the first sudden loss of speed that does not stop it, both after a time."""
     out = [("impact", one.before, one.after) for one in _bounces(run)]
+    begin = int(np.searchsorted(run.motion.t, after))
     for s in motions:
-        hit = _impact(run, max(s.start, int(np.searchsorted(run.motion.t, after))), s.stop - 1)
+        hit = _impact(run, max(s.start, begin), s.stop - 1) if begin < s.stop else None
         if hit and hit[1] + EDGE_FRAMES < s.stop:
             out.append(("impact", *hit))
     return [one for one in out if run.motion.t[one[1]] > after]
