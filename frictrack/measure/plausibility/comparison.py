@@ -441,27 +441,23 @@ def _modes(clock: Mapping[str, Any]) -> list[_Mode]:
 
 
 def _common(modes: Mapping[str, Sequence[_Mode]], *, with_delay: bool) -> _Mode | None:
-    """The delay and gain that all runs together leave alone as probable; None if there is none, or one run has it."""
+    """The delay and gain that all runs together leave alone as probable; None if there is none."""
     every = list(chain.from_iterable(modes.values()))
+    if not every:
+        return None
     logs = np.array([sum(_log_probability(those, mode, with_delay) for those in modes.values()) for mode in every])
-    best = every[int(np.argmax(logs))] if every else None
-    if best is None or sum(any(m.agrees(best, with_delay) for m in those) for those in modes.values()) < 2:
+    apart = np.array([not mode.agrees(every[np.argmax(logs)], with_delay) for mode in every])
+    if np.sum(np.exp(logs[apart] - np.max(logs))) > MAX_RIVAL_PROBABILITY:
         return None
-    same = np.array([mode.agrees(best, with_delay) for mode in every])
-    if np.sum(np.exp(logs[~same] - np.max(logs))) > MAX_RIVAL_PROBABILITY:
-        return None
-    return min(
-        (mode for mode, agrees in zip(every, same, strict=True) if agrees), key=lambda m: m.sigma_offset or np.inf
-    )
+    return min((every[k] for k in np.flatnonzero(~apart)), key=lambda mode: mode.sigma_offset or np.inf)
 
 
 def _log_probability(those: Sequence[_Mode], mode: _Mode, with_delay: bool) -> float:
     """Log of the probability density of the data of a run, if the sensor has one delay and gain in nearly all runs."""
-    density = 0.0
-    for one in those:
-        sigma = np.sqrt(one.sigma_offset**2 + mode.sigma_offset**2 + (MAX_DELAY_DIFFERENCE / 3.0) ** 2)
-        z = (one.offset - mode.offset) / sigma if with_delay else 0.0
-        density += one.agrees(mode, False) * one.probability * np.exp(-0.5 * z**2) / sigma
+    weights = np.array([one.probability * one.agrees(mode, False) for one in those])
+    sigma = np.hypot(MAX_DELAY_DIFFERENCE / 3.0, [np.hypot(one.sigma_offset, mode.sigma_offset) for one in those])
+    z = np.array([one.offset - mode.offset for one in those]) / sigma * with_delay
+    density = float(np.sum(weights * np.exp(-0.5 * z**2) / sigma))
     return float(np.log((1.0 - SHARE_APART) * density + SHARE_APART / DELAY_RANGE))
 
 
