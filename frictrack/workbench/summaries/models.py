@@ -141,7 +141,7 @@ def searches(study: Study | None) -> dict[str, Any]:
     """Return the settings of every search by name, each with its default, and the study file's search and `over`."""
     own: dict[str, Any] = {"search": "varpro", "over": "all", "settings": {}}
     own |= study.search.request if study and study.search else {}
-    known: dict[str, dict[str, Any]] = {"varpro": {}} | {name: kind.describe_settings() for name, kind in METHODS.items()}
+    known: dict[str, Any] = {"varpro": {}} | {name: kind.describe_settings() for name, kind in METHODS.items()}
     for name, value in own["settings"].items():
         known[own["search"]][name]["default"] = value
     return {"known": known, "search": own["search"], "over": own["over"]}
