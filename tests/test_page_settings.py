@@ -139,6 +139,22 @@ def test_priors_ties_and_values_per_run_are_set_in_the_block(bench: Server, tab:
     undone(page, bench, before)
 
 
+@pytest.mark.slow
+def test_every_setting_of_a_search_has_a_box(bench: Server, tab: Open) -> None:
+    page, session = tab().open(bench).to("Model"), Session(open_study(bench.study))
+    page.page.get_by_label("Search", exact=True).select_option("mga")
+    assert page.page.get_by_label("L const", exact=True).get_attribute("placeholder") == "10"
+    for label, text in (("Population", "12"), ("Generations", "3"), ("b", "0.3")):
+        page.fill(label, text)
+    page.page.get_by_label("As printed", exact=True).select_option("true")
+    page.picture("13_search")
+    page.click("Fit")
+    page.until(lambda: session.models.request(session.models.current_group).search == "mga")
+    asked = {"population": 12, "generations": 3, "b": 0.3, "as_printed": True}
+    assert session.models.request(session.models.current_group).settings == asked
+    page.until(lambda: Session(open_study(bench.study)).models.groups[-1] == session.models.current_group)
+
+
 def test_a_pdf_is_printed_while_the_page_lives_on(bench: Server, tab: Open) -> None:
     page = tab().open(bench).to("History")
     with page.page.expect_download() as got:

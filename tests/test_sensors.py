@@ -415,3 +415,10 @@ def test_one_sensor_has_one_sign_gain_and_delay_over_the_runs() -> None:
     assert not implausible_sensors({"a": good, "b": _clock(-7e-3, 0.9), "c": _clock(1.0, 0.95)})  # started by hand
     ambiguous = [[-2.3e-3 - k / 300, 0.9, 0.3] for k in (1, 2)]
     assert not implausible_sensors({"a": _clock(-2.3e-3, 0.9, *ambiguous), "b": _clock(-2.3e-3, 0.9, *ambiguous)})
+
+
+def test_two_runs_whose_improbable_delays_coincide_have_no_common_one() -> None:
+    far = [-6.2e-3, 0.9, 1e-3]
+    assert not implausible_sensors({"a": _clock(-1e-3, 0.9, far), "b": _clock(-3e-3, 0.9, far)})
+    said = implausible_sensors({"a": _clock(-1e-3, 0.9, [-3.0e-3, 0.9, 0.3]), "b": _clock(-3e-3, 0.9, far)})
+    assert [one.correction for one in said] == ['offset = "-3 ms"'] * 2

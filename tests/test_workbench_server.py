@@ -59,9 +59,13 @@ def test_the_state_of_a_study(fitted: Path, page: Clients) -> None:
 
 @pytest.mark.slow
 def test_effects_and_numbers_as_they_are_typed(study_file: Path, page: Clients) -> None:
+    study_file.write_text(study_file.read_text() + '\n[search]\nmethod = "mga"\ngenerations = 77\n', encoding="utf-8")
     client = page(study_file)
-    effects = client.get("/api/effects")[1]["effects"]
-    assert "texture" in [one["name"] for one in effects]
+    found = client.get("/api/effects")[1]
+    assert "texture" in [one["name"] for one in found["effects"]]
+    assert found["searches"]["search"] == "mga"
+    assert found["searches"]["known"]["mga"]["generations"] == {"default": 77, "choices": None}
+    assert found["searches"]["known"]["ga"]["generations"] == {"default": None, "choices": None}
     status, found = client.post("/api/check", fields={"mass": "350 g"})
     assert (status, found["fields"]["mass"]["echo"]) == (200, "0.350 kg")
     assert "350 g" not in study_file.read_text()

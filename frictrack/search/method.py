@@ -376,6 +376,11 @@ class SearchMethod:
         """Ask the evaluator for the costs of points in the unit box until it stops the search, or until converged."""
         raise NotImplementedError
 
+    @classmethod
+    def describe_settings(cls) -> dict[str, dict[str, Any]]:
+        """Describe the settings by name: the default (None: chosen for each problem), and the texts that it may be."""
+        return {f.name: {"default": f.default, "choices": f.metadata["choices"]} for f in fields(cls) if f.metadata}
+
     @property
     def points(self) -> tuple[int, int] | None:
         """Points evaluated in the first and in every later generation; None where this varies."""

@@ -226,11 +226,12 @@ async def _state(api: Api) -> None:
 
 
 async def _effects(api: Api) -> None:
-    """The catalogue of effects, with those that the study defines."""
-    from frictrack.workbench.summaries import effect_library  # noqa: PLC0415 - loads NumPy
+    """The catalogue of effects, with those that the study defines, and the searches with their settings."""
+    from frictrack.workbench.summaries import effect_library, searches  # noqa: PLC0415 - loads NumPy
 
-    snapshot = api.live.snapshot
-    api.answer({"effects": await api.live.read(effect_library, snapshot.study if snapshot else None)})
+    snapshot = await api.live.read_snapshot()
+    study = snapshot.study if snapshot else None
+    api.answer({"effects": await api.live.read(effect_library, study), "searches": searches(study)})
 
 
 async def _glossary(api: Api) -> None:

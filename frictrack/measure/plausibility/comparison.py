@@ -265,6 +265,8 @@ MIN_SHIFT_SIGMAS, MIN_SHIFT_SHARE = 5.0, 0.01  # standard deviations, and share 
 
 MAX_GAIN_DIFFERENCE = 0.1  # relative, between runs of one sensor: the scale of each film is in it
 MAX_DELAY_DIFFERENCE = 2e-4  # s, in addition to the deviations: jitter of a trigger
+SHARE_APART, DELAY_RANGE = 0.1, 0.1  # of the runs that have another delay than the others, and within how many s
+MAX_RIVAL_PROBABILITY = 1e-3  # of all other delays together, below which one is common to the runs
 MAX_SIGMAS = 5.0
 
 
@@ -399,6 +401,7 @@ class _Mode(NamedTuple):
     gain: float
     sigma_offset: float = 0.0
     sigma_gain: float = 0.0
+    probability: float = 1.0
 
     def agrees(self, other: _Mode, with_delay: bool) -> bool:
         """Whether two runs may have this delay and gain in common."""
@@ -429,21 +432,33 @@ def implausible_sensors(clocks: Mapping[str, Mapping[str, Any]]) -> tuple[Findin
 
 
 def _modes(clock: Mapping[str, Any]) -> list[_Mode]:
-    """The stated delay and gain of a run first, then its rivals."""
-    rivals = [_Mode(offset, gain) for offset, gain, _ in clock.get("rivals", ())]
-    sigmas = () if rivals else (clock["sigma_offset_s"] or 0.0, clock["sigma_gain"] or 0.0)
-    return [_Mode(clock["offset_s"], clock["gain"], *sigmas), *rivals]
+    """The stated delay and gain of a run first, then its rivals; the stated deviation holds those, too."""
+    rivals, first = clock.get("rivals", ()), clock["offset_s"]
+    spread = sum(p * (offset - first) ** 2 for offset, _, p in rivals)
+    sigmas = float(np.sqrt(max((clock["sigma_offset_s"] or 0.0) ** 2 - spread, 0.0))), clock["sigma_gain"] or 0.0
+    every = [(first, clock["gain"], 1.0 - sum(p for *_, p in rivals)), *rivals]
+    return [_Mode(offset, gain, *sigmas, probability) for offset, gain, probability in every]
 
 
 def _common(modes: Mapping[str, Sequence[_Mode]], *, with_delay: bool) -> _Mode | None:
-    """The delay and gain that more runs allow than any other; None if there is none, or one run alone allows it."""
+    """The delay and gain that all runs together leave alone as probable; None if there is none."""
     every = list(chain.from_iterable(modes.values()))
-    allowed = [sum(any(m.agrees(mode, with_delay) for m in those) for those in modes.values()) for mode in every]
-    most = max(allowed, default=0)
-    best = [mode for mode, count in zip(every, allowed, strict=True) if count == most]
-    if most < 2 or not all(mode.agrees(best[0], with_delay) for mode in best):
+    if not every:
         return None
-    return min(best, key=lambda m: m.sigma_offset or np.inf)
+    logs = np.array([sum(_log_probability(those, mode, with_delay) for those in modes.values()) for mode in every])
+    apart = np.array([not mode.agrees(every[np.argmax(logs)], with_delay) for mode in every])
+    if np.sum(np.exp(logs[apart] - np.max(logs))) > MAX_RIVAL_PROBABILITY:
+        return None
+    return min((every[k] for k in np.flatnonzero(~apart)), key=lambda mode: mode.sigma_offset or np.inf)
+
+
+def _log_probability(those: Sequence[_Mode], mode: _Mode, with_delay: bool) -> float:
+    """Log of the probability density of the data of a run, if the sensor has one delay and gain in nearly all runs."""
+    weights = np.array([one.probability * one.agrees(mode, False) for one in those])
+    sigma = np.hypot(MAX_DELAY_DIFFERENCE / 3.0, [np.hypot(one.sigma_offset, mode.sigma_offset) for one in those])
+    z = np.array([one.offset - mode.offset for one in those]) / sigma * with_delay
+    density = float(np.sum(weights * np.exp(-0.5 * z**2) / sigma))
+    return float(np.log((1.0 - SHARE_APART) * density + SHARE_APART / DELAY_RANGE))
 
 
 def _sensor_finding(run: str, modes: Sequence[_Mode], common: _Mode, *, with_delay: bool) -> Finding | None:

@@ -14,6 +14,6 @@ state      all of it, with the changes in plain words
 
 from frictrack.workbench.summaries.diagnosis import candidate_curves
 from frictrack.workbench.summaries.fields import check_fields, new_study, refuse_implausible
-from frictrack.workbench.summaries.models import effect_library
+from frictrack.workbench.summaries.models import effect_library, searches
 from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader, read_snapshot
 from frictrack.workbench.summaries.state import change_words, state_of

@@ -13,6 +13,7 @@ from frictrack.flow import user_effects
 from frictrack.present.plots import has_law, numbered_name, residual_unit
 from frictrack.results import ModelResults, Results
 from frictrack.results.error_rows import held_out_error
+from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
 
@@ -134,6 +135,16 @@ def current_model(snapshot: Snapshot) -> dict[str, Any] | None:
 def effect_library(study: Study | None) -> list[dict[str, Any]]:
     """Return the catalogue of effects, with those that the study defines, if there is one."""
     return list(_library(study.effects if study else ()).values())
+
+
+def searches(study: Study | None) -> dict[str, Any]:
+    """Return the settings of every search by name, each with its default, and the study file's search and `over`."""
+    own: dict[str, Any] = {"search": "varpro", "over": "all", "settings": {}}
+    own |= study.search.request if study and study.search else {}
+    known: dict[str, Any] = {"varpro": {}} | {name: kind.describe_settings() for name, kind in METHODS.items()}
+    for name, value in own["settings"].items():
+        known[own["search"]][name]["default"] = value
+    return {"known": known, "search": own["search"], "over": own["over"]}
 
 
 def _library(tables: Sequence[EffectTable]) -> dict[str, dict[str, Any]]:

@@ -12,13 +12,11 @@ import { foreground, outdatedWords } from "./selectors.js";
 import { say, useStore } from "./store.js";
 import { Words } from "./words.js";
 
-const SEARCHES = ["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"].map((name) => [name, name]);
-
-/** Effects that can be added, read once per state of the study. */
+/** Effects that can be added and searches with their settings, read once per state of the study. */
 function useCatalogue() {
-  const [found, setFound] = useState([]), revision = useStore((s) => s.study?.revision);
+  const [found, setFound] = useState({ effects: [], searches: { known: {} } }), revision = useStore((s) => s.study?.revision);
   useEffect(() => {
-    getJSON("/api/effects").then((all) => setFound(all.effects || all), () => {});
+    getJSON("/api/effects").then(setFound, () => {});
   }, [revision]);
   return found;
 }
@@ -42,11 +40,11 @@ function AddEffect({ catalogue, taken, why }) {
     <//>`;
 }
 
-/** "generations = 200, crossover = 0.8" as an object; numbers and true or false are read as such. */
-function settingsOf(text) {
+/** "temperature = 20 degC, oil = none" as an object; numbers and true or false are read as such. */
+function conditionsOf(text) {
   const pairs = text.split(/[,;\n]/).filter((one) => one.trim()).map((one) => one.split("=").map((part) => part.trim()));
   const bad = pairs.find((pair) => pair.length !== 2 || !pair[0] || !pair[1]);
-  if (bad) throw new Error(`Expected settings like "crossover = 0.8, restarts = 3" but got "${bad.join(" = ")}".`);
+  if (bad) throw new Error(`Expected conditions like "temperature = 20 degC, oil = none" but got "${bad.join(" = ")}".`);
   return Object.fromEntries(pairs.map(([key, value]) => [key, { true: true, false: false }[value] ?? valueOf(value)]));
 }
 
@@ -64,35 +62,39 @@ function StudyKeys() {
   return html`
     <${Panel} title="Known before">
       <${TextBox} wide label="Prior: file of another set-up" value=${keys.prior} placeholder="other_set_up.prior.toml" onCommit=${set("prior", (text) => text)} />
-      <${TextBox} wide label="Conditions, compared by frictrack batch" value=${keys.conditions} placeholder="temperature = 20 degC, oil = none" onCommit=${set("conditions", settingsOf)} />
+      <${TextBox} wide label="Conditions, compared by frictrack batch" value=${keys.conditions} placeholder="temperature = 20 degC, oil = none" onCommit=${set("conditions", conditionsOf)} />
       <${TextBox} wide label="Functions of z for an unexplained force" value=${keys.functions} placeholder="z^2*exp(-z); tanh(z)" onCommit=${set("functions", (text) => text.split(";").map((one) => one.trim()).filter(Boolean))} />
     <//>`;
 }
 
-function Fit({ why }) {
-  const [search, setSearch] = useState("varpro"), [over, setOver] = useState("all");
+/** Name of a setting; the papers' symbols of one letter stay as they are. */
+const words = (key) => (key.length > 1 ? key[0].toUpperCase() + key.slice(1).replaceAll("_", " ") : key);
+
+function Fit({ searches, why }) {
+  const [asked, setSearch] = useState(null), [all, setOver] = useState(null);
+  const search = asked || searches.search || "varpro", over = all || searches.over || "all", known = searches.known[search] || {};
   const [seed, setSeed] = useState("0"), [model, setModel] = useState(""), [more, setMore] = useState({});
   const [group, searched, version] = [useStore((s) => s.study?.model?.group), useStore((s) => s.study?.model?.has_search), useStore((s) => s.study?.version)];
   const job = useStore(foreground);
-  const box = (key, label, placeholder) => html`<${TextBox} label=${label} wide=${key === "other"} value=${more[key] || ""} placeholder=${placeholder} onCommit=${(text) => setMore({ ...more, [key]: text })} />`;
+  const box = ([key, { default: usual, choices }]) => {
+    const set = (text) => setMore({ ...more, [key]: text });
+    const options = choices || (typeof usual === "boolean" ? ["true", "false"] : null), now = more[key] || (options ? String(usual) : "");
+    if (options) return html`<${Choice} key=${search + key} label=${words(key)} value=${now} options=${options.map((one) => [one, one])} onChange=${set} />`;
+    return html`<${TextBox} key=${search + key} label=${words(key)} value=${now} placeholder=${usual ?? "automatic"} onCommit=${set} />`;
+  };
   const fit = () => {
-    try {
-      const { other = "", ...sizes } = more, given = Object.entries(sizes).filter(([, text]) => text).map(([key, text]) => `${key} = ${text}`);
-      const settings = search === "varpro" ? {} : settingsOf([...given, other].join(","));
-      start("fit", { model: model || null, search, over: search === "varpro" ? "all" : over, seed: Number.parseInt(seed, 10) || 0, ...(Object.keys(settings).length ? { settings } : {}) }, `Fit ${model || "the model"}`);
-    } catch (error) {
-      say(error.message, "bad");
-    }
+    const settings = Object.fromEntries(Object.entries(more).filter(([key, text]) => text && key in known));
+    start("fit", { model: model || null, search, over: search === "varpro" ? "all" : over, seed: Number.parseInt(seed, 10) || 0, ...(Object.keys(settings).length ? { settings } : {}) }, `Fit ${model || "the model"}`);
   };
   return html`
     <${Panel} title="Fit">
       <${TextBox} wide label="Another model" value=${model} placeholder="tustin, atm1:2, or coulomb, viscous" onCommit=${setModel} />
       <div class="ui-row">
-        <${Choice} label="Search" value=${search} options=${SEARCHES} onChange=${setSearch} />
+        <${Choice} label="Search" value=${search} options=${Object.keys(searches.known).map((name) => [name, name])} onChange=${setSearch} />
         <${Choice} label="Parameters" value=${over} options=${[["all", "all"], ["nonlinear", "nonlinear"]]} onChange=${setOver} />
         <${TextBox} label="Seed" value=${seed} onCommit=${setSeed} />
       </div>
-      ${search !== "varpro" && html`<div class="ui-row">${box("population", "Population", "automatic")}${box("generations", "Generations", "automatic")}</div>${box("other", "Other settings", "crossover = 0.8, restarts = 3")}`}
+      <div class="ui-row">${Object.entries(known).filter(([key]) => key !== "seed").map(box)}</div>
       <${Button} icon="run" kind="primary" label="Fit" why=${why} onClick=${fit} />
       ${job || !searched ? html`<${Convergence} />` : html`<${Figure} title=${`Search of ${group}`} alt="Lowest misfit, diversity and best parameters over the generations of the search"
         src=${address("/api/figure", { name: `search:${group}`, v: version })} />`}
@@ -118,8 +120,8 @@ export function ModelTab() {
           : html`<div class="ui-nothing"><h2>No model is fitted yet</h2><p>Fit the model of the study file, or type another one at the right.</p></div>`}
       </div>
       <aside class="ui-side" aria-label="Effects and fit">
-        <${AddEffect} catalogue=${catalogue} taken=${model?.effects.map((one) => one.name) || []} why=${model ? why : "Fit a model first."} />
-        <${Fit} why=${why} />
+        <${AddEffect} catalogue=${catalogue.effects} taken=${model?.effects.map((one) => one.name) || []} why=${model ? why : "Fit a model first."} />
+        <${Fit} searches=${catalogue.searches} why=${why} />
         <${StudyKeys} />
       </aside>
     </div>`;
