@@ -377,7 +377,10 @@ def test_the_verdict_is_stored_before_anything_else_is_done(study_file: Path) ->
     with pytest.raises(KeyboardInterrupt):
         run_study(Session(open_study(study_file)), end)
     assert seen == [("complete", "complete", False)]
-    assert state(study_file)["diagnosis"]["title"] == "Coulomb + viscous is complete for these runs"
+    assert (
+        state(study_file)["diagnosis"]["title"]
+        == "Coulomb + viscous is complete: no further effect is detectable in these runs"
+    )
 
 
 @pytest.mark.slow

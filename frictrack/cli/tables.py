@@ -11,8 +11,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import format_plain, format_plus_minus, format_share
 from frictrack.results.error_rows import error_rows
+from frictrack.results.parameter_rows import parameter_row
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
@@ -141,6 +143,7 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
+        out.print(f"{symbols_in(result['equation'])}.", style="dim")
     out.print(parameters(result["parameters"]))
     if prior := result.get("prior"):
         _prior(out, prior)
@@ -180,47 +183,20 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
         out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
 
 
-def parameters(values: dict[str, Any]) -> Table:
-    """Return a table with one row per parameter: value ± standard deviation, unit, remark.
+def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
+    """Return a table with one row per parameter: value ± standard deviation, remark.
 
-    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them.
+    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them;
+    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line.
     """
-    extra: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {  # key of a parameter -> head and cell
-        "std_misfit": ("† ± with misfit", lambda p: format_plain(p.get("std_misfit"), 2)),
-        "unit": ("unit", lambda p: str(p["unit"])),
-        "interval": ("95 % interval", interval),
-        "from_prior": ("from the prior", lambda p: f"{100 * p['from_prior']:.0f} %" if "from_prior" in p else ""),
-    }
-    shown = [pair for key, pair in extra.items() if key == "unit" or any(key in p for p in values.values())]
-    rows = table("parameter", "value", *(head for head, _ in shown), "")
-    for name, p in values.items():
-        remark = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
-        value = format_plus_minus(p["value"], p["std"])
-        rows.add_row(escape(name), value, *(write(p) for _, write in shown), escape(remark))
-    return rows
-
-
-def interval(p: dict[str, Any]) -> str:
-    """Format a 95 % interval; either end may be open.
-
-    Examples
-    --------
-    >>> interval({"interval": [1.0, None]})
-    'above 1'
-
-    """
-    low, high = p.get("interval") or (None, None)
-    if low is None and high is None:
-        return "any" if "interval" in p else ""
-    if low is None:
-        return f"below {format_plain(high)}"
-    return f"above {format_plain(low)}" if high is None else f"{format_plain(low)} to {format_plain(high)}"
-
-
-def _mu(p: dict[str, Any]) -> str:
-    """Format the coefficient of friction, if the normal load is known."""
-    mu = p.get("mu")
-    return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
+    found = {escape(name): parameter_row(p) for name, p in values.items()}
+    if brief:
+        rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
+        return table("parameter", "value ± std", "", rows=rows)
+    extra = {"misfit": "† ± with misfit", "interval": "95 % interval", "from_prior": "from the prior"}
+    shown = [key for key in extra if any(getattr(row, key) for row in found.values())]
+    cells = ((n, r.value, *(getattr(r, key) for key in shown), escape(r.remark)) for n, r in found.items())
+    return table("parameter", "value ± std", *(extra[key] for key in shown), "", rows=cells)
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:

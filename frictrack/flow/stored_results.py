@@ -32,6 +32,7 @@ from frictrack.measure.error_budget import budget
 from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
+from frictrack.results.model_names import plain_name
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
 
@@ -292,8 +293,6 @@ def _outdated_report(
     if found is None:
         reason = "an earlier version of frictrack wrote it"
     elif found[2] != group:
-        from frictrack.present.plots import plain_name  # noqa: PLC0415 - loads matplotlib
-
         reason = f"it was written for {plain_name(found[2])}, but {plain_name(group)} is the current model"
     elif found[1] != results_key(models, pipelines):
         reason = "results were computed again since it was written"
@@ -382,7 +381,9 @@ class ResultsReader:
         }
         contents = {name: run.film.hash for name, run in runs.items() if run.film is not None}
         displacements = {name: run.displacement for name, run in runs.items()}
-        twice = self._keep("twice", {name: states[name] for name in runs}, lambda: duplicate_notes(displacements, contents))
+        twice = self._keep(
+            "twice", {name: states[name] for name in runs}, lambda: duplicate_notes(displacements, contents)
+        )
         authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():

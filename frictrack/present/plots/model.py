@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from frictrack.base.number_format import describe_change, format_number, format_share
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
+from frictrack.results.model_names import plain_name
 
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch

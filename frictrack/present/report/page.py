@@ -25,7 +25,13 @@ from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
 from frictrack.results.error_rows import held_out_error
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import CHECK_FIRST, describe_formula, describe_unnamed, force_without_effect
+from frictrack.results.verdicts import (
+    CHECK_FIRST,
+    describe_formula,
+    describe_unnamed,
+    describe_verdict,
+    force_without_effect,
+)
 
 MAX_FILMS = 4  # films of which the first frame is shown
 
@@ -124,7 +130,7 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
 
 
 def _headline(model: ModelResults) -> str:
-    return f"{plots.plain_name(model.name)} {texts.model_status(model.diagnosis or {})}"
+    return describe_verdict(model.diagnosis or {}, plots.plain_name(model.name))
 
 
 def _first_frame(run: RunResults, *, wide: bool) -> Markup:

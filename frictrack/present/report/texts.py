@@ -13,20 +13,23 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import describe_change, format_number, format_quantity, join_words, upper_first
+from frictrack.base.number_format import describe_change, format_number, format_quantity, join_words
 from frictrack.fit.penalties import SCATTER_BOUNDS
-from frictrack.present.plots import noise_um, plain_name
+from frictrack.present.plots import noise_um
 from frictrack.present.report.markup import describe_evidence, mark_code, sentences
 from frictrack.present.report.tables import Cell, TextTable, make_table
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.error_rows import held_out_error
+from frictrack.results.model_names import plain_name
 from frictrack.results.motion_axes import AXES
 from frictrack.results.verdicts import (
+    CHECK_NEXT,
     VERDICT_ONLY,
     certain_effects,
     describe_alternatives,
     describe_lost,
+    describe_verdict,
     indistinguishable_effects,
 )
 
@@ -36,7 +39,6 @@ EFFECT_NAMES = {
     "viscous": "viscous friction",
     "drag": "drag",
 }
-MAX_GAPS_NAMED = 2  # in a headline
 NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 
 
@@ -87,7 +89,9 @@ def study_verdict(results: Results) -> VerdictText:
         rivals = indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
         alternatives = describe_alternatives(diagnosis)
         paragraph += sentences("verdict", diagnosis, _residual(model), rows, rivals, alternatives, AXES)
-    return VerdictText(_headline(results, model, kind), tuple(paragraph), kind, _runs_and_model(model))
+    name = plain_name(model.name)
+    headline = describe_verdict(diagnosis, name) if diagnosis else f"{name}, not yet diagnosed"
+    return VerdictText(headline, tuple(paragraph), kind, _runs_and_model(model))
 
 
 def effect_names(names: Sequence[str]) -> str:
@@ -102,51 +106,12 @@ def effect_names(names: Sequence[str]) -> str:
     return join_words([EFFECT_NAMES.get(name, name) for name in names])
 
 
-def model_status(diagnosis: Mapping[str, Any]) -> str:
-    """Describe the verdict of a diagnosis as a predicate that follows the model's name.
-
-    Examples
-    --------
-    >>> model_status({"verdict": "missing", "missing": ["texture"]})
-    'lacks texture'
-
-    """
-    if diagnosis["verdict"] == "complete":
-        return "is complete"
-    if diagnosis["verdict"] == "undetermined":
-        return "is neither confirmed nor refuted"
-    if diagnosis["verdict"] == "ambiguous":
-        certain, group = certain_effects(diagnosis), join_words(indistinguishable_effects(diagnosis), "or")
-        return f"lacks {join_words(certain)}, and {group}" if certain else f"lacks {group}"
-    if diagnosis["verdict"] == "missing":
-        return f"lacks {join_words(diagnosis['missing'])}"
-    return "fails, and part of the misfit is unexplained"
-
-
 def single_additions(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
     """Yield successive models that differ by one added effect: the model before, the one after, the effect."""
     for before, after in pairwise(models):
         new = [name for name in after.summary["model"] if name not in before.summary["model"]]
         if len(new) == 1 and len(after.summary["model"]) > len(before.summary["model"]):
             yield before, after, new[0]
-
-
-def _headline(results: Results, model: ModelResults, kind: str) -> str:
-    name = plain_name(model.name)
-    diagnosis = results.diagnosis or {}
-    if kind == "complete":
-        added = [effect for *_, effect in single_additions(results.models) if effect in model.summary["model"]]
-        if added:
-            verb = "explains" if len(added) == 1 else "explain"
-            return f"{upper_first(join_words(added))} {verb} the misfit; nothing else is detectable"
-        return f"{name} is complete for these runs"
-    if kind == "undetermined":
-        gaps = diagnosis.get("undetermined") or [{"what": "the law"}]
-        return f"Undetermined: these runs do not determine {join_words([gap['what'] for gap in gaps[:MAX_GAPS_NAMED]])}"
-    if kind == "ambiguous":
-        unclear = "the last of them" if certain_effects(diagnosis) else "them"
-        return f"{name} {model_status(diagnosis)}: these runs cannot distinguish {unclear}"
-    return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
 
 
 def _runs_and_model(model: ModelResults) -> str:
@@ -316,6 +281,8 @@ def next_steps(results: Results) -> list[Markup]:
         steps.append(mark_code(VERDICT_ONLY))
     filmed = any(run.film is not None for run in results.runs)
     unknown = filmed and not has_measured_friction(results) and not scale_error(results)
+    if results.warnings:
+        return [mark_code(CHECK_NEXT), *steps]
     return [*steps, *([Markup(NO_SCALE_ERROR)] if unknown else [])]
 
 
