@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import format_plain, format_plus_minus
+from frictrack.base.number_format import describe_change, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
-from frictrack.results.error_rows import error_rows
+from frictrack.results.error_rows import error_rows, held_out_error
 from frictrack.results.motion_axes import AXES
 
 MAX_EXAMPLES = 2  # pairs that are named for a run
@@ -216,12 +216,17 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
-    shared = [(name, one) for name, one in fitted["parameters"].items() if "[" not in name][:MAX_PARAMETERS]
-    out.print(tables.parameters(dict(shared), brief=True))
-    if left_out := _more(len(fitted["parameters"]) - len(shared), "parameter"):
-        out.print(left_out.strip())
+    _brief_parameters(out, fitted["parameters"])
     if fitted.get("misfit"):
         out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
+
+
+def _brief_parameters(out: Console, parameters: dict[str, Any]) -> None:
+    """Print the first parameters that all runs share."""
+    shared = [(name, one) for name, one in parameters.items() if "[" not in name][:MAX_PARAMETERS]
+    out.print(tables.parameters(dict(shared), brief=True))
+    if left_out := _more(len(parameters) - len(shared), "parameter"):
+        out.print(left_out.strip())
 
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
@@ -249,10 +254,12 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
-        out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
-        tables.edit(out, result["add"])
-    out.print("Every model tried:")
-    tables.history(out, result["history"])
+        (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
+        change = describe_change(before, after, unit)
+        out.print(
+            f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
+        )
+        _brief_parameters(out, result["add"]["parameters"])
 
 
 # --- the other commands

@@ -46,7 +46,7 @@ def parameter_row(p: Mapping[str, Any]) -> ParameterRow:
 
     Examples
     --------
-    >>> row = parameter_row({"value": 0.0079, "std": 0.00025, "std_misfit": 0.0013, "unit": "m"})
+    >>> row = parameter_row({"value": 0.0079, "std": 0.00026, "std_misfit": 0.0013, "unit": "m"})
     >>> row.value, row.short, row.misfit
     ('7.9 ± 0.3 mm', '7.9 ± 1.3 mm †', '1.3 mm')
     >>> parameter_row({"value": 1.0, "std": None, "unit": "1", "reason": "fixed", "interval": [0.5, None]}).interval

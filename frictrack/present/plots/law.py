@@ -89,7 +89,7 @@ def law_title(model: ModelResults) -> str:
     begin, end = (format_number(force) for force in (first["F"][0], first["F"][-1]))
     if begin == end:
         return f"{plain_name(model.name)}: friction {begin} N from {slow} to {fast} {unit}"
-    return f"{plain_name(model.name)}: friction {begin} N at {slow}, {end} N at {fast} {unit}"
+    return f"{plain_name(model.name)}: friction {begin} N at {slow} {unit}, {end} N at {fast} {unit}"
 
 
 def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: float, color: str) -> None:

@@ -12,14 +12,14 @@ from markupsafe import Markup
 from frictrack.base.number_format import (
     DASH,
     format_number,
-    format_quantity,
     format_size,
 )
 from frictrack.present.plots.style import axis_label
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
-from frictrack.results.error_rows import error_rows
+from frictrack.results.error_rows import FAILING_HEADS, error_rows, failing_rows
+from frictrack.results.measurement_cells import measurement_cells
 from frictrack.results.model_names import plain_name
 from frictrack.results.parameter_rows import interval_with_unit, parameter_row
 
@@ -188,6 +188,11 @@ def history_table(models: Sequence[ModelResults]) -> TextTable:
     return make_table(heads, rows, range(1, len(errors) + 1))
 
 
+def failing_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of the spans in which a model fails."""
+    return make_table(("run", *FAILING_HEADS), failing_rows(spans), range(1, 6))
+
+
 def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
     """Table of the parameters and errors of the default fit and of the papers' route."""
     both = [m.summary["parameters"] for m in (default, papers)]
@@ -221,20 +226,9 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
     """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
-    rows = []
-    for run in runs:
-        if not run.quality:
-            continue
-        q = run.quality
-        locking = format_quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
-        shake = "none" if q["shake_px"] == 0 else format_number(q["shake_px"], 2)
-        rows.append(
-            (run.name, format_number(q["sigma_px"], 2), format_number(q["sigma_um"], 2), format_number(q["score"]),
-             locking, format_number(q["forward_backward_px"], 2), format_number(q["noise_floor_px"], 2), shake,
-             format_number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), format_number(q["blur_px"], 2))
-        )  # fmt: skip
+    rows = [(run.name, *measurement_cells(run.quality)) for run in runs if run.quality]
     heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
-             "shake / px", "exposure / µs", "blur / px")  # fmt: skip
+             "shake / px", "blur / px", "exposure / µs")  # fmt: skip
     return make_table(heads, rows, range(1, len(heads)))
 
 

@@ -18,20 +18,11 @@ from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present.plots import noise_um
 from frictrack.present.report.markup import describe_evidence, mark_code, sentences
 from frictrack.present.report.tables import Cell, TextTable, make_table
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.error_rows import held_out_error
 from frictrack.results.model_names import plain_name
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import (
-    CHECK_NEXT,
-    VERDICT_ONLY,
-    certain_effects,
-    describe_alternatives,
-    describe_lost,
-    describe_verdict,
-    indistinguishable_effects,
-)
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -86,11 +77,11 @@ def study_verdict(results: Results) -> VerdictText:
     paragraph = [*_added_effects(results.models)]
     if diagnosis:
         rows = {row.effect: row for row in candidate_rows(diagnosis)}
-        rivals = indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
-        alternatives = describe_alternatives(diagnosis)
+        rivals = verdicts.indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
+        alternatives = verdicts.describe_alternatives(diagnosis)
         paragraph += sentences("verdict", diagnosis, _residual(model), rows, rivals, alternatives, AXES)
     name = plain_name(model.name)
-    headline = describe_verdict(diagnosis, name) if diagnosis else f"{name}, not yet diagnosed"
+    headline = verdicts.describe_verdict(diagnosis, name) if diagnosis else f"{name}, not yet diagnosed"
     return VerdictText(headline, tuple(paragraph), kind, _runs_and_model(model))
 
 
@@ -274,15 +265,15 @@ def next_steps(results: Results) -> list[Markup]:
         return [Markup("Find what the model lacks: <code>frictrack diagnose {}</code>.").format(study)]
     certain, rivals = [], []
     if diagnosis["verdict"] == "ambiguous":
-        certain, rivals = certain_effects(diagnosis), indistinguishable_effects(diagnosis)
+        certain, rivals = verdicts.certain_effects(diagnosis), verdicts.indistinguishable_effects(diagnosis)
     confirm = {row.effect: row.source["words"].get("confirm") for row in candidate_rows(diagnosis)}
     steps = sentences("next_steps", study, diagnosis, certain, rivals, confirm)
     if not diagnosis.get("complete", True):
-        steps.append(mark_code(VERDICT_ONLY))
+        steps.append(mark_code(verdicts.VERDICT_ONLY))
     filmed = any(run.film is not None for run in results.runs)
     unknown = filmed and not has_measured_friction(results) and not scale_error(results)
     if results.warnings:
-        return [mark_code(CHECK_NEXT), *steps]
+        return [mark_code(verdicts.CHECK_NEXT), *steps]
     return [*steps, *([Markup(NO_SCALE_ERROR)] if unknown else [])]
 
 
@@ -322,7 +313,7 @@ def failed_checks(run: RunResults) -> list[str]:
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
     checks = (
-        (lost, describe_lost(lost, q["frames"])),
+        (lost, verdicts.describe_lost(lost, q["frames"])),
         (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
         (
             locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,

@@ -135,9 +135,7 @@ def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "verdict": found["verdict"],
         "title": headline,
-        "brief": verdict.headline
-        if verdict.kind == "undetermined"
-        else verdict.headline.partition(": ")[0],  # for the bar
+        "brief": headline if verdict.kind == "undetermined" else headline.partition(": ")[0],  # for the bar
         "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
         "numbers": [
             f"Reduced chi-squared {chi2}; p of the lack of fit {p}.",
