@@ -405,7 +405,7 @@ def test_run_prints_fifteen_lines_and_with_details_the_rest(
     assert "coulomb + stribeck: held out, rms 214 µm; reduced chi² 29.2" in text
     assert "(and 3 more parameters in the report)" in text
     assert "† the model is rejected: it misses a force" in lines
-    assert "Check these numbers before anything else" in text  # and not: add patch
+    assert "Check these numbers first" in text  # and not: add patch
     assert lines[-1] == "results: study_results/report.html"
     assert "fails in" not in text
     code, details, _ = run(capsys, "run", "study.toml", "--details")

@@ -90,7 +90,7 @@ def test_every_section_is_there(page):
 
 
 def test_verdict_comes_first_and_tells_the_story(page):
-    assert "Coulomb + viscous + texture is complete: no further effect is detectable in these runs" in page.words
+    assert "Tustin + texture is complete: no further effect is detectable in these runs" in page.words
     assert "Two runs were fitted with Coulomb friction, viscous friction and texture." in page.words
     assert "Tustin lacked texture (what texture is; p at most 1/1000, delta BIC +812)" in page.words
     assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
@@ -324,8 +324,8 @@ def test_a_good_measurement_is_said_in_two_sentences():
         "All measurement self-checks passed.",
     ]
     made = tables.measurement_table(measured().runs)
-    assert made.heads[-2:] == ("exposure / µs", "blur / px")
-    assert made.rows[0][-3:] == ("none", "50.0", "0.30")
+    assert made.heads[-2:] == ("blur / px", "exposure / µs")
+    assert made.rows[0][-3:] == ("none", "0.30", "50.0")
     assert texts.measurement(results().runs) == []
 
 

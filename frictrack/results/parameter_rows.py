@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from frictrack.base.number_format import format_interval, format_quantity, format_size, format_unit, prefixed
@@ -64,7 +64,7 @@ def parameter_row(p: Mapping[str, Any]) -> ParameterRow:
     )
 
 
-def interval_with_unit(ends: tuple[float | None, float | None] | None, unit: str) -> str:
+def interval_with_unit(ends: Sequence[float | None] | None, unit: str) -> str:
     """Format a 95 % interval with its unit; either end may be open.
 
     Examples

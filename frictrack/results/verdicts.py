@@ -22,9 +22,7 @@ MAX_EQUIVALENTS_NAMED = 4
 NOT_SAID = [{"what": "the law", "why": "not determined", "settled_by": ""}]  # in results of older versions
 
 CHECK_FIRST = "Check first:"  # heads every implausible number of a study, beside the number and above the verdict
-CHECK_NEXT = (  # what to do then
-    'Check these numbers before you use the forces; if they are right, set `plausible = "checked"` in the study file.'
-)
+CHECK_NEXT = 'Check these numbers first, or set `plausible = "checked"` in the study file.'  # what to do then
 
 VERDICT_ONLY = (
     "Only the verdict is known so far, and it is final; `frictrack diagnose` computes where the model fails and the "
