@@ -95,7 +95,7 @@ def test_verdict_comes_first_and_tells_the_story(page):
     assert "Tustin lacked texture (what texture is; p at most 1/1000, delta BIC +812)" in page.words
     assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
     assert "the residual is 10.0 µm, the noise 10.0 µm, lack of fit has p = 0.30" in page.words
-    assert page.words.index("Texture explains the misfit") < page.words.index("Film and track")
+    assert page.words.index("Tustin + texture is complete") < page.words.index("Film and track")
 
 
 def test_one_line_says_what_no_fit_can_show(page):

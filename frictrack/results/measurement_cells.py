@@ -21,7 +21,7 @@ def measurement_cells(found: Mapping[str, Any]) -> tuple[str, ...]:
 
     """
     locking, std, shake = found.get("peak_locking_px"), found.get("peak_locking_std_px"), found.get("shake_px")
-    is_locked = locking and locking > MIN_SIGMAS_LOCKING * std
+    is_locked = locking is not None and std is not None and locking > MIN_SIGMAS_LOCKING * std
     return (
         *(format_number(found.get(key), 2) for key in ("sigma_px", "sigma_um")),
         format_number(found.get("score")),
