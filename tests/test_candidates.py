@@ -1,15 +1,18 @@
 """The one list of candidates, and that terminal, report, page and figure show it alike."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
-from test_plots import bars, candidate, diagnosis
+from test_plots import bars, candidate, diagnosis, results
 
 from frictrack.cli.output import verdict
-from frictrack.present import plots
+from frictrack.present import plots, report
 from frictrack.present.report import tables
-from frictrack.results.candidates import candidate_rows, not_passing
+from frictrack.results.candidates import STANDINGS, candidate_rows, not_passing
+from frictrack.results.verdicts import VERDICTS
+from frictrack.workbench.summaries.diagnosis import verdict_of
 
 
 @pytest.fixture
@@ -76,6 +79,27 @@ def test_every_surface_shows_the_same_order_and_words(found):
         assert row.standing in text
     assert not_passing(rows) == "Of the others with some evidence, 1 does not pass and 1 is not plausible."
     assert not_passing(rows) in text
+
+
+def test_words_changed_in_one_place_change_everywhere(found, monkeypatch):
+    monkeypatch.setitem(VERDICTS, "ambiguous", "{model} wants {what}")
+    monkeypatch.setitem(STANDINGS, "named", "was seen")
+    seen, words, standing = (
+        results(),
+        "Coulomb + viscous wants patch, and asymmetry or slope",
+        "was seen in addition to patch",
+    )
+    current = replace(seen.models[0], name="1_coulomb+viscous", diagnosis=found, current=True)
+    seen = replace(seen, models=(current,), diagnosis=found)
+    out = Console(file=io.StringIO(), width=200)
+    verdict(out, found)  # of the JSON
+    page = verdict_of(seen, current)
+    cards = [card.row.standing for card in tables.candidate_cards(candidate_rows(found))]
+    assert (page["title"], cards[1]) == (words, standing)
+    assert plots.verdict(seen).get_suptitle() == words  # the figure of a diagnosis in a notebook
+    for shown in (out.file.getvalue(), report.render(seen)):
+        assert words in shown
+        assert standing in shown
 
 
 def test_no_standing_is_broken_on_a_narrow_terminal(found):

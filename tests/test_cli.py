@@ -178,11 +178,15 @@ def test_effects_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "effects")
     assert code == 0
     assert len(out.splitlines()) == len(listed) + 2  # one line each, a head, and what to do next
+    for line, effect in zip(out.splitlines()[1:], listed.values(), strict=False):
+        shown = line.removeprefix(effect["name"]).strip().removesuffix(" …")
+        assert f"{effect['what']} ".startswith(f"{shown} ")  # no word is broken
     assert [e["name"] for e in answer(capsys, "effects", "texture", "study.toml")["effects"]] == ["texture"]
     code, out, _ = run(capsys, "effects", "texture")
     assert code == 0
     assert out.startswith(f"texture: {listed['texture']['what']}")
     assert f"  equation: {listed['texture']['equation']}" in out
+    assert "symbols: L: dry friction of a run" in out
     assert "mistaken for: " in out
     assert [e["name"] for e in answer(capsys, "effects", "atm2:3", "vibration:2")["effects"]] == ["vibration", "atm2:2"]
     code, err = refused(capsys, "effects", "texure")
@@ -331,7 +335,7 @@ def test_the_demo_tells_the_whole_story(
     def diagnose(session: Session, seed: int = 0) -> dict[str, Any]:
         missing = [] if "drag" in session.fit()["model"] else ["drag"]
         verdict = "missing" if missing else "complete"
-        return {"verdict": verdict, "missing": missing, "candidates": []}
+        return {"verdict": verdict, "missing": missing, "candidates": [], "model": ["coulomb", "viscous"]}
 
     def report(session: Session, seed: int) -> Path:
         return session.study.output / "report.html"
@@ -346,8 +350,9 @@ def test_the_demo_tells_the_whole_story(
     assert result["report"] == "frictrack_demo/study_results/report.html"
     code, out, _ = run(capsys, "demo")  # a second time tells the same story
     assert code == 0
-    assert "an effect is missing: drag" in out
-    assert "2_coulomb+viscous+drag" in out
+    assert "Coulomb + viscous lacks drag" in out
+    assert "drag was added and the model fitted again: the held-out error " in " ".join(out.split())
+    assert len(out.splitlines()) <= 16
 
 
 PATCH = {
@@ -375,6 +380,7 @@ def test_run_prints_fifteen_lines_and_with_details_the_rest(
         "misfit": {"words": "the model is rejected: it misses a force. A standard deviation means nothing then"},
     }
     found = {
+        "headline": "Coulomb + stribeck lacks patch",
         "verdict": "missing",
         "missing": ["patch"],
         "candidates": [PATCH],
@@ -392,14 +398,14 @@ def test_run_prints_fifteen_lines_and_with_details_the_rest(
     assert code == 0
     assert len(lines) <= 17  # fifteen with five parameters, and without a warning
     assert lines[0] == "Check first: a mass of 350 kg is implausible (and 2 more warnings in the report)"
-    assert lines[1] == "an effect is missing: patch"
+    assert lines[1] == "Coulomb + stribeck lacks patch"
     text = " ".join(brief.split())
     assert "patch: F 0.408 ± 0.008 N, x_c 0.22000 ± 0.00010 m; p at most 1/1000" in text
     assert "held-out error 214 to 9.85 µm" in text
     assert "coulomb + stribeck: held out, rms 214 µm; reduced chi² 29.2" in text
     assert "(and 3 more parameters in the report)" in text
     assert "† the model is rejected: it misses a force" in lines
-    assert "frictrack add study.toml patch" in text
+    assert "Check these numbers first" in text  # and not: add patch
     assert lines[-1] == "results: study_results/report.html"
     assert "fails in" not in text
     code, details, _ = run(capsys, "run", "study.toml", "--details")

@@ -18,6 +18,7 @@ from scipy.ndimage import shift as ndimage_shift
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import FitRequest, Session, open_study, pipeline, tried_models
 from frictrack.records import Filtered
+from frictrack.results.verdicts import VERDICTS
 
 
 @dataclass
@@ -424,3 +425,11 @@ def test_a_global_search_tells_its_progress_generation_by_generation(study_file:
     assert len(generations) > 3
     assert [done for done, _ in generations] == sorted(done for done, _ in generations)
     assert all(done < total for done, total in generations)
+
+
+@pytest.mark.usefixtures("called")
+def test_the_json_of_a_diagnosis_has_the_verdict_in_words(study_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = session(study_file).diagnose()
+    assert found["headline"] == "Coulomb + viscous is complete: no further effect is detectable in these runs"
+    monkeypatch.setitem(VERDICTS, "complete", "{model} lacks nothing")
+    assert session(study_file).diagnose()["headline"] == "Coulomb + viscous lacks nothing"  # though it is stored

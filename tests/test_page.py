@@ -317,6 +317,9 @@ def test_the_page_paints_before_its_data_arrive(untracked: Server, tab: Open) ->
     page.page.route("**/api/state", lambda route: None)  # never answered
     page.page.goto(untracked.address, wait_until="commit")
     page.page.get_by_role("tab", name="Film").wait_for()
+    for title in ("Film", "Compare", "Motion", "Model", "History"):  # nothing is said of what is not known yet
+        page.to(title)
+        assert page.page.locator("#view").inner_text().strip() in ("", "Reading the study ...")
 
 
 @pytest.mark.slow

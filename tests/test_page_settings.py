@@ -72,7 +72,7 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
     before, page = bench.study_text, tab().open(bench).to("Motion")
     slider = page.page.get_by_label("Cut-off of a plain low-pass")
     slider.wait_for()
-    page.sees(re.compile("Noise that passes"))
+    page.sees(re.compile("noise that passes"))
     with page.page.expect_request(re.compile(r"view=motion.*cutoff=")):
         slider.focus()
         for _ in range(3):

@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from runs import BASE, HIDDEN, Spec, study
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
-from frictrack.flow import Session, open_study, run_study, verify
+from frictrack.flow import ResultsReader, Session, open_study, run_study, store, verify
 from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Track
 from frictrack.workbench.plot_data import comparison_plots
@@ -236,6 +238,25 @@ def diagnosed(textured: Path, tmp_path: Path) -> Path:
     return tmp_path / "study.toml"
 
 
+def test_a_run_that_is_replaced_while_it_is_read_is_read_again(
+    study_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page reads while the next stage is being stored; it must not keep the force out of its plots."""
+    session, reader, opened = Session(open_study(study_file)), ResultsReader(), store.snapshot
+    session.measure("motion")
+
+    @contextmanager
+    def slow(*paths: Path) -> Iterator[None]:
+        with opened(*paths):
+            session.measure("friction")
+            yield
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "snapshot", slow)
+        assert [run.friction for run in reader.read(session.study).runs] == [None] * len(session.study.runs)
+    assert all(run.friction for run in reader.read(session.study).runs)
+
+
 def test_the_verdict_is_told_as_in_the_report(diagnosed: Path) -> None:
     found = state(diagnosed)
     diagnosis = found["diagnosis"]
@@ -356,7 +377,10 @@ def test_the_verdict_is_stored_before_anything_else_is_done(study_file: Path) ->
     with pytest.raises(KeyboardInterrupt):
         run_study(Session(open_study(study_file)), end)
     assert seen == [("complete", "complete", False)]
-    assert state(study_file)["diagnosis"]["title"] == "Coulomb + viscous is complete for these runs"
+    assert (
+        state(study_file)["diagnosis"]["title"]
+        == "Coulomb + viscous is complete: no further effect is detectable in these runs"
+    )
 
 
 @pytest.mark.slow

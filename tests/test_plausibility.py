@@ -708,7 +708,8 @@ def test_an_implausible_number_stands_beside_its_box_and_above_the_verdict(study
     assert state["fields"]["fps"]["warning"] is None  # a table has a clock of its own
     assert read_results(session.study).warnings == words
     shown = StringIO()
-    diagnosis = {"verdict": "complete", "missing": [], "candidates": [], "warnings": session.findings.summary}
+    diagnosis = {"verdict": "complete", "missing": [], "candidates": [], "model": ["coulomb"]}
+    diagnosis["warnings"] = session.findings.summary
     verdict(Console(file=shown, width=500), diagnosis)
     assert shown.getvalue().index(f"Check first: {words[0]}") < shown.getvalue().index("no further effect")
     edit(study_file, 'mass = "350 kg"', 'mass = "0.35 kg"')

@@ -90,12 +90,12 @@ def test_every_section_is_there(page):
 
 
 def test_verdict_comes_first_and_tells_the_story(page):
-    assert "Texture explains the misfit; nothing else is detectable" in page.words
+    assert "Tustin + texture is complete: no further effect is detectable in these runs" in page.words
     assert "Two runs were fitted with Coulomb friction, viscous friction and texture." in page.words
     assert "Tustin lacked texture (what texture is; p at most 1/1000, delta BIC +812)" in page.words
     assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
     assert "the residual is 10.0 µm, the noise 10.0 µm, lack of fit has p = 0.30" in page.words
-    assert page.words.index("Texture explains the misfit") < page.words.index("Film and track")
+    assert page.words.index("Tustin + texture is complete") < page.words.index("Film and track")
 
 
 def test_one_line_says_what_no_fit_can_show(page):
@@ -176,14 +176,14 @@ def test_unexplained_shows_where_it_repeats(quick):
     curve = {"axis": "x", "curve": [[0.0, 1.0], [0.1, -1.0]], "formulas": []}
     found = diagnosis("unexplained", [candidate("lens", 0.4, 3.0)], unexplained=curve)
     page = Page(report.render(with_diagnosis(found)))
-    assert "Tustin fails, and part of the misfit is unexplained" in page.words
+    assert "Tustin lacks something that no effect of the library explains" in page.words
     assert "The remaining misfit repeats best with place." in page.words
     assert "does not pass" in page.words
 
 
 def test_complete_at_once():
     verdict = texts.study_verdict(with_diagnosis(diagnosis("complete")))
-    assert verdict.headline == "Tustin is complete for these runs"
+    assert verdict.headline == "Tustin is complete: no further effect is detectable in these runs"
     assert "detection limits" in " ".join(verdict.sentences)
 
 
@@ -324,8 +324,8 @@ def test_a_good_measurement_is_said_in_two_sentences():
         "All measurement self-checks passed.",
     ]
     made = tables.measurement_table(measured().runs)
-    assert made.heads[-2:] == ("exposure / µs", "blur / px")
-    assert made.rows[0][-3:] == ("none", "50.0", "0.30")
+    assert made.heads[-2:] == ("blur / px", "exposure / µs")
+    assert made.rows[0][-3:] == ("none", "0.30", "50.0")
     assert texts.measurement(results().runs) == []
 
 

@@ -163,6 +163,7 @@ MEANINGS = {
     "verdict": '"complete", "missing", "ambiguous", "unexplained" or "undetermined"',
     "complete": "whether all parts of the diagnosis were computed",
     "alpha": "significance level of the diagnosis: half for lack of fit, half for all candidates together",
+    "headline": "the verdict on the model in one sentence, as terminal, report and page show it",
     "alpha_spent": "upper bound of the probability that any effect named in the work on this study is false",
     "tests": "diagnoses so far, each with its significance level",
     "sequence": "number of the sequence of models to which the test belongs",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -64,7 +64,7 @@ def near_words(word: str, others: Iterable[str] = ()) -> list[str]:
     return [known[key] for key in dict.fromkeys((*inside, *near))][:MAX_NEAR]
 
 
-def symbols_in(equation: str) -> str:
+def symbols_in(equation: str, parameters: Container[str] = ()) -> str:
     """Explain the symbols of an equation that are no parameters, in one line.
 
     Examples
@@ -74,7 +74,8 @@ def symbols_in(equation: str) -> str:
 
     """
     letters = [term for term in terms() if len(term.words[0]) == 1]
-    used = [term for term in letters if re.search(rf"(?<![\w,]){term.words[0]}(?![\w,])", equation)]
+    known = [term for term in letters if term.words[0] not in parameters]
+    used = [term for term in known if re.search(rf"(?<![\w,]){term.words[0]}(?![\w,])", equation)]
     return "; ".join(f"{term.words[0]}: {term.meaning.replace('; ', ', ')}" for term in used)
 
 

@@ -3,8 +3,8 @@
 Each function takes a number in the unit that is given and returns text; nothing here parses text (see `units`).
 
 The rounding rule: a standard deviation keeps one significant digit, or two where the first one is 1 (below 1.95);
-the value ends at the same decimal place. The terminal keeps two digits throughout, so that its numbers can be used
-in further calculations.
+the value ends at the same decimal place. Results in Python print two digits and SI units (`format_plus_minus`), so that
+their numbers can be used in further calculations.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     """
     if value is None:
         return NOT_DETERMINED
-    factor, unit = _prefixed(value, unit)
+    factor, unit = prefixed(value, unit)
     value, std = value * factor, None if std is None else std * factor
     tail = format_unit(unit)
     tail = f" {tail}" if tail else ""
@@ -147,7 +147,7 @@ def format_size(value: float, unit: str) -> str:
     ('12 mN', '2.0 m/s²')
 
     """
-    factor, unit = _prefixed(value, unit)
+    factor, unit = prefixed(value, unit)
     return f"{format_number(factor * value, 2)} {format_unit(unit)}".strip()
 
 
@@ -216,8 +216,8 @@ def _without_std(value: float) -> str:
     return format_number(value, 4)
 
 
-def _prefixed(value: float, unit: str) -> tuple[float, str]:
-    """Factor and prefixed unit for a small value."""
+def prefixed(value: float, unit: str) -> tuple[float, str]:
+    """Return the factor and the prefixed unit in which a small value is written."""
     size = abs(value)
     if unit not in PREFIXED_UNITS or size == 0 or size >= 0.1 or size < 1e-9:
         return 1.0, unit

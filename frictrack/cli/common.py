@@ -329,6 +329,10 @@ def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
 
 
 def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
+    from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
+
+    if diagnosis.get("warnings"):
+        return CHECK_NEXT
     study = shlex.quote(str(study))
     if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
         return f"Then: frictrack add {study} {named[0]} shows by how much the error falls"

@@ -10,11 +10,12 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from frictrack.base.number_format import format_plain, format_plus_minus
+from frictrack.base.glossary import symbols_in
+from frictrack.base.number_format import describe_change, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
-from frictrack.results.error_rows import error_rows
+from frictrack.results.error_rows import error_rows, held_out_error
 from frictrack.results.motion_axes import AXES
 
 MAX_EXAMPLES = 2  # pairs that are named for a run
@@ -52,7 +53,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict and the candidates."""
     for found in result.get("warnings") or []:
         out.print(f"[bold]{verdicts.CHECK_FIRST}[/bold] {escape(found['words'])}")
-    out.print(f"[bold]{escape(verdicts.describe_verdict(result))}[/bold]")
+    out.print(f"[bold]{escape(verdicts.headline(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
     out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
@@ -215,12 +216,17 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
-    shared = [(name, one) for name, one in fitted["parameters"].items() if "[" not in name][:MAX_PARAMETERS]
-    out.print(tables.parameters(dict(shared)))
-    if left_out := _more(len(fitted["parameters"]) - len(shared), "parameter"):
-        out.print(left_out.strip())
+    _brief_parameters(out, fitted["parameters"])
     if fitted.get("misfit"):
         out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
+
+
+def _brief_parameters(out: Console, parameters: dict[str, Any]) -> None:
+    """Print the first parameters that all runs share."""
+    shared = [(name, one) for name, one in parameters.items() if "[" not in name][:MAX_PARAMETERS]
+    out.print(tables.parameters(dict(shared), brief=True))
+    if left_out := _more(len(parameters) - len(shared), "parameter"):
+        out.print(left_out.strip())
 
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
@@ -230,7 +236,9 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
     for line in warnings[:1]:
         out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
-    out.print(f"[bold]{escape(verdicts.describe_verdict(found))}[/bold]")
+    out.print(f"[bold]{escape(verdicts.headline(found))}[/bold]")
+    if found["verdict"] == "undetermined":
+        out.print(escape(verdicts.describe_open_question(found)))
     for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
         out.print(escape(f"{row.effect}: {_evidence_of(row)}"))
     if (left := verdicts.force_without_effect(found)) and left.get("words"):
@@ -246,10 +254,12 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
-        out.print(f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again:")
-        tables.edit(out, result["add"])
-    out.print("Every model tried:")
-    tables.history(out, result["history"])
+        (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
+        change = describe_change(before, after, unit)
+        out.print(
+            f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
+        )
+        _brief_parameters(out, result["add"]["parameters"])
 
 
 # --- the other commands
@@ -360,12 +370,11 @@ def reproduce(out: Console, result: dict[str, Any]) -> None:
 
 def effects(out: Console, result: dict[str, Any]) -> None:
     """Print one line per effect."""
-    named = ((escape(e["name"]), escape(e["what"])) for e in result["effects"])
-    rows = tables.table("effect", "what it is", rows=named)
-    longest = max(len(e["name"]) for e in result["effects"])
-    rows.columns[1].no_wrap, rows.columns[1].overflow = True, "ellipsis"
-    rows.columns[1].max_width = out.width - longest - 1
-    out.print(rows)
+    width = out.width - max(len(e["name"]) for e in result["effects"]) - 2
+    named = (
+        (escape(e["name"]), escape(textwrap.shorten(e["what"], width, placeholder=" …"))) for e in result["effects"]
+    )
+    out.print(tables.table("effect", "what it is", rows=named))
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
 
 
@@ -384,9 +393,10 @@ def described_effects(out: Console, result: dict[str, Any]) -> None:
     """Print what each effect adds, looks like, and is confused with."""
     for e in result["effects"]:
         units = [f"{p['name']} {p['unit']}" + ", per run" * p["per_run"] for p in e["parameters"]]
-        said = e | {"parameters": "; ".join(units), "needs": "; ".join(e["needs"])}
+        symbols = symbols_in(e["equation"], {p["name"] for p in e["parameters"]})
+        said = e | {"parameters": "; ".join(units), "symbols": symbols, "needs": "; ".join(e["needs"])}
         out.print(f"[bold]{escape(e['name'])}[/bold]: {escape(e['what'])}")
-        for key in ("equation", "parameters", "needs", "looks_like", "mistaken_for", "confirm", "source"):
+        for key in ("equation", "parameters", "symbols", "needs", "looks_like", "mistaken_for", "confirm", "source"):
             if said[key]:
                 out.print(f"  {key.replace('_', ' ')}: {escape(said[key])}")
 

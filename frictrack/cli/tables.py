@@ -11,13 +11,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from frictrack.base.number_format import format_plain, format_plus_minus, format_share
-from frictrack.results.error_rows import error_rows
+from frictrack.base.glossary import symbols_in
+from frictrack.base.number_format import DASH, format_plain, format_plus_minus
+from frictrack.results.error_rows import FAILING_HEADS, error_rows, failing_rows
+from frictrack.results.measurement_cells import measurement_cells
+from frictrack.results.parameter_rows import parameter_row
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
-MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
 NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
 
 
@@ -92,9 +94,9 @@ def track(out: Console, result: dict[str, Any]) -> None:
         out.print("no films in this study: its runs are tables")
         return
     heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
-             "blur / px")  # fmt: skip
-    rows = [_measured(row) for row in result["runs"]]
-    filled = [i for i in range(len(heads)) if i == 0 or any(row[i] not in ("", "-") for row in rows)]
+             "blur / px", "exposure / µs")  # fmt: skip
+    rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
+    filled = [i for i in range(len(heads)) if any(row[i] != DASH for row in rows)]
     out.print(table(*(heads[i] for i in filled), rows=([row[i] for i in filled] for row in rows)))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
@@ -104,22 +106,6 @@ def track(out: Console, result: dict[str, Any]) -> None:
     for row in result["runs"]:
         out.print(f"[bold]{escape(row['run'])}[/bold]  {escape(row['target'])}", soft_wrap=True)
         lines(out, _details(row), "  ")
-
-
-def _measured(row: dict[str, Any]) -> tuple[str, ...]:
-    """Return the cells of one film."""
-    locking, std = row["peak_locking_px"], row["peak_locking_std_px"]
-    is_locked = locking is not None and locking > MIN_SIGMAS_LOCKING * std
-    return (
-        escape(row["run"]),
-        f"{row['found']}/{row['frames']}",
-        *(format_plain(row[key], 2) for key in ("sigma_px", "sigma_um")),
-        format_plain(row["score"], 3),
-        f"{locking:.1g} ± {std:.1g}" if is_locked else "-" if locking is None else "none",
-        *(format_plain(row[key], 2) for key in ("forward_backward_px", "noise_floor_px")),
-        "none" if row["shake_px"] == 0 else format_plain(row["shake_px"], 2),
-        format_plain(row["blur_px"], 2),
-    )
 
 
 def _details(row: dict[str, Any]) -> list[str]:
@@ -141,6 +127,7 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
+        out.print(f"{symbols_in(result['equation'])}.", style="dim")
     out.print(parameters(result["parameters"]))
     if prior := result.get("prior"):
         _prior(out, prior)
@@ -180,47 +167,20 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
         out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
 
 
-def parameters(values: dict[str, Any]) -> Table:
-    """Return a table with one row per parameter: value ± standard deviation, unit, remark.
+def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
+    """Return a table with one row per parameter: value ± standard deviation, remark.
 
-    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them.
+    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them;
+    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line.
     """
-    extra: dict[str, tuple[str, Callable[[dict[str, Any]], str]]] = {  # key of a parameter -> head and cell
-        "std_misfit": ("† ± with misfit", lambda p: format_plain(p.get("std_misfit"), 2)),
-        "unit": ("unit", lambda p: str(p["unit"])),
-        "interval": ("95 % interval", interval),
-        "from_prior": ("from the prior", lambda p: f"{100 * p['from_prior']:.0f} %" if "from_prior" in p else ""),
-    }
-    shown = [pair for key, pair in extra.items() if key == "unit" or any(key in p for p in values.values())]
-    rows = table("parameter", "value", *(head for head, _ in shown), "")
-    for name, p in values.items():
-        remark = p.get("reason") or ("at its bound" if p.get("at_bound") else _mu(p))
-        value = format_plus_minus(p["value"], p["std"])
-        rows.add_row(escape(name), value, *(write(p) for _, write in shown), escape(remark))
-    return rows
-
-
-def interval(p: dict[str, Any]) -> str:
-    """Format a 95 % interval; either end may be open.
-
-    Examples
-    --------
-    >>> interval({"interval": [1.0, None]})
-    'above 1'
-
-    """
-    low, high = p.get("interval") or (None, None)
-    if low is None and high is None:
-        return "any" if "interval" in p else ""
-    if low is None:
-        return f"below {format_plain(high)}"
-    return f"above {format_plain(low)}" if high is None else f"{format_plain(low)} to {format_plain(high)}"
-
-
-def _mu(p: dict[str, Any]) -> str:
-    """Format the coefficient of friction, if the normal load is known."""
-    mu = p.get("mu")
-    return "" if mu is None else f"mu {format_plus_minus(mu['value'], mu['std'])}"
+    found = {escape(name): parameter_row(p) for name, p in values.items()}
+    if brief:
+        rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
+        return table("parameter", "value ± std", "", rows=rows)
+    extra = {"misfit": "† ± with misfit", "interval": "95 % interval", "from_prior": "from the prior"}
+    shown = [key for key in extra if any(getattr(row, key) for row in found.values())]
+    cells = ((n, r.value, *(getattr(r, key) for key in shown), escape(r.remark)) for n, r in found.items())
+    return table("parameter", "value ± std", *(extra[key] for key in shown), "", rows=cells)
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
@@ -279,22 +239,8 @@ def break_name(name: str) -> str:
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     """Print spans of time, position and velocity with their share of the misfit."""
-    if not spans:
-        return
-    rows = table("fails in", "t / s", "x / m", "v / (m/s)", "share of the misfit", "p")
-    for s in spans:
-        p = s.get("p")
-        p_text = "-" if p is None else "< 1e-6" if p < 1e-6 else format_plain(p, 1)
-        ranges = [_reach(s[k]) if s.get(k) else "-" for k in ("t", "x", "v")]
-        rows.add_row(s["run"], *ranges, format_share(s["share_of_error"]), p_text)
-    out.print(rows)
-
-
-def _reach(ends: list[float]) -> str:
-    """Format both ends of a span, with as many digits as distinguish them."""
-    size, width = max(map(abs, ends)), abs(ends[1] - ends[0])
-    digits = 4 if width == 0 else max(4, 2 + math.ceil(math.log10(size / width)))
-    return " to ".join(format_plain(end, digits) for end in ends)
+    if spans:
+        out.print(table("fails in", *FAILING_HEADS, rows=failing_rows(spans)))
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:

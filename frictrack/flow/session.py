@@ -26,7 +26,8 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.results.verdicts import describe_no_run, describe_tests
+from frictrack.results.model_names import plain_name
+from frictrack.results.verdicts import describe_no_run, describe_tests, describe_verdict
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
 from frictrack.study import Study, suggest
@@ -407,14 +408,18 @@ class Session:
         test = plan_test(self.budget.rows, key, self.models.input_hash, request.model(self.study.effects).names)
         test = test if alpha is None else replace(test, alpha=alpha)
         spent = alpha_spent([*self.budget.rows, test])
-        more = {"alpha_spent": spent, **self._remarks}
+        more, name = {"alpha_spent": spent, **self._remarks}, plain_name(group)
+
+        def whole(found: dict[str, Any]) -> dict[str, Any]:
+            return {**found, **more, "headline": describe_verdict(found, name)}
+
         found = self.models.stored_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
             announce = on_verdict or _ignore
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
-                announce({**found, **more})
+                announce(whole(found))
                 announce = _ignore
-            how: dict[str, Any] = {"quick": quick, "announce": lambda verdict: announce({**verdict, **more})}
+            how: dict[str, Any] = {"quick": quick, "announce": lambda verdict: announce(whole(verdict))}
             provenance = self.models.provenance(key, json.dumps({"seed": seed}))
             found = self._diagnose(group, provenance, test.alpha, **how)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
@@ -422,7 +427,7 @@ class Session:
         if test.named is None:
             self.budget.record(test, found)
         self.predictions.resolve(found, self._fitted_runs())
-        return {**found, **more}
+        return whole(found)
 
     def _diagnose(
         self,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from frictrack.measure.error_budget import budget
 from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
+from frictrack.results.model_names import plain_name
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
 
@@ -292,8 +293,6 @@ def _outdated_report(
     if found is None:
         reason = "an earlier version of frictrack wrote it"
     elif found[2] != group:
-        from frictrack.present.plots import plain_name  # noqa: PLC0415 - loads matplotlib
-
         reason = f"it was written for {plain_name(found[2])}, but {plain_name(group)} is the current model"
     elif found[1] != results_key(models, pipelines):
         reason = "results were computed again since it was written"
@@ -339,6 +338,8 @@ class ResultsReader:
         """Read the results of a study as they are stored; see `read_results`."""
         models = stored_models(study)
         pipelines = models.pipelines
+        # before the files are opened: one that is replaced in between is then read again the next time
+        states = {p.run.name: (p.run, str(p.path), store.file_state(p.path)) for p in pipelines if p.path.exists()}
         with store.snapshot(models.path, *(pipeline.path for pipeline in pipelines)):
             results = tuple(self._model(models, group) for group in models.groups)
             current = next((model for model in results if model.current), None)
@@ -351,7 +352,7 @@ class ResultsReader:
                 path=study.path,
                 output=study.output,
                 version=__version__,
-                runs=self._runs(pipelines, models.commands),
+                runs=self._runs(pipelines, states, models.commands),
                 models=results,
                 comparison=models.stored_summary("comparison"),
                 diagnosis=current.diagnosis if current else None,
@@ -367,10 +368,11 @@ class ResultsReader:
         found: ModelResults = self._keep(("model", group), checksum or object(), lambda: models.results(group))
         return found
 
-    def _runs(self, pipelines: Sequence[RunPipeline], history: CommandHistory) -> tuple[RunResults, ...]:
+    def _runs(
+        self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory
+    ) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
-        measured = [pipeline for pipeline in pipelines if _is_measured(pipeline)]
-        states = {p.run.name: (p.run, str(p.path), store.file_state(p.path)) for p in measured}
+        measured = [pipeline for pipeline in pipelines if pipeline.run.name in states and _is_measured(pipeline)]
         runs: dict[str, RunResults] = {
             p.run.name: self._keep(
                 ("run", p.run.name), states[p.run.name], partial(run_results, p, with_budget=self.with_budgets)
@@ -379,7 +381,9 @@ class ResultsReader:
         }
         contents = {name: run.film.hash for name, run in runs.items() if run.film is not None}
         displacements = {name: run.displacement for name, run in runs.items()}
-        twice = self._keep("twice", states, lambda: duplicate_notes(displacements, contents))
+        twice = self._keep(
+            "twice", {name: states[name] for name in runs}, lambda: duplicate_notes(displacements, contents)
+        )
         authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():

@@ -15,6 +15,14 @@ from frictrack.base.number_format import format_change, format_number, format_qu
 
 MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
 MIN_P = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
+STANDINGS = {  # the words of every kind of candidate, for all that people read
+    "named": "found",
+    "lead": "explains a part",
+    "rival": "predicts the same data as {}",
+    "weaker": "passes alone",
+    "fails": "does not pass",
+    "implausible": "not plausible: {}",
+}
 MAIN_KINDS = ("named", "rival", "lead")
 
 
@@ -106,12 +114,12 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
     rows: dict[str, CandidateRow] = {}
     error = None  # held-out error with the effects found so far
     for k, name in enumerate(found):
-        kind, verb = ("lead", "explains a part") if name in leads else ("named", "found")
-        rows[name] = _row(by_name[name], kind, verb, error, found[:k])
+        kind = "lead" if name in leads else "named"
+        rows[name] = _row(by_name[name], kind, STANDINGS[kind], error, found[:k])
         error = rows[name].after if rows[name].after is not None else error
         for rival in by_name[name].get("indistinguishable_from") or []:
             if rival in by_name and rival not in found:
-                rows.setdefault(rival, _row(by_name[rival], "rival", f"predicts the same data as {name}"))
+                rows.setdefault(rival, _row(by_name[rival], "rival", STANDINGS["rival"].format(name)))
     best = max((c["delta_bic"] for c in by_name.values() if passes(c)), default=0.0)
     others = (_other(c, best) for name, c in by_name.items() if name not in rows)
     rest = sorted(others, key=lambda row: (_OTHER_KINDS.index(row.kind), -row.delta_bic))
@@ -152,12 +160,12 @@ _OTHER_KINDS = ("weaker", "fails", "implausible")
 def _other(c: Mapping[str, Any], best: float) -> CandidateRow:
     """Row of a candidate that was not found and predicts other data."""
     if c.get("implausible"):
-        return _row(c, "implausible", f"not plausible: {c['implausible']}")
+        return _row(c, "implausible", STANDINGS["implausible"].format(c["implausible"]))
     if not passes(c):
-        return _row(c, "fails", "does not pass")
+        return _row(c, "fails", STANDINGS["fails"])
     behind = best - c["delta_bic"]
     how = f", {format_number(behind)} behind the best" if behind >= 1 else ", level with the best" if behind > 0 else ""
-    return _row(c, "weaker", f"passes alone{how}")
+    return _row(c, "weaker", STANDINGS["weaker"] + how)
 
 
 def _row(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from frictrack.base.number_format import format_interval, format_number, format_share
+
 
 class ErrorRow(NamedTuple):
     """One kind of error, and its values of several models.
@@ -26,6 +28,7 @@ class ErrorRow(NamedTuple):
     values: tuple[float | None, ...]
 
 
+MIN_P_STATED = 1e-6
 _KINDS = (
     ("rms_displacement_um", "displacement, rms", "µm", "x", 1.0),
     ("rms_N", "friction force, rms", "N", "F", 1.0),
@@ -75,3 +78,24 @@ def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
     if errors.get("heldout_rms_um") is not None:
         return errors["heldout_rms_um"], "µm"
     return errors.get("heldout_rms_N"), "N"
+
+
+FAILING_HEADS = ("t / ms", "x / m", "v / (m/s)", "share of the misfit", "p")  # after the run
+
+
+def failing_rows(spans: Iterable[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return where a model fails, one row per span: the run, then the columns of `FAILING_HEADS`.
+
+    Examples
+    --------
+    >>> failing_rows([{"run": "slow", "t": [0.02, 0.03], "share_of_error": 0.4, "p": 1e-9}])
+    [('slow', '20.0 to 30.0', '–', '–', '40 %', '< 10⁻⁶')]
+
+    """
+    rows = []
+    for s in spans:
+        places = (format_interval(s.get(key), factor) for key, factor in (("t", 1e3), ("x", 1.0), ("v", 1.0)))
+        p = s.get("p")  # the distribution of the noise is not known far out: smaller ones get no digits
+        chance = "< 10⁻⁶" if p is not None and p < MIN_P_STATED else format_number(p, 1)
+        rows.append((s["run"], *places, format_share(s["share_of_error"]), chance))
+    return rows

@@ -5,19 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from frictrack.base.number_format import format_probability
+from frictrack.base.number_format import format_probability, join_words
+from frictrack.results.model_names import joined_name
 
-VERDICTS = {
-    "complete": "complete: no further effect is detectable in these runs",
-    "undetermined": "undetermined: these runs cannot show whether something is missing",
-    "missing": "an effect is missing",
-    "ambiguous": "something is missing; several effects explain it equally well",
-    "unexplained": "something is missing that no effect of the library explains",
+VERDICTS = {  # the words of every verdict, for all that people read
+    "complete": "{model} is complete: no further effect is detectable in these runs",
+    "undetermined": "Undetermined: these runs do not determine {what}",
+    "missing": "{model} lacks {what}",
+    "ambiguous": "{model} lacks {what}: these runs cannot distinguish {unclear}",
+    "unexplained": "{model} lacks something that no effect of the library explains",
 }
 
+MAX_GAPS_NAMED = 2  # in a verdict
 MAX_EQUIVALENTS_NAMED = 4
 
+NOT_SAID = [{"what": "the law", "why": "not determined", "settled_by": ""}]  # in results of older versions
+
 CHECK_FIRST = "Check first:"  # heads every implausible number of a study, beside the number and above the verdict
+CHECK_NEXT = 'Check these numbers first, or set `plausible = "checked"` in the study file.'  # what to do then
 
 VERDICT_ONLY = (
     "Only the verdict is known so far, and it is final; `frictrack diagnose` computes where the model fails and the "
@@ -25,13 +30,15 @@ VERDICT_ONLY = (
 )
 
 
-def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
-    """Describe the verdict of a diagnosis and name the effects.
+def describe_verdict(diagnosis: Mapping[str, Any], model: str) -> str:
+    """Describe the verdict on a model and name the effects.
 
     Parameters
     ----------
     diagnosis : mapping
         The JSON of a diagnosis: `verdict`, `missing`, `candidates`, and `undetermined` for that verdict.
+    model : str
+        Name of the model in words.
 
     Returns
     -------
@@ -40,23 +47,27 @@ def describe_verdict(diagnosis: Mapping[str, Any]) -> str:
 
     Examples
     --------
-    >>> describe_verdict({"verdict": "missing", "missing": ["texture"], "candidates": []})
-    'an effect is missing: texture'
+    >>> describe_verdict({"verdict": "missing", "missing": ["texture"], "candidates": []}, "Tustin")
+    'Tustin lacks texture'
     >>> candidates = [{"effect": "texture"}, {"effect": "patch", "indistinguishable_from": ["spring"]}]
-    >>> describe_verdict({"verdict": "ambiguous", "missing": ["texture", "patch"], "candidates": candidates})
-    'an effect is missing: texture; several effects explain the rest equally well: patch, spring'
+    >>> found = {"verdict": "ambiguous", "missing": ["texture", "patch"], "candidates": candidates}
+    >>> describe_verdict(found, "Tustin")
+    'Tustin lacks texture, and patch or spring: these runs cannot distinguish the last of them'
 
     """
-    if diagnosis["verdict"] == "undetermined":
-        return f"{VERDICTS['undetermined']}: {describe_open_question(diagnosis)}"
-    if diagnosis["verdict"] == "unexplained":
-        return "; ".join([VERDICTS["unexplained"], *describe_leads(diagnosis)])
-    if diagnosis["verdict"] != "ambiguous":
-        return ": ".join(filter(None, (VERDICTS[diagnosis["verdict"]], ", ".join(diagnosis["missing"]))))
-    certain, group = certain_effects(diagnosis), ", ".join(indistinguishable_effects(diagnosis))
-    if not certain:
-        return f"{VERDICTS['ambiguous']}: {group}"
-    return f"{VERDICTS['missing']}: {', '.join(certain)}; several effects explain the rest equally well: {group}"
+    kind, what, unclear = diagnosis["verdict"], join_words(diagnosis["missing"]), "them"
+    if kind == "undetermined":
+        what = join_words([gap["what"] for gap in (diagnosis.get("undetermined") or NOT_SAID)[:MAX_GAPS_NAMED]])
+    if kind == "ambiguous":
+        certain, what = certain_effects(diagnosis), join_words(indistinguishable_effects(diagnosis), "or")
+        what, unclear = (f"{join_words(certain)}, and {what}", "the last of them") if certain else (what, unclear)
+    said = VERDICTS[kind].format(model=model, what=what, unclear=unclear)
+    return "; ".join([said, *(describe_leads(diagnosis) if kind == "unexplained" else ())])
+
+
+def headline(diagnosis: Mapping[str, Any]) -> str:
+    """Return the verdict in words, from the JSON of `frictrack diagnose` or of a diagnosis outside a study."""
+    return diagnosis.get("headline") or describe_verdict(diagnosis, joined_name(diagnosis["model"]))
 
 
 def describe_leads(diagnosis: Mapping[str, Any]) -> list[str]:
@@ -218,7 +229,7 @@ def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
         The JSON of a diagnosis. Its `undetermined` lists `what`, `why` and `settled_by`.
 
     """
-    gaps = diagnosis.get("undetermined") or [{"what": "the law", "why": "not determined", "settled_by": ""}]
+    gaps = diagnosis.get("undetermined") or NOT_SAID
     first, more = gaps[0], len(gaps) - 1
     others = f" (and {more} more)" if more else ""
     advice = f"; to settle it: {first['settled_by']}" if first["settled_by"] else ""

@@ -13,9 +13,10 @@ from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.present.plots.model import modelled_force, worst_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, plain_name, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Curve, Mask
 from frictrack.results import ModelResults, RunResults
+from frictrack.results.model_names import plain_name
 
 HEIGHT_IN, WIDTH_IN = 3.4, 7.0
 POINT_STYLE: dict[str, Any] = {"color": style.MEASURED_COLOUR, "ls": "none", "marker": ".", "ms": 2.2, "alpha": 0.4}
@@ -88,7 +89,7 @@ def law_title(model: ModelResults) -> str:
     begin, end = (format_number(force) for force in (first["F"][0], first["F"][-1]))
     if begin == end:
         return f"{plain_name(model.name)}: friction {begin} N from {slow} to {fast} {unit}"
-    return f"{plain_name(model.name)}: friction {begin} N at {slow}, {end} N at {fast} {unit}"
+    return f"{plain_name(model.name)}: friction {begin} N at {slow} {unit}, {end} N at {fast} {unit}"
 
 
 def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: float, color: str) -> None:

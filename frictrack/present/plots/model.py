@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from frictrack.base.number_format import describe_change, format_number, format_share
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, plain_name, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
+from frictrack.results.model_names import plain_name
 
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
@@ -365,6 +366,7 @@ def _share_y(panels: Sequence[Axes]) -> None:
 
 
 ERROR_LOG_AXIS_RATIO = 8.0  # largest over smallest error, from which the axis is logarithmic
+MIN_HISTORY_WIDTH_IN, INCHES_PER_MODEL = 4.5, 1.5
 MIN_NOISE_SHOWN = 0.02  # of the smallest error: lower noise is not drawn
 MAX_CHARACTERS = 8.0  # of the names of models side by side, per inch of the panel; more models are numbered
 MAX_STEPS_NAMED = 2  # effects that one model adds to the one before; of more, the whole model is named
@@ -413,8 +415,9 @@ def history(models: Sequence[AnyModel]) -> Figure:
     unit = "µm" if in_um else "N"
     noise = noise_um(tried[-1]) if in_um else (tried[-1].diagnosis or {}).get("noise_N")
     errors = errors_of_models(tried, unit)
-    figure = new_figure(3.3, _history_title(errors, noise, unit))
-    draw_held_out(figure.subplots(), errors, noise, unit, style.PAGE_WIDTH_IN)
+    width = min(style.PAGE_WIDTH_IN, MIN_HISTORY_WIDTH_IN + INCHES_PER_MODEL * len(errors))
+    figure = new_figure(3.3, _history_title(errors, noise, unit), width)
+    draw_held_out(figure.subplots(), errors, noise, unit, width)
     return figure
 
 

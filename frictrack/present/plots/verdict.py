@@ -31,11 +31,12 @@ from frictrack.present.plots.model import (
     residual_unit,
     residuals,
 )
-from frictrack.present.plots.style import axis_label, joined_name, new_figure, plain_name, styled
+from frictrack.present.plots.style import axis_label, new_figure, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results
+from frictrack.results.model_names import joined_name, plain_name
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import VERDICTS, certain_effects, indistinguishable_effects
+from frictrack.results.verdicts import describe_verdict
 
 DRAWN_AXES = ("x", "v", "t")
 REJECTED = ("missing", "ambiguous", "unexplained")
@@ -300,16 +301,11 @@ def verdict(found: Results | Summarised, better: AnyModel | None = None, *, titl
 def _headline(data: VerdictData) -> str:
     if not data.diagnosis:
         return f"{data.name}, not yet diagnosed"
-    before, after, found = data.before, data.after, data.diagnosis["verdict"]
-    if before is None or after is None or found not in ("missing", "ambiguous"):
-        return f"{data.name}: {VERDICTS[found]}"
+    said, before, after = describe_verdict(data.diagnosis, data.name), data.before, data.after
+    if before is None or after is None or data.diagnosis["verdict"] != "missing":
+        return said
     errors = f"{format_number(before.rms)} to {format_number(after.rms)} {data.unit}"
-    return f"{data.name} lacks {_lacking(data.diagnosis)}: with it the residual falls from {errors}"
-
-
-def _lacking(diagnosis: Mapping[str, Any]) -> str:
-    names = [*certain_effects(diagnosis), *indistinguishable_effects(diagnosis)]
-    return " or ".join(names) if diagnosis["verdict"] == "ambiguous" else " and ".join(diagnosis["missing"])
+    return f"{said}: with it the residual falls from {errors}"
 
 
 # ---- residual before and after

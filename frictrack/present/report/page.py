@@ -21,11 +21,10 @@ from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
 from frictrack.present.report import tables, texts
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
 from frictrack.results.error_rows import held_out_error
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import CHECK_FIRST, describe_formula, describe_unnamed, force_without_effect
 
 MAX_FILMS = 4  # films of which the first frame is shown
 
@@ -87,7 +86,7 @@ def render(results: Results, key: str = "") -> str:
         results=results,
         model=results.current,
         key=key,
-        check_first=CHECK_FIRST,
+        check_first=verdicts.CHECK_FIRST,
         written=now(),
         figure=figure,
         figures=figures,
@@ -97,14 +96,14 @@ def render(results: Results, key: str = "") -> str:
         judged=judged,
         earlier=earlier,
         failed=plots.failed_model(results),
-        headline=_headline,
+        headline=lambda model: verdicts.describe_verdict(model.diagnosis, plots.plain_name(model.name)),
         main_kinds=MAIN_KINDS,
         axes=AXES,
         candidate_rows=candidate_rows,
         held_out_error=held_out_error,
-        force_without_effect=force_without_effect,
-        describe_formula=describe_formula,
-        describe_unnamed=describe_unnamed,
+        force_without_effect=verdicts.force_without_effect,
+        describe_formula=verdicts.describe_formula,
+        describe_unnamed=verdicts.describe_unnamed,
         filmed=filmed,
         films=[_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]],
         budgets={run.name: run.budget for run in results.runs if run.budget},
@@ -121,10 +120,6 @@ def _judged_models(results: Results) -> tuple[list[ModelResults], list[ModelResu
     shown = plots.failed_model(results)
     judged = [m for m in rejected if m is shown or m.current] or rejected
     return judged, [m for m in rejected if m not in judged]
-
-
-def _headline(model: ModelResults) -> str:
-    return f"{plots.plain_name(model.name)} {texts.model_status(model.diagnosis or {})}"
 
 
 def _first_frame(run: RunResults, *, wide: bool) -> Markup:

@@ -11,18 +11,17 @@ from markupsafe import Markup
 
 from frictrack.base.number_format import (
     DASH,
-    format_interval,
     format_number,
-    format_quantity,
     format_size,
-    format_unit,
 )
-from frictrack.present.plots import plain_name
 from frictrack.present.plots.style import axis_label
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
-from frictrack.results.error_rows import error_rows
+from frictrack.results.error_rows import FAILING_HEADS, error_rows, failing_rows
+from frictrack.results.measurement_cells import measurement_cells
+from frictrack.results.model_names import plain_name
+from frictrack.results.parameter_rows import interval_with_unit, parameter_row
 
 Cell = str | Markup
 
@@ -81,6 +80,7 @@ def code_cell(text: str) -> Markup:
 
 PER_RUN_NAME = re.compile(r"^(?P<name>.+)\[(?P<run>.+)\]$")  # "vibration.phase[v3]"
 MAX_FIRST_PARAMETERS = 8  # of the first screen
+UNRESOLVED = "not resolved: the impulse is known, the peak force is not"
 UNITS_WITH_SCALE_ERROR = ("N", "N s", "m", "m/s")  # in N s/m and N/m the error of the scale cancels
 
 
@@ -97,21 +97,14 @@ def parameter_table(model: ModelResults, scale_error: float = 0.0) -> TextTable:
         Relative standard deviation of the scale. A column gives its contribution to each parameter.
 
     """
-    rejected = any("std_misfit" in p for p in model.summary["parameters"].values())
     unresolved = {f"{c['effect']}.width" for c in model.summary.get("collisions", []) if not c["resolved"]}
-    rows = [
-        (
-            code_cell(name),
-            format_quantity(p["value"], p["std"], p["unit"]),
-            *([format_size(p["std_misfit"], p["unit"]) if "std_misfit" in p else ""] if rejected else []),
-            _scale_contribution(p, scale_error),
-            _remark(p, unresolved=name in unresolved),
-        )
-        for name, p in model.summary["parameters"].items()
-        if not PER_RUN_NAME.match(name)
-    ]
-    heads = ("parameter", "value", *(["† ± with the misfit"] if rejected else []), "± of the scale", "")
-    return make_table(heads, rows, (1, 2, 3) if rejected else (1, 2))
+    rows = []
+    for name, p in model.summary["parameters"].items():
+        if not PER_RUN_NAME.match(name):
+            row = parameter_row(p)
+            remark = UNRESOLVED if name in unresolved else row.remark
+            rows.append((code_cell(name), row.value, row.misfit, _scale_contribution(p, scale_error), remark))
+    return make_table(("parameter", "value ± std", "† ± with the misfit", "± of the scale", ""), rows, (1, 2, 3))
 
 
 def short_parameter_table(model: ModelResults) -> TextTable:
@@ -125,31 +118,15 @@ def short_parameter_table(model: ModelResults) -> TextTable:
         The fitted model.
 
     """
-    rows = [
-        (
-            code_cell(name),
-            _quantity(p) + (" †" if "std_misfit" in p else ""),
-            _short_remark(p),
-        )
-        for name, p in shared_parameters(model).items()
-    ][:MAX_FIRST_PARAMETERS]
+    shared = [(code_cell(name), parameter_row(p)) for name, p in shared_parameters(model).items()]
+    rows = [(name, row.short, row.short_remark) for name, row in shared[:MAX_FIRST_PARAMETERS]]
     return make_table(("parameter", "value ± std", ""), rows, (1,))
-
-
-def _quantity(p: Mapping[str, Any] | None) -> str:
-    """A parameter with one ±, which includes the misfit of a model that fails."""
-    return DASH if p is None else format_quantity(p["value"], p.get("std_misfit", p["std"]), p["unit"])
 
 
 def shared_parameters(model: ModelResults) -> dict[str, Mapping[str, Any]]:
     """Parameters that all runs share, those that were not fixed first."""
     shared = {name: p for name, p in model.summary["parameters"].items() if not PER_RUN_NAME.match(name)}
     return dict(sorted(shared.items(), key=lambda item: item[1].get("reason") == "fixed"))
-
-
-def _short_remark(p: Mapping[str, Any]) -> str:
-    """The remark as far as it fits into a line; what settles a parameter is in the full table."""
-    return _remark(p).split(";")[0].split(":")[0]
 
 
 def _scale_contribution(p: Mapping[str, Any], scale_error: float) -> str:
@@ -160,17 +137,6 @@ def _scale_contribution(p: Mapping[str, Any], scale_error: float) -> str:
     return format_size(abs(value) * scale_error, p["unit"])
 
 
-def _remark(p: Mapping[str, Any], *, unresolved: bool = False) -> str:
-    if unresolved:
-        return "not resolved: the impulse is known, the peak force is not"
-    if p.get("reason"):
-        return str(p["reason"])
-    if p.get("at_bound"):
-        return "at its bound: the true value may lie beyond"
-    mu = p.get("mu")
-    return "" if mu is None else f"µ = {format_quantity(mu['value'], mu['std'], '1')}"
-
-
 def interval_table(model: ModelResults) -> TextTable:
     """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter."""
     summary = model.summary
@@ -178,9 +144,9 @@ def interval_table(model: ModelResults) -> TextTable:
     rows = [
         (
             code_cell(name),
-            format_quantity(p["value"], p["std"], p["unit"]),
-            _interval([profiles[name][end] for end in ("low", "high")], p["unit"]) if name in profiles else "",
-            _interval(bootstrap[name]["interval"], p["unit"]) if name in bootstrap else "",
+            parameter_row(p).value,
+            interval_with_unit([profiles[name][end] for end in ("low", "high")], p["unit"]) if name in profiles else "",
+            interval_with_unit(bootstrap[name]["interval"], p["unit"]) if name in bootstrap else "",
             format_size(bootstrap[name]["std"], p["unit"]) if name in bootstrap else "",
             "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
         )
@@ -191,18 +157,13 @@ def interval_table(model: ModelResults) -> TextTable:
     return make_table(heads, rows, (1, 2, 3, 4))
 
 
-def _interval(ends: Sequence[float | None], unit: str) -> str:
-    known = any(end is not None for end in ends)
-    return f"{format_interval(ends, digits=4)} {format_unit(unit) if known else ''}".strip()
-
-
 def run_table(model: ModelResults) -> TextTable:
     """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs."""
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
         m = PER_RUN_NAME.match(name)
         if m:
-            per_run.setdefault(m["name"], {})[m["run"]] = format_quantity(p["value"], p["std"], p["unit"])
+            per_run.setdefault(m["name"], {})[m["run"]] = parameter_row(p).value
     rows = []
     for row in model.summary["per_run"]:
         share = row["errors"].get("relative_force_error")
@@ -227,10 +188,16 @@ def history_table(models: Sequence[ModelResults]) -> TextTable:
     return make_table(heads, rows, range(1, len(errors) + 1))
 
 
+def failing_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
+    """Table of the spans in which a model fails."""
+    return make_table(("run", *FAILING_HEADS), failing_rows(spans), range(1, 6))
+
+
 def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
     """Table of the parameters and errors of the default fit and of the papers' route."""
+    both = [m.summary["parameters"] for m in (default, papers)]
     rows: list[Sequence[Cell]] = [
-        (code_cell(name), *(_quantity(one.summary["parameters"].get(name)) for one in (default, papers)))
+        (code_cell(name), *(parameter_row(one[name]).short if name in one else DASH for one in both))
         for name in default.summary["parameters"]
         if not PER_RUN_NAME.match(name)
     ]
@@ -259,20 +226,9 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
     """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
-    rows = []
-    for run in runs:
-        if not run.quality:
-            continue
-        q = run.quality
-        locking = format_quantity(q["peak_locking_px"], q["peak_locking_std_px"], "") if q["peak_locking_px"] else ""
-        shake = "none" if q["shake_px"] == 0 else format_number(q["shake_px"], 2)
-        rows.append(
-            (run.name, format_number(q["sigma_px"], 2), format_number(q["sigma_um"], 2), format_number(q["score"]),
-             locking, format_number(q["forward_backward_px"], 2), format_number(q["noise_floor_px"], 2), shake,
-             format_number(None if q["exposure_s"] is None else 1e6 * q["exposure_s"]), format_number(q["blur_px"], 2))
-        )  # fmt: skip
+    rows = [(run.name, *measurement_cells(run.quality)) for run in runs if run.quality]
     heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
-             "shake / px", "exposure / µs", "blur / px")  # fmt: skip
+             "shake / px", "blur / px", "exposure / µs")  # fmt: skip
     return make_table(heads, rows, range(1, len(heads)))
 
 

@@ -13,22 +13,16 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import describe_change, format_number, format_quantity, join_words, upper_first
+from frictrack.base.number_format import describe_change, format_number, format_quantity, join_words
 from frictrack.fit.penalties import SCATTER_BOUNDS
-from frictrack.present.plots import noise_um, plain_name
+from frictrack.present.plots import noise_um
 from frictrack.present.report.markup import describe_evidence, mark_code, sentences
 from frictrack.present.report.tables import Cell, TextTable, make_table
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.error_rows import held_out_error
+from frictrack.results.model_names import plain_name
 from frictrack.results.motion_axes import AXES
-from frictrack.results.verdicts import (
-    VERDICT_ONLY,
-    certain_effects,
-    describe_alternatives,
-    describe_lost,
-    indistinguishable_effects,
-)
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",
@@ -36,7 +30,6 @@ EFFECT_NAMES = {
     "viscous": "viscous friction",
     "drag": "drag",
 }
-MAX_GAPS_NAMED = 2  # in a headline
 NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 
 
@@ -84,10 +77,12 @@ def study_verdict(results: Results) -> VerdictText:
     paragraph = [*_added_effects(results.models)]
     if diagnosis:
         rows = {row.effect: row for row in candidate_rows(diagnosis)}
-        rivals = indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
-        alternatives = describe_alternatives(diagnosis)
+        rivals = verdicts.indistinguishable_effects(diagnosis) if kind == "ambiguous" else []
+        alternatives = verdicts.describe_alternatives(diagnosis)
         paragraph += sentences("verdict", diagnosis, _residual(model), rows, rivals, alternatives, AXES)
-    return VerdictText(_headline(results, model, kind), tuple(paragraph), kind, _runs_and_model(model))
+    name = plain_name(model.name)
+    headline = verdicts.describe_verdict(diagnosis, name) if diagnosis else f"{name}, not yet diagnosed"
+    return VerdictText(headline, tuple(paragraph), kind, _runs_and_model(model))
 
 
 def effect_names(names: Sequence[str]) -> str:
@@ -102,51 +97,12 @@ def effect_names(names: Sequence[str]) -> str:
     return join_words([EFFECT_NAMES.get(name, name) for name in names])
 
 
-def model_status(diagnosis: Mapping[str, Any]) -> str:
-    """Describe the verdict of a diagnosis as a predicate that follows the model's name.
-
-    Examples
-    --------
-    >>> model_status({"verdict": "missing", "missing": ["texture"]})
-    'lacks texture'
-
-    """
-    if diagnosis["verdict"] == "complete":
-        return "is complete"
-    if diagnosis["verdict"] == "undetermined":
-        return "is neither confirmed nor refuted"
-    if diagnosis["verdict"] == "ambiguous":
-        certain, group = certain_effects(diagnosis), join_words(indistinguishable_effects(diagnosis), "or")
-        return f"lacks {join_words(certain)}, and {group}" if certain else f"lacks {group}"
-    if diagnosis["verdict"] == "missing":
-        return f"lacks {join_words(diagnosis['missing'])}"
-    return "fails, and part of the misfit is unexplained"
-
-
 def single_additions(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResults, ModelResults, str]]:
     """Yield successive models that differ by one added effect: the model before, the one after, the effect."""
     for before, after in pairwise(models):
         new = [name for name in after.summary["model"] if name not in before.summary["model"]]
         if len(new) == 1 and len(after.summary["model"]) > len(before.summary["model"]):
             yield before, after, new[0]
-
-
-def _headline(results: Results, model: ModelResults, kind: str) -> str:
-    name = plain_name(model.name)
-    diagnosis = results.diagnosis or {}
-    if kind == "complete":
-        added = [effect for *_, effect in single_additions(results.models) if effect in model.summary["model"]]
-        if added:
-            verb = "explains" if len(added) == 1 else "explain"
-            return f"{upper_first(join_words(added))} {verb} the misfit; nothing else is detectable"
-        return f"{name} is complete for these runs"
-    if kind == "undetermined":
-        gaps = diagnosis.get("undetermined") or [{"what": "the law"}]
-        return f"Undetermined: these runs do not determine {join_words([gap['what'] for gap in gaps[:MAX_GAPS_NAMED]])}"
-    if kind == "ambiguous":
-        unclear = "the last of them" if certain_effects(diagnosis) else "them"
-        return f"{name} {model_status(diagnosis)}: these runs cannot distinguish {unclear}"
-    return f"{name} {model_status(diagnosis)}" if kind else f"{name}, not yet diagnosed"
 
 
 def _runs_and_model(model: ModelResults) -> str:
@@ -309,13 +265,15 @@ def next_steps(results: Results) -> list[Markup]:
         return [Markup("Find what the model lacks: <code>frictrack diagnose {}</code>.").format(study)]
     certain, rivals = [], []
     if diagnosis["verdict"] == "ambiguous":
-        certain, rivals = certain_effects(diagnosis), indistinguishable_effects(diagnosis)
+        certain, rivals = verdicts.certain_effects(diagnosis), verdicts.indistinguishable_effects(diagnosis)
     confirm = {row.effect: row.source["words"].get("confirm") for row in candidate_rows(diagnosis)}
     steps = sentences("next_steps", study, diagnosis, certain, rivals, confirm)
     if not diagnosis.get("complete", True):
-        steps.append(mark_code(VERDICT_ONLY))
+        steps.append(mark_code(verdicts.VERDICT_ONLY))
     filmed = any(run.film is not None for run in results.runs)
     unknown = filmed and not has_measured_friction(results) and not scale_error(results)
+    if results.warnings:
+        return [mark_code(verdicts.CHECK_NEXT), *steps]
     return [*steps, *([Markup(NO_SCALE_ERROR)] if unknown else [])]
 
 
@@ -355,7 +313,7 @@ def failed_checks(run: RunResults) -> list[str]:
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
     checks = (
-        (lost, describe_lost(lost, q["frames"])),
+        (lost, verdicts.describe_lost(lost, q["frames"])),
         (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
         (
             locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,

@@ -129,12 +129,13 @@ def verdict_of(results: Results, model: ModelResults) -> dict[str, Any] | None:
 def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     """Describe the verdict on the current model of `results`."""
     verdict = study_verdict(results)
+    headline = verdict.headline
     chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
     repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
     return {
         "verdict": found["verdict"],
-        "title": verdict.headline,
-        "brief": verdict.headline.partition(": these runs cannot")[0],  # for the bar
+        "title": headline,
+        "brief": headline if verdict.kind == "undetermined" else headline.partition(": ")[0],  # for the bar
         "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
         "numbers": [
             f"Reduced chi-squared {chi2}; p of the lack of fit {p}.",

@@ -7,12 +7,13 @@ from functools import lru_cache
 from typing import Any
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import format_quantity
 from frictrack.effects import catalogue
 from frictrack.flow import user_effects
-from frictrack.present.plots import has_law, numbered_name, residual_unit
+from frictrack.present.plots import has_law, residual_unit
 from frictrack.results import ModelResults, Results
 from frictrack.results.error_rows import held_out_error
+from frictrack.results.model_names import numbered_name
+from frictrack.results.parameter_rows import parameter_row
 from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot
@@ -197,10 +198,6 @@ def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
 
 def value_text(value: Mapping[str, Any]) -> str:
     """Write a fitted value with its standard deviation, and why it is not determined."""
-    reason = f" ({value['reason']})" if value.get("reason") else ""
-    if value["value"] is None:
-        return f"not determined{reason}"
-    std, mark = (value.get("std"), "") if value.get("std_misfit") is None else (value["std_misfit"], " †")
-    found = value.get("mu")  # it has no line break inside
-    mu = f"µ = {format_quantity(found['value'], found['std'], '1')}".replace(" ", "\N{NO-BREAK SPACE}") if found else ""
-    return f"{format_quantity(value['value'], std, value['unit'])}{mark}{', ' * bool(mu)}{mu}{reason}"
+    row = parameter_row(value)
+    remark = row.remark.replace("µ = ", "µ =\N{NO-BREAK SPACE}").replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    return f"{row.short}{', ' * bool(remark)}{remark}"

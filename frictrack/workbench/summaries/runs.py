@@ -168,7 +168,7 @@ def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
         "lost": [float(f"{factor * v:.4g}") for v in trade.lost],
         "unit": unit,
         "separated": separated,
-        "words": f"total error with trend, vibrations and events separated: {format_number(separated)} {unit}",
+        "words": f"total error with trend, vibrations and events separated {format_number(separated)} {unit}",
     }
 
 

@@ -9,9 +9,8 @@ from typing import Any
 from frictrack.base.number_format import upper_first
 from frictrack.effects import models
 from frictrack.flow import Change, undo_stacks
-from frictrack.present.plots import numbered_name
-from frictrack.present.plots.style import joined_name
 from frictrack.results import to_builtins
+from frictrack.results.model_names import joined_name, numbered_name
 from frictrack.results.verdicts import CHECK_FIRST, describe_tests
 from frictrack.study import Study
 from frictrack.workbench.summaries.diagnosis import summarise_diagnosis, verdict_of

@@ -102,65 +102,6 @@ def run_styles(runs: Sequence[Any]) -> dict[str, dict[str, Any]]:
     return {run.name: RUN_STYLES[k % len(RUN_STYLES)] for k, run in enumerate(runs)}
 
 
-TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
-
-_CAPITALISED = {
-    "tustin": "Tustin",
-    "coulomb": "Coulomb",
-    "stribeck": "Stribeck",
-    "stribeck-model": "Stribeck model",
-}
-
-
-def plain_name(group: str) -> str:
-    """Convert the name of a stored model to words.
-
-    Parameters
-    ----------
-    group : str
-        Name of the model's group in the results: its number in the history, an underscore, its parts.
-
-    Examples
-    --------
-    >>> plain_name("2_tustin+texture")
-    'Tustin + texture'
-
-    """
-    return joined_name(group.split("_", 1)[-1].split("+"))
-
-
-def joined_name(effects: Sequence[str]) -> str:
-    """Convert the effects of a model to words.
-
-    Parameters
-    ----------
-    effects : sequence of str
-        Names of effects or models.
-
-    Examples
-    --------
-    >>> joined_name(["coulomb", "stribeck", "viscous", "patch"]), joined_name(["coulomb", "drag"])
-    ('Tustin + patch', 'Coulomb + drag')
-
-    """
-    parts = list(effects)
-    if set(TUSTIN) <= set(parts):
-        parts = ["tustin", *(part for part in parts if part not in TUSTIN)]
-    return " + ".join(_CAPITALISED.get(part, part.upper() if part.startswith("atm") else part) for part in parts)
-
-
-def numbered_name(group: str) -> str:
-    """Convert the name of a stored model to words, with its number in the history.
-
-    Examples
-    --------
-    >>> numbered_name("2_tustin+texture")
-    '2. Tustin + texture'
-
-    """
-    return f"{group.split('_', 1)[0]}. {plain_name(group)}"
-
-
 Y_MARGIN = 0.08  # of the range of values, above and below
 BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 BAND_LABEL = f"± {BAND_SIGMAS:g} std"

@@ -3,7 +3,7 @@
 import { html, useEffect, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { change, edit, start, writeShape } from "./actions.js";
-import { Button, Figure, Note, Panel, Segments, Skeleton } from "./controls.js";
+import { Button, Figure, Note, Panel, Segments } from "./controls.js";
 import { count, spaced } from "./format.js";
 import { Icon } from "./icons.js";
 import { Linked } from "./linked.js";
@@ -139,7 +139,6 @@ export function FilmTab() {
   const [parts, setParts] = useState(null);
   const repair = useRepair(parts, run);
   useEffect(() => parts?.filmView.setTool(tool), [parts, tool]);
-  if (exists === undefined) return html`<${Skeleton} label="Reading the study ..." height=${400} />`;
   if (!exists || !run) return html`<${StartView} />`;
   const on = {
     drawn: (drawn) => (drawn.tool === "repair" ? repair.drawn(drawn) : writeShape(drawn)),

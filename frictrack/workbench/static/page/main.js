@@ -4,6 +4,7 @@ import { html, render, useEffect } from "./hooks.js";
 import "./theme.js";
 import { Banners } from "./banners.js";
 import { CompareTab } from "./compare_tab.js";
+import { Skeleton } from "./controls.js";
 import { Dialogs } from "./dialogs.js";
 import { FilmTab } from "./film_tab.js";
 import { Header } from "./header.js";
@@ -25,13 +26,14 @@ function App() {
   useEffect(() => {
     document.title = name ? `${name} – frictrack` : "frictrack";
   }, [name]);
-  const View = VIEWS[tab] || FilmTab;
+  const View = VIEWS[tab] || FilmTab, read = useStore((s) => s.study?.exists !== undefined);
   return html`
     <${Header} />
     <${SetupBar} />
     <${Banners} />
     <main class=${`ui-view ${online === false ? "offline" : ""}`}>
-      <div id="view" role="tabpanel" aria-labelledby=${`tab-${tab}`} tabindex="-1"><${View} key=${tab} /></div>
+      <div id="view" role="tabpanel" aria-labelledby=${`tab-${tab}`} tabindex="-1">
+        ${read ? html`<${View} key=${tab} />` : html`<${Skeleton} label="Reading the study ..." height=${400} />`}</div>
     </main>
     <${StatusBar} />
     <${Dialogs} />`;

@@ -26,7 +26,7 @@ function Smoothing({ run, preview, onPreview }) {
     if (text && !/^\d+$/.test(text)) return say(`Expected a whole number but got "${text}".`, "warn");
     return set(key, text ? Number(text) : null, text ? `${key} ${text}` : `${key} chosen automatically`);
   };
-  const cost = filter.filter === "structural" && cutoff?.noise && `Noise that passes: ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost: ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
+  const cost = filter.filter === "structural" && cutoff?.noise && `Over the whole run, its start included: noise that passes ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
   const separate = () => set("cutoff", null, "cut-off removed");
   const use = () => set("cutoff", `${digits(hertz[at], 5)} Hz`, `cut-off ${digits(hertz[at])} Hz`);
   return html`

@@ -14,11 +14,17 @@ const KIND = { complete: "good", missing: "bad", ambiguous: "warn", undetermined
 /** Colour of a verdict. */
 export const kindOf = (diagnosis) => KIND[diagnosis?.verdict] || "warn";
 
+/** What to check first; a sentence that stands in full below a box of the bar is not repeated beside it. */
+const checksInBrief = (s) => (s.study?.check_first || []).map((words) => {
+  const [box] = Object.entries(s.study.fields || {}).find(([, field]) => field.warning === words) || [];
+  return box ? `Check first: see ${box === "fps" ? "frame rate" : box}.` : words;
+});
+
 /** The verdict in a few words, with the error of the current model. */
 function Brief() {
   const [diagnosis, checks, model, job, stale] = [
     useStore((s) => s.study?.diagnosis),
-    useStore((s) => s.study?.check_first || []),
+    useStore(checksInBrief),
     useStore((s) => s.study?.models?.find((one) => one.current)),
     useStore((s) => s.study?.job && s.study.job.do !== "attempt"),
     useStore((s) => outdatedWords(s, "diagnosis", "model", "motion", "track")),
@@ -27,7 +33,7 @@ function Brief() {
   const { errors } = model;
   return html`
     <div class=${`ui-brief ${checks.length ? "warn" : diagnosis && !stale ? kindOf(diagnosis) : ""} ${stale ? "stale" : ""}`}>
-      ${checks.slice(0, 1).map((words) => html`<p class="ui-check-first" title=${checks.join("\n")}>${spaced(words)}</p>`)}
+      ${checks.slice(0, 1).map((words) => html`<p class="ui-check-first">${spaced(words)}</p>`)}
       <p class="ui-brief-title">${stale ? "Outdated: " : ""}${diagnosis?.brief || (job ? "Not diagnosed yet" : "Not diagnosed")}</p>
       <p class="ui-brief-more"><span>${model.label}</span>
         ${errors.reduced_chi2 !== undefined && html`<span><${Words} text="reduced χ²" /> <b>${digits(errors.reduced_chi2)}</b></span>`}</p>
