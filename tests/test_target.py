@@ -10,7 +10,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import Areas, driver, find_reference, track
-from frictrack.tracking.detection import resolve_target, rests_while_others_move
+from frictrack.tracking.detection import resolve_target, target_fault
 
 
 def a_track(x, y=31.5, size=SIZE):
@@ -79,9 +79,9 @@ def test_a_click_on_a_plain_disc_takes_its_outline(click):
 
 def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
     film, empty = a_film(SLIDE), np.full(N, 215.0)
-    assert rests_while_others_move(film, a_track(empty))
-    assert not rests_while_others_move(film, a_track(SLIDE))
-    assert not rests_while_others_move(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
+    assert target_fault(film, a_track(empty))
+    assert not target_fault(film, a_track(SLIDE))
+    assert not target_fault(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
     x, y, w, h = (round(v) for v in a_track(empty).target)
     monkeypatch.setattr(driver, "resolve_areas", lambda *_: (Areas([x, y, w, h]), (x, y, w, h), 0))
     with pytest.raises(FrictrackError, match=r"place that was found, \[.*\], rests while .* moves, in frame \d+ at \["):
