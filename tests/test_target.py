@@ -89,6 +89,15 @@ def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
     assert np.ptp(track(film, [x, y, w, h]).x_px) < 1  # what the user has drawn is tracked
 
 
+def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
+    """A match score would not tell: here the tracks themselves are wrong."""
+    film, k = a_film(SLIDE), np.arange(N)
+    slips = SLIDE - 12 * k / N  # along a plain body, say
+    assert "does not go along with what moves" in target_fault(film, a_track(slips))
+    assert "jumps between places" in target_fault(film, a_track(np.where(k < N / 2, 30.0, 180.0)))
+    assert "in which something moves" in target_fault(film, a_track(np.where(k < N / 3, SLIDE, np.nan)))
+
+
 def test_a_picture_of_the_target(tmp_path):
     """Cut out of frame 50 of another recording of the same block, it is found wherever the block is."""
     other = a_film(SLIDE + 3)

@@ -25,7 +25,7 @@ from frictrack.tracking.detection.sampled_scene import (
     sample_scene,
     scene_before,
 )
-from frictrack.tracking.detection.targets import MIN_TRAVEL_PX, is_sharp
+from frictrack.tracking.detection.targets import MIN_TRAVEL_PX, is_sharp, jumps, travel_distance
 
 MIN_BUSY_SHARE = 0.25  # of the samples, in which something must move outside a target that rests
 MAX_MISSED_SHARE = 0.4  # of the samples, in which something moves and the target is not found
@@ -59,7 +59,7 @@ def target_fault(recording: Recording, track: Track) -> str:
     size = np.array(track.target[2:]) / scene.factor
     at = np.stack([track.x_px, track.y_px], axis=1)
     corner = (at[scene.index] + 0.5) / scene.factor - scene.shake - size / 2
-    low, high = np.nanquantile(at, (0.02, 0.98), axis=0)
+    low, high = np.nanquantile(at, (0.1, 0.9), axis=0)
     seen = np.isfinite(corner[:, 0])
     if np.hypot(*(high - low)) <= MIN_TRAVEL_PX:
         box = (*(np.array(track.target[:2]) / scene.factor), *size)
@@ -77,7 +77,9 @@ def target_fault(recording: Recording, track: Track) -> str:
         busy = np.array([len(blobs) > 0 for blobs in outside])
         astray = _astray(scene, corner, size) if np.ptp(track.angle[track.found]) < MAX_TURN else np.zeros(0, np.bool_)
         rows, why = np.flatnonzero(busy & seen), ""
-        if len(astray) and astray.mean() > MAX_ASTRAY_SHARE:
+        if jumps(at[track.found], travel_distance(at[track.found])):
+            why = "jumps between places that look alike"
+        elif len(astray) and astray.mean() > MAX_ASTRAY_SHARE:
             why = f"does not go along with what moves in {astray.sum()} of {len(astray)} frames"
         elif np.mean(busy & ~seen) > MAX_MISSED_SHARE:
             why = "is not found in many frames in which something moves"

@@ -299,15 +299,15 @@ def _textured_axes(patch: Picture) -> Array:
 def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
     """Suitability as a target: found often and well, large, far travelled; 0 for a body that does not move."""
     seen = np.isfinite(corner[:, 0])
-    distance = _travel_distance(corner[seen] @ axes_known)
-    if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
+    distance = travel_distance(corner[seen] @ axes_known)
+    if distance * scene.factor <= MIN_TRAVEL_PX or jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
     similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 
-def _travel_distance(corner: Array) -> float:
+def travel_distance(corner: Array) -> float:
     """Distance covered by the finds (k, 2), px; one stray match in ten is ignored."""
     if len(corner) < 2:
         return 0.0
@@ -315,7 +315,7 @@ def _travel_distance(corner: Array) -> float:
     return 2 * float(away[-max(2, len(corner) // 10)])
 
 
-def _jumps(corner: Array, distance: float) -> bool:
+def jumps(corner: Array, distance: float) -> bool:
     """Whether the finds (k, 2) jump between places without any on the way: several similar objects."""
     steps = np.hypot(*np.diff(corner, axis=0).T)
     return len(corner) >= MIN_FINDS and float(np.sum(steps[steps < 0.45 * distance])) < 0.2 * distance
