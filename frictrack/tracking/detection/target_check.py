@@ -126,7 +126,7 @@ def _astray(scene: SampledScene, corner: Array, size: Array) -> Mask:
         return np.zeros(0, np.bool_)
     h, w = np.rint(size[::-1]).astype(int) + 2 * MARGIN_PX
 
-    def silhouette(k: int, margin: int) -> Picture:
+    def silhouette(k: np.intp, margin: int) -> Picture:
         change = cv2.GaussianBlur(np.abs(scene.small[k] / np.float32(scene.light[k]) - scene.background), (0, 0), 1.0)
         return read_subpixel(change, corner[k] - MARGIN_PX - margin, (h + 2 * margin, w + 2 * margin))
 
