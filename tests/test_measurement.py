@@ -198,7 +198,7 @@ def test_the_cameras_own_stamps_are_believed(tmp_path, monkeypatch):
     work.recording.clocked = True
     assert len(work.get("displacement")) == 119
     np.testing.assert_allclose(np.diff(work.get("displacement").t), 1 / 4000)
-    assert said(work.get("displacement"), "before frame 40; the camera's time stamps disagree and are used")
+    assert said(work.get("displacement"), "before frame 40; the film's time stamps disagree and are used")
 
 
 def test_times_are_moved_and_frames_left_out():

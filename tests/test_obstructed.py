@@ -15,7 +15,7 @@ from frictrack.tracking.detection import resolve_target
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipelines" / "benchmarks"))
 
-from tracking.automatic import _error, _on
+from tracking.automatic import _error, _on, judge
 from tracking.obstructed import DISTURBANCES, DrawnFilm, scene
 
 SMALL = {"frames": 40, "shape": (96, 320)}
@@ -67,6 +67,15 @@ def test_the_rotation_of_a_plain_disc_is_said_to_be_unseen():
     assert len(result.outline) == 24  # its whole outline is the target
     assert np.ptp(np.array(result.outline), axis=0) == pytest.approx(2 * film.body.half + 3, abs=2)
     assert np.nanstd(_error(film, result)[:, 0]) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wall", "seed"), [("brick", 3), ("plank", 5)])
+def test_a_faint_body_is_tracked_or_refused_but_no_empty_place_is(wall, seed):
+    """Bricks look alike, and a plain region slides along the grain of a plank."""
+    plain = {"look": "plain", "disc": False, "motion": "accelerate", "disturbances": [], "quality": None}
+    film = scene(seed, wall=wall, contrast=14, frames=60, shape=(64, 240), **plain)
+    assert judge(film).outcome in ("right", "refused", "choices")
 
 
 def test_a_hand_over_the_first_frame_is_not_learnt():

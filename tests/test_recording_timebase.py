@@ -123,6 +123,30 @@ def test_a_changing_rate_is_the_clock(blocks):
         assert found.notes == ("the frame rate changes; each frame has the time of its own stamp",)
 
 
+@pytest.mark.parametrize("given", [None, 240.0])
+@pytest.mark.parametrize("kind", ["blocks", "jitter", "phone"])
+def test_stamps_that_rise_are_the_times_of_all_frames(kind, given):
+    rng, n = np.random.default_rng(8), np.arange(100)
+    stamps = {
+        "blocks": np.cumsum(np.where(n % 60 < 30, 4, 8)) / 960,
+        "jitter": np.round((n + 0.3 * rng.uniform(-1, 1, 100)) * 40) / 9600,
+        "phone": np.cumsum(np.where(n // 40 % 2, 750, 1500)) / 90000 / (2 if given else 1),
+    }[kind]
+    found = judge(stamps, given, header=99 / np.ptp(stamps), camera=False)
+    assert found.kept is None
+    np.testing.assert_allclose(found.t, stamps - stamps[0], atol=1e-12)
+    assert len([note for note in found.notes if "time of its own stamp" in note]) == 1
+    assert not any("corrupt" in note or "of the one before" in note for note in found.notes)
+
+
+def test_the_average_rate_of_uneven_stamps_is_a_rate_that_can_be_given():
+    stamps = np.cumsum(np.random.default_rng(1).choice([17, 33, 34, 50], 120)) / 1000
+    with pytest.raises(FrictrackError, match="speed of showing"):
+        judge(stamps, header=119 / np.ptp(stamps), camera=False)
+    found = judge(stamps, 119 / np.ptp(stamps), header=119 / np.ptp(stamps), camera=False)
+    np.testing.assert_allclose(found.t, stamps - stamps[0], atol=1e-12)
+
+
 def test_uneven_frames_have_the_times_of_their_stamps():
     ticks = np.cumsum(1 + 0.3 * np.sin(np.arange(300) / 20))
     found = judge(stamps_of(ticks, fps=240.0), header=None)

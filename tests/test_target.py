@@ -10,7 +10,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
 from frictrack.tracking import Areas, driver, find_reference, track
-from frictrack.tracking.detection import resolve_target, rests_while_others_move
+from frictrack.tracking.detection import resolve_target, target_fault
 
 
 def a_track(x, y=31.5, size=SIZE):
@@ -79,14 +79,23 @@ def test_a_click_on_a_plain_disc_takes_its_outline(click):
 
 def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
     film, empty = a_film(SLIDE), np.full(N, 215.0)
-    assert rests_while_others_move(film, a_track(empty))
-    assert not rests_while_others_move(film, a_track(SLIDE))
-    assert not rests_while_others_move(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
+    assert target_fault(film, a_track(empty))
+    assert not target_fault(film, a_track(SLIDE))
+    assert not target_fault(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
     x, y, w, h = (round(v) for v in a_track(empty).target)
     monkeypatch.setattr(driver, "resolve_areas", lambda *_: (Areas([x, y, w, h]), (x, y, w, h), 0))
     with pytest.raises(FrictrackError, match=r"place that was found, \[.*\], rests while .* moves, in frame \d+ at \["):
         track(film)
     assert np.ptp(track(film, [x, y, w, h]).x_px) < 1  # what the user has drawn is tracked
+
+
+def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
+    """A match score would not tell: here the tracks themselves are wrong."""
+    film, k = a_film(SLIDE), np.arange(N)
+    slips = SLIDE - 12 * k / N  # along a plain body, say
+    assert "does not go along with what moves" in target_fault(film, a_track(slips))
+    assert "jumps between places" in target_fault(film, a_track(np.where(k < N / 2, 30.0, 180.0)))
+    assert "in which something moves" in target_fault(film, a_track(np.where(k < N / 3, SLIDE, np.nan)))
 
 
 def test_a_picture_of_the_target(tmp_path):

@@ -55,7 +55,7 @@ def make_recording(pipeline: RunPipeline) -> RecordingInfo:
 def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """Track the target; what is learnt of it stays in the pipeline, for the tracks stage and for other films."""
     from frictrack import tracking  # noqa: PLC0415 - loads OpenCV; tables do without
-    from frictrack.tracking.detection import resolve_areas, rests_while_others_move  # noqa: PLC0415
+    from frictrack.tracking.detection import resolve_areas, target_fault  # noqa: PLC0415
 
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
@@ -71,7 +71,7 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
             return found
         pipeline.lesson = tracking.learn_target(opened, areas, **how)
         found = tracking.track_in_parallel(opened, areas, known=pipeline.lesson, **how)
-        if run.target is None and (fault := rests_while_others_move(opened, found)):
+        if run.target is None and (fault := target_fault(opened, found)):
             sheet = tracking.contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
             raise FrictrackError(f"{fault}; {sheet} shows the place")
         return found

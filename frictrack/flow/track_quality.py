@@ -146,7 +146,7 @@ def _timing_notes(faults: Sequence[Slip], n: int, *, clocked: bool) -> tuple[str
     doubled = checks.timing_note([s for s in faults if s.doubled])
     missing = checks.timing_note([s for s in faults if not s.doubled])
     if clocked:
-        believed = "the camera's time stamps disagree and are used"
+        believed = "the film's time stamps disagree and are used"
         return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
     stretched = (NOTE_STRETCHED,) if sum(s.frames < 0 for s in faults) > MIN_STRETCHED_SHARE * n else ()
     left_out = (f"{note}; left out" for note in doubled)

@@ -46,7 +46,7 @@ class Recording(ABC):
     stamps : array (n_frames,) or None
         Time stamps in the file, s.
     clocked : bool
-        Whether the camera wrote the time stamps, not a container.
+        Whether the time stamps are the times of the frames: those of a camera, or uneven ones of a container.
     trigger : int or None
         Number of the frame at the trigger.
     timebase : Timebase
@@ -71,7 +71,7 @@ class Recording(ABC):
         self.notes = header.notes + self.timebase.notes
         self.exposure = header.exposure
         self.stamps = header.stamps if self._kept is None or header.stamps is None else header.stamps[self._kept]
-        self.clocked = header.camera and header.stamps is not None
+        self.clocked = (header.camera and header.stamps is not None) or self.timebase.uneven
         self.trigger = header.trigger
 
     @abstractmethod

@@ -96,6 +96,8 @@ class Timebase:
         The audit as sentences.
     kept : array of int or None
         Numbers of the frames of the file that are kept; None for all.
+    uneven : bool
+        Whether the times are the stamps themselves, not whole intervals.
 
     """
 
@@ -104,6 +106,7 @@ class Timebase:
     rows: tuple[AuditRow, ...] = ()
     notes: tuple[str, ...] = ()
     kept: Ticks | None = None
+    uneven: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +144,15 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
     stamps, n = header.stamps, header.n_frames
     parsed = read_stamps(stamps) if stamps is not None and header.ticks is None else None
     stamped = 1 / parsed.step if parsed is not None else None
+    stated, fps = header, None
     if parsed is not None and (parsed.changing or parsed.uneven) and stamps is not None:
         average = (len(stamps) - 1) / float(np.nanmax(stamps) - np.nanmin(stamps))
         agree = [rate and abs(rate / average - 1) < MAX_AVERAGE_DIFFERENCE for rate in (given, header.fps)]
-        given, header = None if agree[0] else given, replace(header, fps=None) if agree[1] else header
-    fps = _true_rate(name, given, header, stamped)
+        given, fps = (None, stamped) if agree[0] else (given, None)
+        stated = replace(header, fps=None) if agree[1] else header
+    fps = fps or _true_rate(name, given, header, stamped)
     found = (
-        _rates(fps, given, header, stamped),
+        _rates(fps, given, stated, stamped),
         _stamp_findings(parsed, stamps),
         _exposure_findings(header.exposure, fps),
     )
@@ -157,7 +162,7 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
         return Timebase(fps, (np.arange(n) if header.ticks is None else header.ticks) / fps, rows, notes)
     kept = np.setdiff1d(np.arange(n), parsed.doubled)
     t = _times(parsed, stamps, fps)[kept]
-    return Timebase(fps, t - t[0], rows, notes, kept if len(kept) < n else None)
+    return Timebase(fps, t - t[0], rows, notes, kept if len(kept) < n else None, parsed.uneven)
 
 
 def read_stamps(stamps: Array) -> Stamps | None:
@@ -184,9 +189,10 @@ def read_stamps(stamps: Array) -> Stamps | None:
     forward = steps[steps > 0]
     if len(good) < 3 or len(forward) < max(2, 0.8 * len(steps)):
         return None
-    step, ticks = _usual_interval(forward), None
-    if np.all(steps >= 0) and len(good) == len(stamps) and np.ptp(stamps) > 0:
-        ticks = _count_rounded(stamps, step)
+    usual = step = _usual_interval(forward)
+    complete = len(good) == len(stamps) and np.ptp(stamps) > 0
+    ticks = _count_rounded(stamps, step) if complete and np.all(steps >= 0) else None
+    is_rounded = ticks is not None
     if ticks is None:
         consecutive = np.all(np.abs(np.diff(stamps) / step - 1) < 0.5)  # as in nearly all films
         ticks = np.arange(len(stamps)) if consecutive else _count_ticks(stamps, step)
@@ -198,7 +204,7 @@ def read_stamps(stamps: Array) -> Stamps | None:
     reliable = np.setdiff1d(known, written_twice)
     step = _fit_interval(ticks[reliable], stamps[reliable], step)
     jumps = np.diff(ticks[known])
-    return Stamps(
+    found = Stamps(
         ticks,
         step,
         corrupt=np.union1d(np.flatnonzero(ticks < 0), written_twice),
@@ -206,6 +212,10 @@ def read_stamps(stamps: Array) -> Stamps | None:
         gaps=known[1:][jumps > np.diff(known)],
         uneven=_uneven(ticks[reliable], stamps[reliable], step),
     )
+    if is_rounded or not complete or np.any(steps <= 0) or not (found.uneven or found.changing):
+        return found
+    none = np.zeros(0, np.int64)  # no even grid: stamps that rise are the times
+    return replace(found, step=usual, corrupt=none, doubled=none, uneven=True)
 
 
 def _usual_interval(forward: Array) -> float:
@@ -221,7 +231,8 @@ def _count_rounded(stamps: Array, step: float) -> Ticks | None:
     if not MIN_ROUNDING * step < rounding < MAX_ROUNDING * float(np.ptp(stamps)) / len(stamps):
         return None
     ticks = count_intervals(stamps, rounding)
-    return None if rounded_clock(stamps, ticks, rounding) is None else ticks
+    twice = np.any((np.diff(ticks) == 0) & (np.diff(stamps) > 0))  # the same moment would have the same stamp
+    return None if twice or rounded_clock(stamps, ticks, rounding) is None else ticks
 
 
 def _written_twice(ticks: Ticks) -> Ticks:

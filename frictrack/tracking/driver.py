@@ -20,7 +20,7 @@ from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
 from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Progress, Work, follow_film
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
-from frictrack.tracking.detection import Target, resolve_areas, resolve_target, rests_while_others_move
+from frictrack.tracking.detection import Target, resolve_areas, resolve_target, target_fault
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
 from frictrack.tracking.measure import residual_images, sigma_inflation, systematic_covariance
@@ -109,7 +109,7 @@ def track(
     with random_access(recording, once=once) as film:
         followed = replace(_follow(film, drawn, template, known, work), rereadable=not once)
         track = measure_track(recording, film, followed, name, work)
-        if drawn.target is None and (fault := rests_while_others_move(film, track)):
+        if drawn.target is None and (fault := target_fault(film, track)):
             raise FrictrackError(f"{recording.path.name}: {fault}")
         return track
 

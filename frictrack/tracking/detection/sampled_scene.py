@@ -212,6 +212,11 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     stack = np.stack(shown)
     replaced = np.count_nonzero(np.isfinite(stack), axis=0) >= MIN_GHOST_FRAMES
     background = np.where(replaced, _middle_of_known(stack), scene.background)
+    return scene_before(scene, background)
+
+
+def scene_before(scene: SampledScene, background: Picture) -> SampledScene:
+    """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from frictrack.base.errors import FrictrackError
 from frictrack.base.polygons import polygon
 from frictrack.recording import Frame, Recording
-from frictrack.records import Array, Mask, Track
+from frictrack.records import Array, Mask
 from frictrack.tracking.areas import Areas, bounding_rectangle, is_polygon
 from frictrack.tracking.correlation import Rectangle, best_match, correlate, parabola_vertex
 from frictrack.tracking.detection.body_outline import Body, body_outline, foreground_at, round_outline
@@ -26,7 +26,6 @@ from frictrack.tracking.detection.patches import most_moving_patch
 from frictrack.tracking.detection.sampled_scene import MIN_SIDE_PX, Blob, Picture, SampledScene, sample_scene
 
 MIN_TRAVEL_PX = 1.5  # of a moving body
-MIN_BUSY_SHARE = 0.25  # of the samples, in which something must move outside a target that rests
 MIN_SCORE = 0.6  # of a find, and of a picture of the target
 DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the picture must be better
 MIN_SHARPNESS = 0.15  # steepest change of brightness over the largest, 1/px; less is a shadow or a gradient of light
@@ -120,48 +119,6 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
     return body_outline(scene, bodies[0])
 
 
-def rests_while_others_move(recording: Recording, track: Track) -> str:
-    """Return why a target that was found automatically is none: it rests while something outside it moves.
-
-    Its match score says nothing then: an empty place before a plain wall matches itself perfectly.
-
-    Parameters
-    ----------
-    recording : Recording
-        Film.
-    track : Track
-        Track of the target.
-
-    Returns
-    -------
-    str
-        What moves where, and what to do; empty where the target moves or nothing else does.
-
-    """
-    found = track.found
-    low, high = np.quantile(np.stack([track.x_px[found], track.y_px[found]]), (0.02, 0.98), axis=1)
-    if track.target is None or np.hypot(*(high - low)) > MIN_TRAVEL_PX:
-        return ""
-    scene = sample_scene(recording)
-    x, y, w, h = np.array(track.target) / scene.factor
-    outside = [
-        [b for b in blobs if min(b.box[2:]) >= scene.min_side_reduced and not _overlaps(b.box, (x, y, w, h))]
-        for blobs in scene.blobs
-    ]
-    if np.mean([len(blobs) > 0 for blobs in outside]) <= MIN_BUSY_SHARE:
-        return ""
-    row = int(np.argmax([blobs[0].area if blobs else 0 for blobs in outside]))
-    at = (np.array(outside[row][0].box) * scene.factor).tolist()
-    return (
-        f"expected a moving target but the place that was found, {[round(v) for v in track.target]}, rests while "
-        f"something else moves, in frame {scene.index[row]} at {at}; draw the target, or give target = [x, y, w, h]"
-    )
-
-
-def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:
-    return bool(a[0] < b[0] + b[2] and b[0] < a[0] + a[2] and a[1] < b[1] + b[3] and b[1] < a[1] + a[3])
-
-
 def moving_bodies(scene: SampledScene) -> list[Body]:
     """Find all bodies that travel.
 
@@ -240,7 +197,7 @@ def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None 
     # The position along a stripe is undetermined: a find far along it is another stripe.
     stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
     corner[stray], score[stray] = np.nan, np.nan
-    merit = _merit(scene, box, corner, score, axes_known) * _is_sharp(scene, row, box)
+    merit = _merit(scene, box, corner, score, axes_known) * is_sharp(scene, row, box)
     textured = Body(box, row, corner, score, merit)
     region = None if blob is None else _follow_region(scene, row, blob)
     return textured if region is None or merit >= MIN_TEXTURE_MERIT * region.merit else region
@@ -274,7 +231,7 @@ def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
     distance = _span(corner[rows])
     step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
     travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
-    merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and _is_sharp(scene, row, blob.box))
+    merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and is_sharp(scene, row, blob.box))
     return Body(blob.box, row, corner, score, merit, rotates=True)
 
 
@@ -291,7 +248,7 @@ def _overlap(a: Blob, b: Blob) -> float:
     return float(np.sum(one & other) / np.sum(one | other))
 
 
-def _is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
+def is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
     """Whether a box holds an edge of its own: a shadow or a gradient of light changes brightness slowly."""
     x, y, w, h = box
     part = slice(max(y - 2, 0), y + h + 2), slice(max(x - 2, 0), x + w + 2)
@@ -342,15 +299,15 @@ def _textured_axes(patch: Picture) -> Array:
 def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
     """Suitability as a target: found often and well, large, far travelled; 0 for a body that does not move."""
     seen = np.isfinite(corner[:, 0])
-    distance = _travel_distance(corner[seen] @ axes_known)
-    if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
+    distance = travel_distance(corner[seen] @ axes_known)
+    if distance * scene.factor <= MIN_TRAVEL_PX or jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
     similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 
-def _travel_distance(corner: Array) -> float:
+def travel_distance(corner: Array) -> float:
     """Distance covered by the finds (k, 2), px; one stray match in ten is ignored."""
     if len(corner) < 2:
         return 0.0
@@ -358,7 +315,7 @@ def _travel_distance(corner: Array) -> float:
     return 2 * float(away[-max(2, len(corner) // 10)])
 
 
-def _jumps(corner: Array, distance: float) -> bool:
+def jumps(corner: Array, distance: float) -> bool:
     """Whether the finds (k, 2) jump between places without any on the way: several similar objects."""
     steps = np.hypot(*np.diff(corner, axis=0).T)
     return len(corner) >= MIN_FINDS and float(np.sum(steps[steps < 0.45 * distance])) < 0.2 * distance

@@ -95,7 +95,8 @@ class Scene:
 def scene(seed: int, **given: Any) -> Scene:
     """Film number `seed`; what is not given is drawn at random.
 
-    `given` may hold frames, shape (h, w), look, motion, disc (bool), disturbances and quality (of JPEG; None for none).
+    `given` may hold frames, shape (h, w), look, motion, disc (bool), disturbances, quality (of JPEG; None for none),
+    contrast (grey values of the body above its surroundings) and wall ("brick" or "plank").
     """
     rng = np.random.default_rng([49, seed])
     w, h, n = (int(rng.integers(low, high)) for low, high in ((320, 641), (96, 201), (60, 301)))
@@ -123,10 +124,13 @@ def scene(seed: int, **given: Any) -> Scene:
     x = ends[0] + way * (ends[1] - ends[0])
     centre = np.stack([x, row + np.tan(tilt) * (x - w / 2)], axis=1) + shake
     turn = (x - x[0]) / half[0] if disc else np.full(n, tilt)
-    grey = float(np.clip(level + rng.choice([-1, 1]) * rng.uniform(40, 90), 15, 240))
+    contrast = rng.choice([-1, 1]) * rng.uniform(40, 90)
+    grey = float(np.clip(level + given.get("contrast", contrast), 15, 240))
     body = Body(half, disc, centre, turn, _texture(rng, half, look, grey))
     second = _second(rng, (h, w, n), body, shake) if "second body" in some else None
     still = _background(rng, (h, w), level, row + half[1] if abs(tilt) < 0.02 else None)
+    if "wall" in given:
+        still = _patterned(rng, (h, w), level, given["wall"])
     if "wall" in some:
         _draw_walls(rng, still, body, (ends, row))
     draw = _Drawer(rng, some, (h, w, n), (body, second), rest)
@@ -237,6 +241,17 @@ def _background(
         if rng.random() < 0.5:
             picture[int(floor) + 1 : int(floor) + 6, :: int(rng.integers(6, 20))] = 20  # a ruler
     return picture.astype(np.float32)
+
+
+def _patterned(rng: np.random.Generator, shape: tuple[int, int], level: float, kind: str) -> NDArray[np.float32]:
+    """Bricks, or a plank with grain along it."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    if kind == "brick":
+        high, wide = rng.uniform(8, 16), rng.uniform(18, 34)
+        joint = (y % high < 1.5) | ((x + (y // high % 2) * wide / 2) % wide < 1.5)
+        return (level - rng.uniform(15, 45) * joint).astype(np.float32)
+    grain = cv2.GaussianBlur(rng.standard_normal(shape).astype(np.float32), (0, 0), 30, sigmaY=1.5)
+    return (level + 12 * grain / grain.std()).astype(np.float32)
 
 
 class _Drawer:
