@@ -48,7 +48,7 @@ from frictrack.measure.friction import (
     moving_sections,
     release_time,
 )
-from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level, white_noise
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
@@ -129,7 +129,7 @@ def pieces_of(runs: Sequence[Run], reference: Reference, *, through_reversals: b
     if found is not None:
         for i, rms in zip(estimated, found.rms.tolist(), strict=True):
             pieces[i] = [_with_correlated_noise(p, found, rms) for p in pieces[i]]
-    return pieces
+    return [_with_errors_of_drive(run, own) for run, own in zip(runs, pieces, strict=True)]
 
 
 def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals: bool) -> list[Piece]:
@@ -354,6 +354,41 @@ def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> 
     time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
     level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))
     return replace(piece, sigma=level * piece.sigma, correlated=(rms * float(np.sqrt(found.share)), time))
+
+
+def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
+    """The same pieces of a run, pushed by the errors of its drive: as stated, or its scatter if that pushes nothing."""
+    sigma = 0.0 if run.drive is None else white_noise(run.drive) if run.sigma_drive is None else run.sigma_drive
+    if not sigma:
+        return pieces
+    interval = float(np.median(np.diff(run.motion.t)))
+    pushed = [replace(p, push=(sigma / p.mass) ** 2 * interval) for p in pieces]
+    if run.sigma_drive is not None:
+        return pushed
+    exact, noisy = ([_smooth_law(p) for p in some] for some in (pieces, pushed))
+    keep = _distinguishable_directions(exact, pieces)
+    likelier = _log_likelihood(pushed, noisy, keep) > _log_likelihood(pieces, exact, keep)
+    return pushed if likelier else pieces
+
+
+def _smooth_law(piece: Piece) -> Array:
+    """Rows as of `_linear_model` for a friction that any smooth law of speed, place and time could have."""
+    t, x, v = piece.panels.t, piece.x_hat, np.abs(piece.v_hat)
+    s, top = piece.direction(piece.v_hat), float(np.max(v)) or 1.0
+    forces = [s, *(s * np.exp(-v / (share * top)) for share in SCAN_QUANTILES), s * v, s * v**2, x, t, np.ones_like(t)]
+    return displacement_rows(piece, np.column_stack(forces))
+
+
+def _log_likelihood(pieces: Sequence[Piece], rows: Sequence[Array], keep: Array) -> float:
+    """Restricted log-likelihood of whitened rows, their starts and coefficients free (Patterson & Thompson 1971)."""
+    total, rest = 0.0, []
+    for piece, own in zip(pieces, rows, strict=True):
+        start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t.mean()]))
+        upper = np.linalg.qr(np.column_stack([start, own[:, :-1] @ keep, own[:, -1]]), mode="r")
+        total -= float(np.sum(np.log(piece.whitening.size)) + np.sum(np.log(np.abs(np.diag(upper)[:2]))))
+        rest.append(upper[2:, 2:])
+    *free, left = np.abs(np.diag(np.linalg.qr(np.concatenate(rest), mode="r")))
+    return total - float(np.sum(np.log(free))) - 0.5 * float(left) ** 2
 
 
 def guess_mass(pieces: Sequence[Piece]) -> float:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
-LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling")
+LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "sigma_drive")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]
@@ -160,7 +160,8 @@ class RunPipeline:
         found = {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
         if found.get("incline") and not found["incline"][1]:  # without an error it stands alone, as in stored results
             found["incline"] = found["incline"][0]
-        return {key: value for key, value in found.items() if value or key not in LATER_KEYS}
+        stated = found.get("sigma_drive") is not None  # 0 is an exact drive
+        return {k: v for k, v in found.items() if v or k not in LATER_KEYS or (k == "sigma_drive" and stated)}
 
     def as_written(self, value: Any) -> Any:
         """Convert the value of a key for JSON: numbers to Python numbers, paths as they stand in the study file."""
@@ -326,7 +327,7 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
-    own = ("name", "rolling", "normal_load", "free", "clamp_x", "beam_length", "role", "group")
+    own = ("name", "rolling", "normal_load", "sigma_drive", "free", "clamp_x", "beam_length", "role", "group")
     measured = ("drive", "friction_N", "sigma_friction", "loads")
     return Run(
         displacement,
