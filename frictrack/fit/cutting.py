@@ -53,6 +53,7 @@ from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
+OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
@@ -124,7 +125,8 @@ def pieces_of(runs: Sequence[Run], reference: Reference, *, through_reversals: b
     """
     pieces = [_pieces_of_run(run, i, reference, through_reversals) for i, run in enumerate(runs)]
     # where the noise is neither stated nor due to rounding
-    estimated = [i for i, run in enumerate(runs) if not run.noise and not run.displacement.resolution]
+    shown = [not (run.noise or run.displacement.resolution or run.displacement.sigma_v) for run in runs]
+    estimated = np.flatnonzero(shown).tolist()
     found = correlated_noise([_noise_stretch(runs[i], _longest_gapless(pieces[i])) for i in estimated])
     if found is not None:
         for i, rms in zip(estimated, found.rms.tolist(), strict=True):
@@ -195,6 +197,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
         mass=mass,
         way=context.way,
         angle=_interpolated(times, context.angle, t),
+        walk=run.displacement.sigma_v**2 * float(np.median(np.diff(run.displacement.t))),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         step=run.displacement.resolution,
         clock_error=run.displacement.clock_error,
@@ -293,6 +296,8 @@ def _significant_angle(times: Array, angle: Array) -> Array | None:
 def _noise_of(run: Run) -> Array:
     """Standard deviation of the noise (n,), m: as stated, else estimated; the tracker's own are relative weights."""
     disp = run.displacement
+    if disp.sigma_v:
+        return OWN_NOISE_OF_SPEEDS * disp.sigma_x
     use = free_section(run)[0] & disp.valid
     relative = _relative_noise(disp.sigma_x, use)
     white = noise_level(disp.x, use, relative, disp.t)[0]

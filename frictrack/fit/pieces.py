@@ -1,8 +1,8 @@
 """Pieces: the parts of runs that are fitted as one, with their measurement, its noise and what drives them.
 
 The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
-correlation time), plus what the errors of a measured drive move the mass of the model: their double integral, an
-integrated Wiener process (Wahba 1978, J. R. Stat. Soc. B 40). Differences of neighbouring frames leave nothing of what
+correlation time), plus the integral of the errors of measured speeds, a Wiener process, plus what the errors of a
+measured drive move the mass of the model: their double integral (Wahba 1978, J. R. Stat. Soc. B 40). Differences of neighbouring frames leave nothing of what
 such parts pass on, so that the covariance of the differences is banded and its Cholesky factor whitens them (Rue & Held
 2005, Gaussian Markov Random Fields). It is exact across missing frames, and linear, so it also applies to
 sensitivities.
@@ -52,11 +52,12 @@ class Whitening:
     persistence: Array | None = None
 
     @classmethod
-    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...] = (), push: float = 0.0) -> Whitening:
-        """For frames at t (n,), s, with white noise sigma (n,), m, and two further parts.
+    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...] = (), walk: float = 0.0, push: float = 0.0) -> Whitening:
+        """For frames at t (n,), s, with white noise sigma (n,), m, and three further parts.
 
-        `correlated` is that of first order: rms, m, and correlation time, s. `push` is the spectral density of white
-        errors of the known acceleration, (m/s^2)^2 s, which the position integrates twice from its start on.
+        `correlated` is that of first order: rms, m, and correlation time, s. `walk` and `push` are the spectral
+        densities of white errors of the speed, (m/s)^2 s, which the position integrates from its start on, and of the
+        acceleration, (m/s^2)^2 s, which it integrates twice.
 
         Examples
         --------
@@ -65,20 +66,21 @@ class Whitening:
         array([1., 0., 0.])
 
         """
-        n, k = len(t), bool(correlated) + 2 * bool(push)
+        n, integrals = len(t), 2 if push else int(walk > 0)
+        k = bool(correlated) + integrals
         if not k:
             return cls(sigma)
         rms, time = correlated or (0.0, 1.0)
         sigma = np.minimum(sigma, MAX_SIGMA * np.median(sigma))
         place = np.arange(n)[:, None] + np.arange(-2 * k, 1)
         since = t[np.maximum(place, 0)] - t[np.maximum(place[:, :1], 0)]  # in the 2 k frames before each
-        states = [np.exp(-since / time)] * bool(correlated) + [np.ones_like(since), since] * bool(push)
+        states = [np.exp(-since / time)] * bool(correlated) + [np.ones_like(since), since][:integrals]
         weight = np.zeros((n, k + 1))
         weight[:, k] = 1.0
         near = np.stack(states, axis=1)[k:, :, k:]
         weight[k:, :k] = -np.linalg.solve(near[:, :, :k], near[:, :, k:])[:, :, 0]
         early, late = (cut(since[:, :, None], since[:, None, :]) for cut in (np.minimum, np.maximum))
-        shared = rms**2 * np.exp((early - late) / time) + push * early**2 * (3 * late - early) / 6
+        shared = rms**2 * np.exp((early - late) / time) + walk * early + push * early**2 * (3 * late - early) / 6
         shared += np.eye(2 * k + 1) * sigma[np.maximum(place, 0), None] ** 2
         bands = np.zeros((k + 1, n))
         for j in range(k + 1):  # covariances of what is left of neighbouring frames
@@ -168,6 +170,7 @@ class Piece:
     slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
     systematic: float = 0.0  # m rms of slow systematic errors
     correlated: tuple[float, ...] = ()  # correlated noise: rms in m, correlation time in s
+    walk: float = 0.0  # spectral density of the errors of measured speeds, (m/s)^2 s
     push: float = 0.0  # spectral density of the errors of the drive over the mass, (m/s^2)^2 s
     step: float = 0.0  # resolution of the positions, m
     shake: tuple[float, ...] = ()  # remaining camera shake: frequency in Hz, rms in m
@@ -178,7 +181,7 @@ class Piece:
     @cached_property
     def whitening(self) -> Whitening:
         """The map from errors at the frames, m, to independent numbers of standard deviation one."""
-        return Whitening.of(self.t, self.sigma, self.correlated, self.push)
+        return Whitening.of(self.t, self.sigma, self.correlated, self.walk, self.push)
 
     def whitened(self, errors: Array) -> Array:
         """Convert errors (n, ...) at the frames, m, to independent numbers of standard deviation one."""
