@@ -77,3 +77,24 @@ def test_a_table_of_speeds_is_a_record(tmp_path: Path, header: str, size: float)
         assert abs(one["value"] - true) < 2.6 * one["std"]
         assert one["std"] < 0.02
     assert 0.7 < found["errors"]["reduced_chi2"] < 1.35
+
+
+def test_a_drive_that_covers_part_of_the_run_is_used_there(tmp_path: Path) -> None:
+    run = driven(0.02, 7, is_force=False)
+    t, part = run.displacement.t, slice(60, 420)
+    for name, first, rows, columns in (
+        ("run", "t_s,x_m", slice(None), (t, run.displacement.x)),
+        ("drive", "t_s,drive_N", part, (t, run.drive)),
+    ):
+        table = np.column_stack([column[rows] for column in columns])
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=first, comments="")
+    (tmp_path / "study.toml").write_text(
+        f'[study]\nmass = "{MASS} kg"\nmodel = ["coulomb", "viscous"]\n[[run]]\ntable = "run.csv"\n'
+        'drive = {table = "drive.csv", offset = 0}\nsigma_drive = "0.02 N"\n'
+    )
+    session = Session(open_study(tmp_path / "study.toml"))
+    found = session.fit()
+    for name, true in (("coulomb.F_c", F_C), ("viscous.F_v", F_V)):
+        assert abs(found["parameters"][name]["value"] - true) < 2.6 * found["parameters"][name]["std"]
+    assert "drive.csv covers 0.24 to 1.676 s of the run: only this part is fitted" in session.runs[0].get("sensors").notes
+    assert session.runs[0].to_run().free == pytest.approx((0.24, 1.676))

@@ -17,6 +17,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
@@ -327,8 +329,13 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
-    own = ("name", "rolling", "normal_load", "sigma_drive", "free", "clamp_x", "beam_length", "role", "group")
-    measured = ("drive", "friction_N", "sigma_friction", "loads")
+    forces = {column: getattr(sensors, column) for column in ("drive", "friction_N", "sigma_friction", "loads")}
+    free = run.free
+    if sensors.drive is not None and not np.all(known := np.isfinite(sensors.drive)):
+        t = sensors.t[known]
+        free = (t[0], t[-1]) if free is None else (max(free[0], t[0]), min(free[1], t[-1]))
+        forces["drive"] = np.interp(sensors.t, t, sensors.drive[known])
+    own = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group")
     return Run(
         displacement,
         motion,
@@ -341,7 +348,8 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         noise=_specification(run.noise, "noise", sensors),
         drift=_specification(run.drift, "drift", sensors),
         **{key: getattr(run, key) for key in own},
-        **{column: getattr(sensors, column) for column in measured},
+        free=free,
+        **forces,
     )
 
 
