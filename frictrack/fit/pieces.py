@@ -1,11 +1,11 @@
 """Pieces: the parts of runs that are fitted as one, with their measurement, its noise and what drives them.
 
 The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
-correlation time), plus the integral of the errors of measured speeds, a Wiener process, plus what the errors of a
-measured drive move the mass of the model: their double integral (Wahba 1978, J. R. Stat. Soc. B 40). Differences of neighbouring frames leave nothing of what
-such parts pass on, so that the covariance of the differences is banded and its Cholesky factor whitens them (Rue & Held
-2005, Gaussian Markov Random Fields). It is exact across missing frames, and linear, so it also applies to
-sensitivities.
+correlation time), plus the integral of the errors of measured speeds, a Wiener process, plus the double integral of
+those of a measured drive, which move the mass of the model but not the real one (Wahba 1978, J. R. Stat. Soc. B 40).
+Differences of neighbouring frames leave nothing of what such parts pass on, so that the covariance of the differences
+is banded and its Cholesky factor whitens them (Rue & Held 2005, Gaussian Markov Random Fields). The map is exact across
+missing frames and linear, so it also applies to sensitivities.
 
 """
 
@@ -52,7 +52,9 @@ class Whitening:
     persistence: Array | None = None
 
     @classmethod
-    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...] = (), walk: float = 0.0, push: float = 0.0) -> Whitening:
+    def of(
+        cls, t: Array, sigma: Array, correlated: tuple[float, ...] = (), walk: float = 0.0, push: float = 0.0
+    ) -> Whitening:
         """For frames at t (n,), s, with white noise sigma (n,), m, and three further parts.
 
         `correlated` is that of first order: rms, m, and correlation time, s. `walk` and `push` are the spectral

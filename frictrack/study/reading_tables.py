@@ -304,8 +304,8 @@ def _read(
         elif header is not None:
             gaps = known is not COLUMNS and key not in required
             speeds = key == "x" and column_names.is_speed(written if column_names.UNIT.search(written) else header)
-            of_speeds, unit = of_speeds or speeds, "m/s" if speeds else unit
-            factor = sign * _factor(written, header, standard, unit, camera)
+            of_speeds |= speeds
+            factor = sign * _factor(written, header, standard, "m/s" if speeds else unit, camera)
             values[key], found = _column(frame[header], factor, gaps=gaps)
             if key == "t" and factor == DAY_S and len(values[key]):
                 values[key] = values[key] - DAY_S * np.floor(frame[header].iloc[0])  # dates: seconds of the first day
