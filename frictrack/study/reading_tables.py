@@ -390,14 +390,9 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
         found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
             "t": present[clocks[0]]
         }
-    for key in column_names.REQUIRED:
-        others = (
-            header
-            for header in numbers.values()
-            if header not in found.values()
-            and column_names.may_hold(header, key)
-            and not (key == "x" and column_names.is_named_speed(header))
-        )
+    lengths = [header for header in numbers.values() if not column_names.is_named_speed(header)]
+    for key, choice in (("t", list(numbers.values())), ("x", lengths)):
+        others = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
     if "x" not in found and (speed := next((h for h in numbers.values() if column_names.is_named_speed(h)), None)):
