@@ -366,8 +366,7 @@ def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
     sigma = 0.0 if run.drive is None else white_noise(run.drive) if run.sigma_drive is None else run.sigma_drive
     if not sigma:
         return pieces
-    interval = float(np.median(np.diff(run.motion.t)))
-    pushed = [replace(p, push=(sigma / p.mass) ** 2 * interval) for p in pieces]
+    pushed = [replace(p, push=(sigma / p.mass) ** 2 * float(np.median(np.diff(p.t)))) for p in pieces]
     if run.sigma_drive is not None:
         return pushed
     exact, noisy = ([_smooth_law(p) for p in some] for some in (pieces, pushed))

@@ -65,12 +65,12 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> table_layout.TableFi
 
     """
     table = _open_table(path, wanted)
-    table = table if table.tracks or table.columns else replace(table, frame=_records_beside(table.frame))
+    table = table if table.tracks or table.columns else replace(table, frame=_stacked_records(table.frame))
     runs = [table_layout.TrackColumns(columns) for columns in runs_of_columns(list(map(str, table.frame.columns)))]
     return replace(table, tracks=runs, has_runs=True) if runs and not table.tracks else table
 
 
-def _records_beside(frame: pd.DataFrame) -> pd.DataFrame:
+def _stacked_records(frame: pd.DataFrame) -> pd.DataFrame:
     """Return records below one another, of which each begins anew in time and place, as runs side by side."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 

@@ -246,9 +246,8 @@ def correlated_noise_remark(solution: Solution) -> Iterator[str]:
 
 def drive_noise_remark(solution: Solution) -> Iterator[str]:
     """State which drives scatter without moving the mass, so that this scatter counts as noise."""
-    noisy = {
-        p.run: p.mass * float(np.sqrt(p.push / np.median(np.diff(p.t)))) for p in solution.problem.pieces if p.push
-    }
+    pieces = [p for p in solution.problem.pieces if p.push]
+    noisy = {p.run: p.mass * float(np.sqrt(p.push / np.median(np.diff(p.t)))) for p in pieces}
     if noisy:
         names = solution.problem.layout.run_names
         runs = ", ".join(f"{names[run]} ({sigma:.2g} N)" for run, sigma in noisy.items())
