@@ -96,7 +96,5 @@ def test_a_drive_that_covers_part_of_the_run_is_used_there(tmp_path: Path) -> No
     found = session.fit()
     for name, true in (("coulomb.F_c", F_C), ("viscous.F_v", F_V)):
         assert abs(found["parameters"][name]["value"] - true) < 2.6 * found["parameters"][name]["std"]
-    assert (
-        "drive.csv covers 0.24 to 1.676 s of the run: only this part is fitted" in session.runs[0].get("sensors").notes
-    )
+    assert "drive.csv covers 0.24 to 1.676 s: only this part is fitted" in session.runs[0].get("sensors").notes
     assert session.runs[0].to_run().free == pytest.approx((0.24, 1.676))

@@ -366,13 +366,17 @@ def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
     sigma = 0.0 if run.drive is None else white_noise(run.drive) if run.sigma_drive is None else run.sigma_drive
     if not sigma:
         return pieces
-    pushed = [replace(p, push=(sigma / p.mass) ** 2 * float(np.median(np.diff(p.t)))) for p in pieces]
+
+    def pushed(some: Sequence[Piece]) -> list[Piece]:
+        return [replace(p, push=(sigma / p.mass) ** 2 * float(np.median(np.diff(p.t)))) for p in some]
+
     if run.sigma_drive is not None:
-        return pushed
-    exact, noisy = ([_smooth_law(p) for p in some] for some in (pieces, pushed))
-    keep = _distinguishable_directions(exact, pieces)
-    likelier = _log_likelihood(pushed, noisy, keep) > _log_likelihood(pieces, exact, keep)
-    return pushed if likelier else pieces
+        return pushed(pieces)
+    exact = pieces if run.mass else [p.in_mass_units(guess_mass(pieces)) for p in pieces]
+    noisy, rows = pushed(exact), [_smooth_law(p) for p in exact]
+    keep = _distinguishable_directions(rows, exact)
+    likelier = _log_likelihood(noisy, [_smooth_law(p) for p in noisy], keep) > _log_likelihood(exact, rows, keep)
+    return pushed(pieces) if likelier else pieces
 
 
 def _smooth_law(piece: Piece) -> Array:
@@ -380,6 +384,7 @@ def _smooth_law(piece: Piece) -> Array:
     t, x, v = piece.panels.t, piece.x_hat, np.abs(piece.v_hat)
     s, top = piece.direction(piece.v_hat), float(np.max(v)) or 1.0
     forces = [s, *(s * np.exp(-v / (share * top)) for share in SCAN_QUANTILES), s * v, s * v**2, x, t, np.ones_like(t)]
+    forces += [piece.path.drive] if piece.path.mass is None and piece.path.drive is not None else []
     return displacement_rows(piece, np.column_stack(forces))
 
 

@@ -180,11 +180,8 @@ class _SensorReader:
         if missing := len(inside) - len(measured):
             self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")
         if len(inside) < len(rows):
-            self.notes.append(
-                f"{series.name} covers {span[0]:.4g} to {span[1]:.4g} s of the run: only this part is fitted"
-            )
-        ends = {"left": np.nan, "right": np.nan}
-        return np.where(acting, np.interp(t, t[measured], values[measured], **ends), 0.0)
+            self.notes.append(f"{series.name} covers {span[0]:.4g} to {span[1]:.4g} s: only this part is fitted")
+        return np.where(acting, np.interp(t, t[measured], values[measured], np.nan, np.nan), 0.0)
 
 
 def _time_at(motion: Motion, place: float) -> float:
