@@ -170,6 +170,14 @@ def test_sheets_of_a_workbook_and_columns_beside_one_clock_are_runs(tmp_path: Pa
     assert_law(found)
 
 
+def test_records_below_one_another_are_runs(tmp_path: Path) -> None:
+    rows = [f"{t:.4f},{mm(x)}" for _, times, places in records(300) for t, x in zip(times, places, strict=True)]
+    (tmp_path / "all.csv").write_text("\n".join(["Time (s),x (mm)", *rows]))
+    found = law(tmp_path)
+    assert len(found["per_run"]) == 3
+    assert_law(found)
+
+
 def test_structures_of_matlab_are_runs(tmp_path: Path) -> None:
     cells = np.zeros(3, dtype=[("t", "O"), ("x", "O")])
     for i, (_, t, x) in enumerate(records(300)):

@@ -12,10 +12,9 @@ from frictrack.fit import fit
 from frictrack.flow import Session, open_study
 from frictrack.measure.friction import free_section
 from frictrack.measure.motion import differentiate, low_pass, noise_level
-from frictrack.measure.tables import displacement_of_table, jitter_notes, with_even_clock
+from frictrack.measure.tables import displacement_of_table, with_even_clock
 from frictrack.records import Displacement, Run
 from frictrack.sampling import (
-    common_unevenness,
     copies,
     correct_ticks,
     outliers,
@@ -293,23 +292,6 @@ def test_jitter_adds_to_the_noise_at_rest_that_a_table_states():
     seen = displacement_of_table(TableData(t, x, sigma=np.full(900, 1e-5)))
     speed = np.abs(4 - 17.6 * t)
     np.testing.assert_allclose(seen.sigma_x, np.hypot(1e-5, 0.07 / FPS * speed), rtol=0.15)
-
-
-def test_runs_at_one_speed_each_show_their_jitter_together():
-    def runs(share):
-        rng, t = np.random.default_rng(3), np.arange(400) / FPS
-        late = [share / FPS * rng.standard_normal(400) for _ in range(7)]
-        return [
-            (t, v * (t + tau) + 1e-5 * rng.standard_normal(400), 0.0)
-            for v, tau in zip((1, 2, 3, 4, 5, 6, 7), late, strict=True)
-        ]
-
-    assert all(unevenness(t, x)[0] == 0.0 for t, x, _ in runs(0.05))
-    assert common_unevenness(runs(0.05)) == pytest.approx(0.05 / FPS, rel=0.2)
-    assert common_unevenness(runs(0.0)) == 0.0
-    assert common_unevenness(runs(0.05)[:3]) == 0.0
-    x = [displaced(one[1]) for one in runs(0.05)]
-    assert "as if samples jittered by" in jitter_notes(x)[0]
 
 
 @pytest.mark.parametrize("coarse", [0.0, 5e-5])

@@ -48,11 +48,12 @@ from frictrack.measure.friction import (
     moving_sections,
     release_time,
 )
-from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level, white_noise
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
+OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
@@ -124,12 +125,13 @@ def pieces_of(runs: Sequence[Run], reference: Reference, *, through_reversals: b
     """
     pieces = [_pieces_of_run(run, i, reference, through_reversals) for i, run in enumerate(runs)]
     # where the noise is neither stated nor due to rounding
-    estimated = [i for i, run in enumerate(runs) if not run.noise and not run.displacement.resolution]
+    shown = [not (run.noise or run.displacement.resolution or run.displacement.sigma_v) for run in runs]
+    estimated = np.flatnonzero(shown).tolist()
     found = correlated_noise([_noise_stretch(runs[i], _longest_gapless(pieces[i])) for i in estimated])
     if found is not None:
         for i, rms in zip(estimated, found.rms.tolist(), strict=True):
             pieces[i] = [_with_correlated_noise(p, found, rms) for p in pieces[i]]
-    return pieces
+    return [_with_errors_of_drive(run, own) for run, own in zip(runs, pieces, strict=True)]
 
 
 def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals: bool) -> list[Piece]:
@@ -195,6 +197,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
         mass=mass,
         way=context.way,
         angle=_interpolated(times, context.angle, t),
+        walk=run.displacement.sigma_v**2 * float(np.median(np.diff(run.displacement.t))),
         systematic=float(np.hypot(run.displacement.systematic, run.drift or 0.0)),
         step=run.displacement.resolution,
         clock_error=run.displacement.clock_error,
@@ -293,6 +296,8 @@ def _significant_angle(times: Array, angle: Array) -> Array | None:
 def _noise_of(run: Run) -> Array:
     """Standard deviation of the noise (n,), m: as stated, else estimated; the tracker's own are relative weights."""
     disp = run.displacement
+    if disp.sigma_v:
+        return OWN_NOISE_OF_SPEEDS * disp.sigma_x
     use = free_section(run)[0] & disp.valid
     relative = _relative_noise(disp.sigma_x, use)
     white = noise_level(disp.x, use, relative, disp.t)[0]
@@ -354,6 +359,45 @@ def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> 
     time = -float(np.median(np.diff(piece.t))) / float(np.log(found.correlation))
     level = rms * float(np.sqrt((1 - found.share) / np.mean(piece.sigma**2)))
     return replace(piece, sigma=level * piece.sigma, correlated=(rms * float(np.sqrt(found.share)), time))
+
+
+def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
+    """The same pieces of a run, pushed by the errors of its drive: as stated, or its scatter if that pushes nothing."""
+    sigma = 0.0 if run.drive is None else white_noise(run.drive) if run.sigma_drive is None else run.sigma_drive
+    if not sigma:
+        return pieces
+
+    def pushed(some: Sequence[Piece]) -> list[Piece]:
+        return [replace(p, push=(sigma / p.mass) ** 2 * float(np.median(np.diff(p.t)))) for p in some]
+
+    if run.sigma_drive is not None:
+        return pushed(pieces)
+    exact = pieces if run.mass else [p.in_mass_units(guess_mass(pieces)) for p in pieces]
+    noisy, rows = pushed(exact), [_smooth_law(p) for p in exact]
+    keep = _distinguishable_directions(rows, exact)
+    likelier = _log_likelihood(noisy, [_smooth_law(p) for p in noisy], keep) > _log_likelihood(exact, rows, keep)
+    return pushed(pieces) if likelier else pieces
+
+
+def _smooth_law(piece: Piece) -> Array:
+    """Rows as of `_linear_model` for a friction that any smooth law of speed, place and time could have."""
+    t, x, v = piece.panels.t, piece.x_hat, np.abs(piece.v_hat)
+    s, top = piece.direction(piece.v_hat), float(np.max(v)) or 1.0
+    forces = [s, *(s * np.exp(-v / (share * top)) for share in SCAN_QUANTILES), s * v, s * v**2, x, t, np.ones_like(t)]
+    forces += [piece.path.drive] if piece.path.mass is None and piece.path.drive is not None else []
+    return displacement_rows(piece, np.column_stack(forces))
+
+
+def _log_likelihood(pieces: Sequence[Piece], rows: Sequence[Array], keep: Array) -> float:
+    """Restricted log-likelihood of whitened rows, their starts and coefficients free (Patterson & Thompson 1971)."""
+    total, rest = 0.0, []
+    for piece, own in zip(pieces, rows, strict=True):
+        start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t.mean()]))
+        upper = np.linalg.qr(np.column_stack([start, own[:, :-1] @ keep, own[:, -1]]), mode="r")
+        total -= float(np.sum(np.log(piece.whitening.size)) + np.sum(np.log(np.abs(np.diag(upper)[:2]))))
+        rest.append(upper[2:, 2:])
+    *free, left = np.abs(np.diag(np.linalg.qr(np.concatenate(rest), mode="r")))
+    return total - float(np.sum(np.log(free))) - 0.5 * float(left) ** 2
 
 
 def guess_mass(pieces: Sequence[Piece]) -> float:

@@ -1,12 +1,11 @@
 """Pieces: the parts of runs that are fitted as one, with their measurement, its noise and what drives them.
 
 The noise is white, with a standard deviation per frame, plus in some sensors a first-order autoregressive part (rms,
-correlation time). Kalman's filter computes the innovation of every frame. It is exact across missing frames, and a
-frame of unknown size adds no information. The map is linear, so it also applies to sensitivities.
-
-References
-----------
-Kalman, R. E. (1960). A new approach to linear filtering and prediction problems. J. Basic Eng. 82, 35-45.
+correlation time), plus the integral of the errors of measured speeds, a Wiener process, plus the double integral of
+those of a measured drive, which move the mass of the model but not the real one (Wahba 1978, J. R. Stat. Soc. B 40).
+Differences of neighbouring frames leave nothing of what such parts pass on, so that the covariance of the differences
+is banded and its Cholesky factor whitens them (Rue & Held 2005, Gaussian Markov Random Fields). The map is exact across
+missing frames and linear, so it also applies to sensitivities.
 
 """
 
@@ -21,13 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.linalg import solve_banded
+from scipy.linalg import cholesky_banded, solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
 from frictrack.records import Array
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
 
 Rows = NDArray[np.int_]
+MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
 
@@ -35,15 +35,15 @@ SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every n
 class Whitening:
     """The linear map from errors (n, ...) to independent ones of standard deviation one.
 
-    With E the shift by one frame, it is D^-1 (I - P E)^-1 (I - C E): D holds the deviations of the innovations,
-    C the correlation of neighbouring frames, P what the prediction keeps of its predecessor.
+    It is D^-1 (I - P)^-1 (I - C): C and P have k diagonals below the main one. I - C leaves nothing of k states that
+    the errors pass on from frame to frame, P what the innovations of standard deviations D add to later rows.
 
     Attributes
     ----------
     size : array of shape (n,)
         The diagonal of D.
-    correlation, persistence : array of shape (n - 1,), optional
-        The diagonals of C and P; None where all noise is white.
+    correlation, persistence : array of shape (k, n), optional
+        Row j - 1 holds the entries j to the left of the diagonals of C and P; None where all noise is white.
 
     """
 
@@ -52,8 +52,14 @@ class Whitening:
     persistence: Array | None = None
 
     @classmethod
-    def of(cls, t: Array, sigma: Array, correlated: tuple[float, ...]) -> Whitening:
-        """For frames at t (n,), s, white noise sigma (n,) and a correlated part: rms, and correlation time in s.
+    def of(
+        cls, t: Array, sigma: Array, correlated: tuple[float, ...] = (), walk: float = 0.0, push: float = 0.0
+    ) -> Whitening:
+        """For frames at t (n,), s, with white noise sigma (n,), m, and three further parts.
+
+        `correlated` is that of first order: rms, m, and correlation time, s. `walk` and `push` are the spectral
+        densities of white errors of the speed, (m/s)^2 s, which the position integrates from its start on, and of the
+        acceleration, (m/s^2)^2 s, which it integrates twice.
 
         Examples
         --------
@@ -62,15 +68,31 @@ class Whitening:
         array([1., 0., 0.])
 
         """
-        rms, time = correlated
-        decay = np.exp(-np.diff(t) / time)
-        variance, share, before = np.empty(len(t)), np.empty(len(t)), rms**2
-        for i, white in enumerate(sigma**2):
-            variance[i] = before + white
-            share[i] = before / variance[i]
-            if i < len(decay):
-                before = decay[i] ** 2 * share[i] * white + (1 - decay[i] ** 2) * rms**2
-        return cls(np.sqrt(variance), decay, decay * (1 - share[:-1]))
+        n, integrals = len(t), 2 if push else int(walk > 0)
+        k = bool(correlated) + integrals
+        if not k:
+            return cls(sigma)
+        rms, time = correlated or (0.0, 1.0)
+        sigma = np.minimum(sigma, MAX_SIGMA * np.median(sigma))
+        place = np.arange(n)[:, None] + np.arange(-2 * k, 1)
+        since = t[np.maximum(place, 0)] - t[np.maximum(place[:, :1], 0)]  # in the 2 k frames before each
+        states = [np.exp(-since / time)] * bool(correlated) + [np.ones_like(since), since][:integrals]
+        weight = np.zeros((n, k + 1))
+        weight[:, k] = 1.0
+        near = np.stack(states, axis=1)[k:, :, k:]
+        weight[k:, :k] = -np.linalg.solve(near[:, :, :k], near[:, :, k:])[:, :, 0]
+        early, late = (cut(since[:, :, None], since[:, None, :]) for cut in (np.minimum, np.maximum))
+        shared = rms**2 * np.exp((early - late) / time) + walk * early + push * early**2 * (3 * late - early) / 6
+        shared += np.eye(2 * k + 1) * sigma[np.maximum(place, 0), None] ** 2
+        bands = np.zeros((k + 1, n))
+        for j in range(k + 1):  # covariances of what is left of neighbouring frames
+            part = shared[j:, k:, k - j : 2 * k + 1 - j]
+            bands[j, : n - j] = np.einsum("na,nab,nb->n", weight[j:], part, weight[: n - j])
+        root = cholesky_banded(bands, lower=True)
+        size, kept = root[0], np.zeros((k, n))
+        for j in range(k):
+            kept[j, j + 1 :] = -root[j + 1, : n - j - 1] / size[: n - j - 1]
+        return cls(size, -weight[:, k - 1 :: -1].T, kept)
 
     def whitened(self, errors: Array) -> Array:
         """Compute the innovations (n, ...) of errors (n, ...), in units of their standard deviation."""
@@ -90,25 +112,29 @@ class Whitening:
 
 
 def _times(share: Array | None, series: Array, *, up: bool = False) -> Array:
-    """Compute (I - diag(share) E) times a series (n, ...), or `up` the transposed matrix."""
+    """Compute (I - S) times a series (n, ...) with the lower diagonals S, or `up` the transposed matrix."""
     if share is None:
         return series
-    out, weight = series.copy(), _column(share, series)
-    if up:
-        out[:-1] -= weight * series[1:]
-    else:
-        out[1:] -= weight * series[:-1]
+    out = series.copy()
+    for j, own in enumerate(share, 1):
+        weight = _column(own[j:], series)
+        if up:
+            out[:-j] -= weight * series[j:]
+        else:
+            out[j:] -= weight * series[:-j]
     return out
 
 
 def _solved(share: Array | None, series: Array, *, up: bool = False) -> Array:
-    """Compute (I - diag(share) E)^-1 times a series (n, ...), or `up` that of the transposed matrix."""
+    """Compute (I - S)^-1 times a series (n, ...), or `up` that of the transposed matrix."""
     if share is None:
         return series
-    banded = np.ones((2, len(series)))
-    banded[(0, slice(1, None)) if up else (1, slice(-1))] = -share
+    k = len(share)
+    banded = np.ones((k + 1, len(series)))
+    for j, own in enumerate(share, 1):
+        banded[(k - j, slice(j, None)) if up else (j, slice(-j))] = -own[j:]
     flat = series.reshape(len(series), -1)
-    solution = solve_banded((0, 1) if up else (1, 0), banded, flat, check_finite=False)
+    solution = solve_banded((0, k) if up else (k, 0), banded, flat, check_finite=False)
     return np.asarray(solution).reshape(series.shape)
 
 
@@ -146,6 +172,8 @@ class Piece:
     slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
     systematic: float = 0.0  # m rms of slow systematic errors
     correlated: tuple[float, ...] = ()  # correlated noise: rms in m, correlation time in s
+    walk: float = 0.0  # spectral density of the errors of measured speeds, (m/s)^2 s
+    push: float = 0.0  # spectral density of the errors of the drive over the mass, (m/s^2)^2 s
     step: float = 0.0  # resolution of the positions, m
     shake: tuple[float, ...] = ()  # remaining camera shake: frequency in Hz, rms in m
     locked: float = 0.0  # share of the noise variance that the tracker does not state; it may be peak locking
@@ -155,7 +183,7 @@ class Piece:
     @cached_property
     def whitening(self) -> Whitening:
         """The map from errors at the frames, m, to independent numbers of standard deviation one."""
-        return Whitening.of(self.t, self.sigma, self.correlated) if self.correlated else Whitening(self.sigma)
+        return Whitening.of(self.t, self.sigma, self.correlated, self.walk, self.push)
 
     def whitened(self, errors: Array) -> Array:
         """Convert errors (n, ...) at the frames, m, to independent numbers of standard deviation one."""
@@ -261,7 +289,8 @@ class Piece:
     def in_mass_units(self, mass: float) -> Piece:
         """Return the same piece with its equation of motion in units of another mass (kg)."""
         drive = 0.0 if self.path.drive is None else self.path.drive
-        return replace(self, mass=mass, known=self.known - drive / self.mass + drive / mass)
+        push = self.push * (self.mass / mass) ** 2
+        return replace(self, mass=mass, push=push, known=self.known - drive / self.mass + drive / mass)
 
     def part(self, start: int, stop: int) -> Piece:
         """Return the frames from `start` up to `stop` as a piece."""

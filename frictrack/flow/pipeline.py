@@ -17,6 +17,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
-LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling")
+LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "sigma_drive")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]
@@ -160,7 +162,8 @@ class RunPipeline:
         found = {key: self.as_written(getattr(self.run, key)) for key in self.stages[name].settings}
         if found.get("incline") and not found["incline"][1]:  # without an error it stands alone, as in stored results
             found["incline"] = found["incline"][0]
-        return {key: value for key, value in found.items() if value or key not in LATER_KEYS}
+        stated = found.get("sigma_drive") is not None  # 0 is an exact drive
+        return {k: v for k, v in found.items() if v or k not in LATER_KEYS or (k == "sigma_drive" and stated)}
 
     def as_written(self, value: Any) -> Any:
         """Convert the value of a key for JSON: numbers to Python numbers, paths as they stand in the study file."""
@@ -326,8 +329,13 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         )
     mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
-    own = ("name", "rolling", "normal_load", "free", "clamp_x", "beam_length", "role", "group")
-    measured = ("drive", "friction_N", "sigma_friction", "loads")
+    forces = {column: getattr(sensors, column) for column in ("drive", "friction_N", "sigma_friction", "loads")}
+    free = run.free
+    if sensors.drive is not None and not np.all(known := np.isfinite(sensors.drive)):
+        t = sensors.t[known]
+        free = (t[0], t[-1]) if free is None else (max(free[0], t[0]), min(free[1], t[-1]))
+        forces["drive"] = np.interp(sensors.t, t, sensors.drive[known])
+    own = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group")
     return Run(
         displacement,
         motion,
@@ -340,7 +348,8 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         noise=_specification(run.noise, "noise", sensors),
         drift=_specification(run.drift, "drift", sensors),
         **{key: getattr(run, key) for key in own},
-        **{column: getattr(sensors, column) for column in measured},
+        free=free,
+        **forces,
     )
 
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 # Standard deviations between the mass that the drive moves and the weighed mass, from which a note is made.
 MIN_MASS_DIFFERENCE_SIGMAS = 3.0
+MIN_COVERED_SHARE = 0.5  # of the run, that the record of a drive must cover; a wrong offset leaves less
 TIME_TOLERANCE_S = 1e-9  # s
 MIN_FRAMES_OF_TARGET = 8  # frames needed to decide whether a target moves with the mass
 MIN_GAIN = 0.5  # displacement of the target per displacement of the mass, from which it may be fixed to the mass
@@ -114,7 +115,7 @@ class _SensorReader:
         series = _drive_force(spec)
         found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
-        self.found["drive"] = self._at_all_frames(series, found, acting)
+        self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
 
     def add_sensor(self, spec: dict[str, Any]) -> None:
         """Read an accelerometer, a load cell that measures friction, or both."""
@@ -163,17 +164,24 @@ class _SensorReader:
         if compared is not None and (found.rivals or compared.verdict != "not compared"):
             self.notes.append(f"{series.name} {_describe_agreement(compared)}")
 
-    def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
-        """Return a force (n,) at all frames: 0 where it does not act, short gaps interpolated."""
+    def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array, covered: float = 1.0) -> Array:
+        """Return a force (n,) at all frames: 0 where it does not act, short gaps interpolated; NaN beyond its record.
+
+        A record that covers less than a share of these frames is refused.
+        """
         t = self.displacement.t
         h = float(np.median(np.diff(t)))
         values = series.average(t - found.lag(t), h)
         rows, measured = np.flatnonzero(acting), np.flatnonzero(acting & np.isfinite(values))
-        if len(measured) == 0 or np.any(np.isnan(values[rows[[0, -1]]])):
+        span = t[measured[[0, -1]]] if len(measured) else np.array([np.inf, -np.inf])
+        inside = rows[(t[rows] >= span[0]) & (t[rows] <= span[1])]
+        if len(inside) == 0 or len(inside) < covered * len(rows):
             raise FrictrackError(_no_overlap(series, found, t[rows]))
-        if missing := len(rows) - len(measured):
+        if missing := len(inside) - len(measured):
             self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")
-        return np.where(acting, np.interp(t, t[measured], values[measured]), 0.0)
+        if len(inside) < len(rows):
+            self.notes.append(f"{series.name} covers {span[0]:.4g} to {span[1]:.4g} s: only this part is fitted")
+        return np.where(acting, np.interp(t, t[measured], values[measured], np.nan, np.nan), 0.0)
 
 
 def _time_at(motion: Motion, place: float) -> float:

@@ -211,7 +211,6 @@ class Session:
 
         """
         from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
-        from frictrack.measure.tables import jitter_notes  # noqa: PLC0415
 
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
@@ -236,11 +235,10 @@ class Session:
             self._add_uncertainty(group, profiles, draws, request.seed)
         result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
-        uneven = jitter_notes([pipeline.get("displacement") for pipeline in self.runs if pipeline.run.table])
         from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
         return {
             **result,
-            "remarks": [*result["remarks"], *twice, *uneven],
+            "remarks": [*result["remarks"], *twice],
             "scale_error": max((run.displacement.relative_scale_error for run in from_motion), default=0.0),
             **self._remarks,
         }

@@ -295,7 +295,7 @@ def tracks_to_draw(tracks: dict[str, Any]) -> tuple[Track, ...]:
     return tuple(track for name, track in tracks.items() if name != BACKWARD)
 
 
-KEYS_OF_FORCE = ("mass", "incline", "rolling", "normal_load", "free")
+KEYS_OF_FORCE = ("mass", "incline", "rolling", "normal_load", "sigma_drive", "free")
 MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 

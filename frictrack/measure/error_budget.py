@@ -483,8 +483,9 @@ class _RunErrors:
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
-        level, n, t = white_noise(drive), float(np.sum(self.free)), self.run.motion.t
-        known_from = "white noise of the record, from its fifth differences"
+        n, t, stated = float(np.sum(self.free)), self.run.motion.t, self.run.sigma_drive
+        level = white_noise(drive) if stated is None else stated
+        known_from = "white noise of the record, from its fifth differences" if stated is None else "stated"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")
         if offset_std:

@@ -246,7 +246,7 @@ def friction(run: Run) -> Friction:
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
-    sigma_drive = white_noise(drive)
+    sigma_drive = white_noise(drive) if run.sigma_drive is None else run.sigma_drive
     sigma_scale = run.displacement.relative_scale_error * run.inertia * run.motion.a
     sigma_weight = run.sigma_mass * (1.0 + float(run.rolling)) * acceleration
     variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + sigma_drive**2

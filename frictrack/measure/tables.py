@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -110,6 +110,10 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         ),
         table.numbers,
     )
+    if data.of_speeds:
+        interval = float(np.median(np.diff(displacement.t)))
+        sigma_v = max(white_noise(np.diff(displacement.x) / interval), MIN_TRAVEL_M)
+        return replace(displacement, sigma_x=np.full(len(data.t), interval * sigma_v), sigma_v=sigma_v)
     displacement = _with_jitter_noise(displacement)
     is_known = not np.all(np.isnan(displacement.sigma_x))
     return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
@@ -135,19 +139,6 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
         "stamps are even; deviations grow with it"
     )
     return replace(displacement, sigma_x=np.hypot(at_rest, moved), notes=(*displacement.notes, note))
-
-
-def jitter_notes(displacements: Sequence[Displacement]) -> tuple[str, ...]:
-    """Return a note if all tables together show jitter of the samples; a run at nearly one speed cannot show it."""
-    even = [d for d in displacements if len(d) >= MIN_ROWS and sampling.is_even(d.t)]
-    jitter = sampling.common_unevenness([(d.t, d.x, _max_resolved_speed(d)) for d in even])
-    if not jitter:
-        return ()
-    share = 100 * jitter / float(np.median([np.median(np.diff(d.t)) for d in even]))
-    return (
-        f"the noise of the runs grows with their speed, as if samples jittered by {share:.2g} % of the interval (rms) "
-        "although their time stamps are even, or the picture were blurred",
-    )
 
 
 def _max_resolved_speed(displacement: Displacement) -> float:

@@ -48,6 +48,9 @@ class Run(NotebookView):
         Normal load, N; by default m g cos(incline).
     drive, friction_N
         Measured drive and friction force at the frames of `displacement`, N, (n,).
+    sigma_drive
+        Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
+        default what it scatters, unless the motion follows this scatter.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
@@ -93,6 +96,7 @@ class Run(NotebookView):
     rolling: float | str = 0.0
     normal_load: float | None = scalar("N", default=None)
     drive: Array | None = None  # N, at displacement.t
+    sigma_drive: float | None = scalar("N", default=None)
     friction_N: Array | None = None  # N, at displacement.t
     free: tuple[float, float] | None = None  # s
     clamp_x: float | None = scalar("m", default=None)

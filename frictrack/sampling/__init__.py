@@ -6,7 +6,6 @@ from frictrack.sampling.clock import (
     MIN_SHORTEST,
     EvenClock,
     base_interval,
-    common_unevenness,
     count_intervals,
     frame_numbers,
     is_even,

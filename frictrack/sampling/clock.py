@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.base.distributions import noise_of_differences, robust_std, student_sf
+from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.records import Array, Mask
 
 REACH_STEPS = 12  # steps on either side from which the usual step is taken
@@ -193,8 +193,6 @@ MIN_ROWS = 16  # rows whose noise can show which stamps are right
 ROWS_PER_BIN, MAX_BINS = 40, 12  # rows of a bin of speed, and bins
 MIN_BINS = 4  # bins of speed that can show a trend
 MIN_SLOPE_SIGMAS = 4.0  # standard deviations of the slope: 3e-5 by chance, less than one in 10^4 records
-MIN_RECORDS, ALPHA = 4, 1e-3  # records whose noise shows a trend, and its level of significance in one study
-MIN_SPEED_SPREAD = 1e-6  # relative difference of squared speeds; a smaller one is none
 SMALLEST_VARIANCE = np.finfo(float).tiny  # a smaller variance has lost its digits
 MIN_REST_SHARE = 0.01  # of the smallest variance of a bin, that a sample at rest has: weights stay finite
 CLIP_SIGMAS = 3.0  # robust deviations at which a square is cut off
@@ -491,14 +489,14 @@ def unevenness(t: Array, x: Array, slowest: float = 0.0) -> tuple[float, float]:
         np.min(size) > SMALLEST_VARIANCE and np.min(squares) > SMALLEST_VARIANCE and np.all(np.isfinite(size))
     ):
         return 0.0, 0.0
-    (at_rest, slope), sigma, _ = _fit_line(squares, size)
+    (at_rest, slope), sigma = _fit_line(squares, size)
     if slope <= MIN_SLOPE_SIGMAS * sigma:
         return 0.0, 0.0
     return float(np.sqrt(slope)), float(np.sqrt(max(at_rest, MIN_REST_SHARE * np.min(size[:, 0]))))
 
 
-def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
-    """Fit the variance at rest and its slope over squared speed; also the slope's deviation and chi-squared.
+def _fit_line(squares: Array, size: Array) -> tuple[Array, float]:
+    """Fit the variance at rest and its slope over squared speed; also the slope's deviation.
 
     `size` (k, 2) are variances and the numbers of their rows, which determine their deviations.
     """
@@ -510,26 +508,7 @@ def _fit_line(squares: Array, size: Array) -> tuple[Array, float, float]:
         found, *_ = np.linalg.lstsq(rows, right, rcond=None)
         variance = np.maximum(design @ found, 1e-3 * np.max(size[:, 0]))
     sigma = float(np.sqrt(np.linalg.pinv(rows.T @ rows)[1, 1]))
-    return np.asarray(found, dtype=np.float64), sigma, float(np.sum((right - rows @ found) ** 2))
-
-
-def common_unevenness(records: Sequence[tuple[Array, Array, float]]) -> float:
-    """Jitter of samples (s, rms) by which the noise of several records grows with their speed; 0 where it does not.
-
-    `records`: even time stamps t (n,) s, positions x (n,) m, and the speed below which rows are not looked at, m/s.
-    """
-    found = [_bin_by_speed(*record) for record in records]
-    usable = [(squares, size) for squares, size in found if len(squares) and np.min(size) > SMALLEST_VARIANCE]
-    if len(usable) < MIN_RECORDS:
-        return 0.0
-    squares = np.array([np.mean(one) for one, _ in usable])
-    size = np.array([(np.average(each[:, 0], weights=each[:, 1]), np.sum(each[:, 1])) for _, each in usable])
-    if np.ptp(squares) <= MIN_SPEED_SPREAD * np.max(squares):
-        return 0.0
-    (_, slope), sigma, chi2 = _fit_line(squares, size)
-    dof = len(usable) - 2  # records differ in their noise, too: their scatter counts
-    t_statistic = slope / (sigma * max(1.0, np.sqrt(chi2 / dof)))
-    return float(np.sqrt(slope)) if slope > 0 and student_sf(t_statistic, dof) < ALPHA else 0.0
+    return np.asarray(found, dtype=np.float64), sigma
 
 
 def _bin_by_speed(t: Array, x: Array, slowest: float) -> tuple[Array, Array]:

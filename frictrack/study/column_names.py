@@ -99,6 +99,19 @@ def is_angle(header: str) -> bool:
     return _number_and_unit(stated_unit(header) or "")[1] in ANGLES
 
 
+def is_speed(header: str) -> bool:
+    """Return whether a column holds speeds, by its unit.
+
+    Examples
+    --------
+    >>> is_speed("speed (mm/s)"), is_speed("x (mm)"), is_speed("v")
+    (True, False, False)
+
+    """
+    unit = stated_unit(header)
+    return unit is not None and "/" in unit and may_hold(header, "v")
+
+
 def base_name(header: str) -> str:
     """Return a header without its unit.
 
@@ -182,6 +195,11 @@ def guess_points(present: Sequence[str]) -> dict[str, str]:
     if sigma and unit and not UNIT.search(sigma):
         found["sigma_friction"] = f"{sigma} ({unit[1]})"  # that of what it is the deviation of
     return found
+
+
+def is_named_speed(header: str) -> bool:
+    """Return whether a column holds speeds along the course, by its unit or its usual name."""
+    return is_speed(header) or bool(_NAMES_OF_POINTS["v"].fullmatch(header.casefold()) and not TURNS.fullmatch(header))
 
 
 def find_header(written: str, present: Sequence[str]) -> str | None:

@@ -88,6 +88,7 @@ class TableData:
     stamped_rate: float | None = None
     # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
+    of_speeds: bool = False  # whether x is the integral of measured speeds
 
 
 @dataclass(frozen=True)
@@ -290,7 +291,7 @@ def _read(
     faults: list[str] = []
     values: dict[str, Any] = {}
     notes: tuple[str, ...] = ()
-    missing = []
+    missing, of_speeds = [], False
     for key, (standard, unit) in known.items():
         written, sign = _unsigned(columns.get(key, standard), present)
         header = column_names.find_header(written, present)
@@ -302,7 +303,9 @@ def _read(
             faults.append(f'expected one column "{header}" but got {present.count(header)}')
         elif header is not None:
             gaps = known is not COLUMNS and key not in required
-            factor = sign * _factor(written, header, standard, unit, camera)
+            speeds = key == "x" and column_names.is_speed(written if column_names.UNIT.search(written) else header)
+            of_speeds |= speeds
+            factor = sign * _factor(written, header, standard, "m/s" if speeds else unit, camera)
             values[key], found = _column(frame[header], factor, gaps=gaps)
             if key == "t" and factor == DAY_S and len(values[key]):
                 values[key] = values[key] - DAY_S * np.floor(frame[header].iloc[0])  # dates: seconds of the first day
@@ -316,7 +319,21 @@ def _read(
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
     raise_faults(faults, name)
     notes += (ANGLE_NOTE,) * column_names.is_angle(columns.get("x", ""))
-    return values | ({"notes": notes} if notes else {})
+    values |= {"notes": notes} if notes else {}
+    return _integrated(values) if of_speeds else values
+
+
+def _integrated(values: dict[str, Any]) -> dict[str, Any]:
+    """Return columns whose x holds speeds, m/s, with positions: each speed is that of one interval about its time."""
+    t, v = values["t"], values["x"]
+    frames = np.maximum(np.rint(np.diff(t) / np.median(np.diff(t))), 1.0)
+    interval = float(t[-1] - t[0]) / float(np.sum(frames))
+    missing = (frames - 1) * (v[1:] + v[:-1]) / 2
+    late = t + interval / 2  # the errors of neighbouring steps between the ends of intervals are independent
+    columns = {key: np.interp(late, t, q) for key, q in values.items() if isinstance(q, np.ndarray) and key != "t"}
+    note = "the positions are integrated from speeds; the errors of these add up in them"
+    moved = {"t": late, "x": interval * np.cumsum(np.append(0.0, v[1:] + missing)), "of_speeds": True}
+    return {**columns, **moved, "notes": (*values.get("notes", ()), note)}
 
 
 def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mapping[str, str], sensor: str) -> str:
@@ -373,12 +390,13 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
         found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
             "t": present[clocks[0]]
         }
-    for key in column_names.REQUIRED:
-        others = (
-            header for header in numbers.values() if header not in found.values() and column_names.may_hold(header, key)
-        )
+    lengths = [header for header in numbers.values() if not column_names.is_named_speed(header)]
+    for key, choice in (("t", list(numbers.values())), ("x", lengths)):
+        others = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
         if key not in found and (header := next(others, None)) is not None:
             found[key] = header
+    if "x" not in found and (speed := next((h for h in numbers.values() if column_names.is_named_speed(h)), None)):
+        found["x"] = speed if column_names.stated_unit(speed) else f"{speed} (m/s)"
     if found.get("t") in present and column_names.stated_unit(found["t"]) is None and found["t"] != COLUMNS["t"][0]:
         unit = _clock_unit(frame.iloc[:, present.index(found["t"])])
         found["t"] += f" ({unit})" if unit else ""

@@ -478,6 +478,7 @@ FrameRate = Annotated[float, BeforeValidator(read_frame_rate)]
 Place = Annotated[float, _number("m")]
 Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
+Scatter = Annotated[float, Field(ge=0), _number("N")]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Rolling = Annotated[float, BeforeValidator(rolling_inertia)]
@@ -733,6 +734,8 @@ class RunTable(Keys):
         Normal load, where it is not m g cos(incline).
     drive
         Force that drives the mass: a table with its own clock, a constant, or a pressure with its area.
+    sigma_drive
+        Standard deviation of the errors of the drive from frame to frame; 0 for one that is exact.
     sensor
         Accelerometer or load cell: a table with its own clock.
     columns
@@ -784,6 +787,7 @@ class RunTable(Keys):
     rolling: Rolling = 0.0
     normal_load: Load | None = None
     drive: Drive | None = None
+    sigma_drive: Scatter | None = None
     sensor: Sensor | None = None
     columns: Annotated[dict[str, str], BeforeValidator(_columns)] = {}
     impact_energy: Energy | None = None

@@ -22,6 +22,7 @@ import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from frictrack.study.track_formats import find_track_format
 if TYPE_CHECKING:
     import pandas as pd
 
+MIN_ROWS_OF_RECORD, MAX_JUMP_STEPS = 16, 3.0  # of records below one another; usual steps, beyond which one begins
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that else holds a few words
 GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’ \u00a0\u202f])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")  # 1,234.5 or 1.234,5
 MAX_COLUMNS, MAX_ROWS, MAX_SHEETS = 256, 1 << 20, 32  # of a sheet, which Excel ends at that row, and of a workbook
@@ -63,8 +65,29 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> table_layout.TableFi
 
     """
     table = _open_table(path, wanted)
+    table = table if table.tracks or table.columns else replace(table, frame=_stacked_records(table.frame))
     runs = [table_layout.TrackColumns(columns) for columns in runs_of_columns(list(map(str, table.frame.columns)))]
     return replace(table, tracks=runs, has_runs=True) if runs and not table.tracks else table
+
+
+def _stacked_records(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return records below one another, of which each begins anew in time and place, as runs side by side."""
+    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
+
+    names = guess_columns(list(map(str, frame.columns)))
+    if not names.keys() >= set("tx"):
+        return frame
+    t, x = (pd.to_numeric(frame[names[key]], errors="coerce").to_numpy(float) for key in "tx")
+    steps, moved = np.diff(t), np.abs(np.diff(x))
+    starts = np.flatnonzero(steps < 0) + 1
+    ends = [0, *starts.tolist(), len(t)]
+    if len(ends) < 3 or np.min(np.diff(ends)) < MIN_ROWS_OF_RECORD:
+        return frame
+    far = MAX_JUMP_STEPS * np.fmax(moved[starts - 2], moved[starts])  # a clock that rolls over leaves the place
+    if np.any(moved[starts - 1] <= far) or np.any(t[starts] - t[0] > MAX_JUMP_STEPS * np.median(steps[steps > 0])):
+        return frame
+    parts = [frame.iloc[a:b].reset_index(drop=True) for a, b in pairwise(ends)]
+    return pd.concat([part.add_prefix(f"Run {i}: ") for i, part in enumerate(parts, 1)], axis=1)
 
 
 def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:

@@ -201,7 +201,7 @@ def _is_recording(path: Path) -> bool:
 
 def _holds_times_and_positions(path: Path) -> bool:
     """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
-    from frictrack.study.column_names import REQUIRED, guess_columns  # noqa: PLC0415 - only for such files
+    from frictrack.study.column_names import REQUIRED, guess_columns, is_named_speed  # noqa: PLC0415 - only for such files
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
     from frictrack.study.table_files import open_table  # noqa: PLC0415
 
@@ -210,8 +210,9 @@ def _holds_times_and_positions(path: Path) -> bool:
     except FrictrackError:
         return False
     headers = list(map(str, table.frame.columns))
-    standard = {key for key in REQUIRED if COLUMNS[key][0] in headers}
-    return bool(table.tracks) or table.columns.keys() | standard | guess_columns(headers).keys() >= set(REQUIRED)
+    known = table.columns.keys() | guess_columns(headers) | {key for key in REQUIRED if COLUMNS[key][0] in headers}
+    known |= {"x"} if any(map(is_named_speed, headers)) else set()
+    return bool(table.tracks) or known >= set(REQUIRED)
 
 
 def _many_pages(path: Path) -> bool:

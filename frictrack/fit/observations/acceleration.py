@@ -60,6 +60,7 @@ from frictrack.records import Array, Mask, Run
 
 PASSBAND_FACTOR = 3.2  # times the cut-off; beyond, the chain passes less than a thousandth
 SCAN_BAND_FACTOR = 2.0  # times the cut-off; beyond, the chain passes less than a sixtieth
+NOISE_DRAWS = 50  # of which the mean square is known to a few percent
 BLOCK_PERIODS = 2.0  # length of held-out blocks in periods of the cut-off frequency
 
 
@@ -230,6 +231,17 @@ class AccelerationProblem(LeastSquaresProblem):
             if isinstance(r, AccelerationResponse)
         ]
 
+    def expected_square(self) -> float:
+        """Return the expected sum of squares of all accelerations' noise; draws where it is not white."""
+        if all(piece.whitening.correlation is None for piece in self.pieces):
+            return float(sum(np.sum(chain.sigma_a**2) for chain in self.chains)) / self.noise**2
+        rng = np.random.default_rng(0)
+        draws = (
+            chain.apply(piece.coloured(rng.standard_normal((len(piece.t), NOISE_DRAWS))))
+            for piece, chain in zip(self.pieces, self.chains, strict=True)
+        )
+        return float(sum(np.sum(a**2) for a in draws)) / self.noise**2 / NOISE_DRAWS
+
     def noise_in(self, responses: Sequence[PieceResponse], columns: Array) -> Array:
         """Return Z (N, k), in units of sigma, with Z'Z = C' V C for columns C (M, k) over all accelerations."""
         out, ends = [], np.cumsum([len(r.r) for r in responses])[:-1]
@@ -256,8 +268,9 @@ class AccelerationObservation(DisplacementObservation):
     def reduced_chi2(self, fitted: FittedRuns) -> float:
         """Return chi-squared over its expectation for the coloured noise of the accelerations."""
         solution = fitted.compared
-        z = _problem_of(solution).noise_in(solution.responses, solution.basis.u)
-        return solution.chi2 / (len(solution.residual) - float(np.sum(z**2)))
+        problem = _problem_of(solution)
+        z = problem.noise_in(solution.responses, solution.basis.u)
+        return solution.chi2 / (problem.expected_square() - float(np.sum(z**2)))
 
     def _band_covariance(self, fitted: FittedRuns, covariance: Callable[[], Array]) -> Array:
         return covariance()

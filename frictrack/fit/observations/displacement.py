@@ -130,6 +130,10 @@ class DisplacementObservation(Observation):
         out = []
         if len(fitted.runs) == 1:
             out.append("single run: slope, a cable and Coulomb friction cannot be distinguished")
+        steady = [run.name for run in fitted.runs if run.drive is not None and np.ptp(run.drive) == 0 != run.drive[0]]
+        if steady:
+            words = "is taken to act throughout; if it ends within the run, as a weight reaches the floor, give until"
+            out.append(f"the constant drive of {', '.join(steady)} {words}")
         if any(run.has_incline for run in fitted.runs):
             out.append(
                 "on an incline, Coulomb friction and gravity act alike while the mass slides one way: with a nominal "

@@ -66,6 +66,7 @@ from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, Profile
 from frictrack.fit.uncertainty.reported import (
     correlated_noise_remark,
     deciding_experiment,
+    drive_noise_remark,
     identifiability_remarks,
     negative_force_remark,
     parse_quantity,
@@ -215,6 +216,7 @@ def _estimates(solution: Solution, covariance: Array, reasons: dict[str, str]) -
         *identifiability_remarks(solution, correlated, list(reasons)),
         *negative_force_remark(solution, {name: (e.value, e.std) for name, e in out.items()}),
         *correlated_noise_remark(solution),
+        *drive_noise_remark(solution),
     ]
     return Estimates(out, covariance, correlated, remarks)
 

@@ -244,6 +244,19 @@ def correlated_noise_remark(solution: Solution) -> Iterator[str]:
         )
 
 
+def drive_noise_remark(solution: Solution) -> Iterator[str]:
+    """State which drives scatter without moving the mass, so that this scatter counts as noise."""
+    pieces = [p for p in solution.problem.pieces if p.push]
+    noisy = {p.run: p.mass * float(np.sqrt(p.push / np.median(np.diff(p.t)))) for p in pieces}
+    if noisy:
+        names = solution.problem.layout.run_names
+        runs = ", ".join(f"{names[run]} ({sigma:.2g} N)" for run, sigma in noisy.items())
+        yield (
+            f"errors of the measured drive count as noise of the positions: {runs}; state them with sigma_drive, or "
+            "sigma_drive = 0 for a drive that is exact"
+        )
+
+
 def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float) -> Iterator[str]:
     """State which run has another level of dry friction than all others, and what may cause that.
 

@@ -1,0 +1,100 @@
+"""Noise of a measured drive, and positions that are integrated from speeds; the truth is SciPy's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import frictrack as ft
+from frictrack.flow import Session, open_study, propose_study
+
+MASS, F_C, F_V = 0.5, 1.0, 0.6
+N, STEP = 500, 4e-3
+
+
+def driven(scatter: float, seed: int, *, is_force: bool, **stated: float) -> ft.Run:
+    """A mass under a drive that scatters: in the reading alone, or as a force that the mass follows."""
+    rng, t = np.random.default_rng(seed), STEP * np.arange(N)
+    even = 2.0 + 0.5 * np.sin(5 * t + seed)
+    measured = even + scatter * rng.normal(size=N)
+    force = measured if is_force else even
+    matrix = np.zeros((4, 4))
+    matrix[0, 1], matrix[1, 1], matrix[1, 2], matrix[2, 3] = 1.0, -F_V / MASS, 1 / MASS, 1.0
+    step, state, x = expm(STEP * matrix), np.array([0.0, 1.5]), np.empty(N)
+    for k in range(N):  # exact for a force that is linear from sample to sample
+        x[k] = state[0]
+        slope = (force[min(k + 1, N - 1)] - force[k]) / STEP
+        state = (step @ [*state, force[k] - F_C, slope])[:2]
+    return ft.Run.from_arrays(t, x + 1e-5 * rng.normal(size=N), drive=measured, mass=MASS, name=f"r{seed}", **stated)
+
+
+def deviations(found: ft.Fit) -> list[float]:
+    truth = {"coulomb.F_c": F_C, "viscous.F_v": F_V}
+    return [(found.parameters[name].value - true) / found.parameters[name].std for name, true in truth.items()]
+
+
+@pytest.mark.parametrize("scatter", [0.001, 0.1, 1.0])
+def test_the_law_lies_within_its_interval_although_the_drive_is_noisy(scatter: float) -> None:
+    for seed, stated in enumerate(({}, {"sigma_drive": scatter})):
+        found = ft.fit(["coulomb", "viscous"], [driven(scatter, seed, is_force=False, **stated)])
+        assert np.max(np.abs(deviations(found))) < 2.6
+        assert 0.8 < found.reduced_chi2 < 1.25
+        assert found.parameters["coulomb.F_c"].std > 0.05 * scatter
+    assert "errors of the measured drive count as noise of the positions: r1" in " ".join(found.estimates.remarks)
+
+
+def test_a_scatter_that_the_mass_follows_is_a_force_and_is_used() -> None:
+    found = ft.fit(["coulomb", "viscous"], [driven(0.1, 3, is_force=True)])
+    assert np.max(np.abs(deviations(found))) < 2.6
+    assert found.parameters["coulomb.F_c"].std < 1e-3
+    assert not any("errors of the measured drive" in remark for remark in found.estimates.remarks)
+
+
+def test_chi_squared_of_accelerations_counts_the_noise_of_the_drive() -> None:
+    found = ft.fit(["coulomb", "viscous"], [driven(0.1, 5, is_force=False)], domain="force")
+    assert np.max(np.abs(deviations(found))) < 2.6
+    assert 0.3 < found.reduced_chi2 < 2.5
+
+
+@pytest.mark.parametrize(("header", "size"), [("Time (s),Velocity (mm/s)", 1e3), ("t (s),v", 1.0)])
+def test_a_table_of_speeds_is_a_record(tmp_path: Path, header: str, size: float) -> None:
+    for seed, speed in enumerate((2.4, 1.3, -1.8)):
+        rng, s = np.random.default_rng(seed), np.sign(speed)
+        t = np.arange(0, 0.96 * MASS / F_V * np.log(1 + F_V * abs(speed) / F_C), 5e-3)
+        v = solve_ivp(lambda _, y, s=s: -(F_C * s + F_V * y) / MASS, (0, 9), [speed], t_eval=t, rtol=1e-10).y[0]
+        rows = [f"{a:.3f},{size * b:.5f}" for a, b in zip(t, v + 0.005 * rng.normal(size=len(t)), strict=True)]
+        (tmp_path / f"r{seed}.csv").write_text("\n".join([header, *rows]))
+    path = Path(propose_study(tmp_path, {"mass": "0.5 kg", "scale": None, "fps": None})["study"])
+    text = path.read_text(encoding="utf-8").replace("# FILL IN the units: ", "")
+    path.write_text(text.replace("[study]\n", '[study]\nmodel = ["coulomb", "viscous"]\n', 1), encoding="utf-8")
+    found = Session(open_study(path)).fit()
+    for name, true in (("coulomb.F_c", F_C), ("viscous.F_v", F_V)):
+        one = found["parameters"][name]
+        assert abs(one["value"] - true) < 2.6 * one["std"]
+        assert one["std"] < 0.02
+    assert 0.7 < found["errors"]["reduced_chi2"] < 1.35
+
+
+def test_a_drive_that_covers_part_of_the_run_is_used_there(tmp_path: Path) -> None:
+    run = driven(0.02, 7, is_force=False)
+    t, part = run.displacement.t, slice(60, 420)
+    for name, first, rows, columns in (
+        ("run", "t_s,x_m", slice(None), (t, run.displacement.x)),
+        ("drive", "t_s,drive_N", part, (t, run.drive)),
+    ):
+        table = np.column_stack([column[rows] for column in columns])
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=first, comments="")
+    (tmp_path / "study.toml").write_text(
+        f'[study]\nmass = "{MASS} kg"\nmodel = ["coulomb", "viscous"]\n[[run]]\ntable = "run.csv"\n'
+        'drive = {table = "drive.csv", offset = 0}\nsigma_drive = "0.02 N"\n'
+    )
+    session = Session(open_study(tmp_path / "study.toml"))
+    found = session.fit()
+    for name, true in (("coulomb.F_c", F_C), ("viscous.F_v", F_V)):
+        assert abs(found["parameters"][name]["value"] - true) < 2.6 * found["parameters"][name]["std"]
+    assert "drive.csv covers 0.24 to 1.676 s: only this part is fitted" in session.runs[0].get("sensors").notes
+    assert session.runs[0].to_run().free == pytest.approx((0.24, 1.676))
