@@ -231,55 +231,6 @@ def test_a_run_nobody_weighed_has_no_budget():
         budget(run, filtered)
 
 
-# -- what would help ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("scale", "mass", "says"), [(0.01, 1e-4, "a ruler 2 times as long"), (1e-4, 0.01, "weighing to 5 g")]
-)
-def test_the_step_that_would_halve_the_error_does(scale, mass, says):
-    run, filtered = smoothed(seen(noise=1e-7, scale_error=scale), sigma_mass=mass)
-    found = budget(run, filtered)
-    assert says in found.summary()["says"][1]
-    better = replace(
-        run,
-        displacement=replace(run.displacement, relative_scale_error=scale / (2 if scale > 1e-3 else 1)),
-        sigma_mass=mass / (2 if mass > 1e-3 else 1),
-    )
-    assert budget(better, filtered).mean_N == pytest.approx(found.mean_N / 2, rel=0.02)
-    assert "neither a higher sampling rate nor less noise would help" in found.summary()["says"]
-    filmed = replace(found, filmed=True).summary()["says"]
-    assert "neither a higher frame rate nor more pixels per mm would help" in filmed
-
-
-def test_a_table_is_not_told_to_use_more_pixels():
-    found = budget(*smoothed(seen()))
-    assert not any("pixels per mm" in sentence for sentence in found.summary()["says"])
-    assert any("pixels per mm" in sentence for sentence in replace(found, filmed=True).summary()["says"])
-
-
-def test_finer_pixels_help_as_much_as_is_said():
-    """A slider on a rough course, through half the noise: less is gained than half, for the smoother passes more."""
-    rough = np.cumsum(np.cumsum(np.cumsum(np.cumsum(np.random.default_rng(5).normal(size=len(X))))))
-    rough -= np.polynomial.Polynomial.fit(T, rough, 3)(T)
-    x = X + 5e-5 * rough / rough.std()  # as rough as the smoother takes every motion to be
-    coarse, fine = (
-        [budget(*smoothed(seen(x, noise=noise, seed=seed), "structural")) for seed in range(5)]
-        for noise in (NOISE, NOISE / 2)
-    )
-    factor = coarse[0].noise_reduction[2.0][0]
-    assert 0.5 < factor < 0.95
-    gained = np.linalg.norm([b.frame_N for b in fine]) / np.linalg.norm([b.frame_N for b in coarse])
-    assert gained == pytest.approx(factor, rel=0.15)
-
-
-def test_two_sources_alike_are_both_named():
-    run, filtered = smoothed(seen(noise=1e-7, scale_error=0.002), sigma_mass=0.002 * MASS)
-    says = budget(run, filtered).summary()["says"]
-    both = ("the scale and the mass", "the mass and the scale")  # equal to the last digit but one
-    assert any(f"no single step would halve the error of the mean: {pair} both count" in says for pair in both)
-
-
 # -- statistics ---------------------------------------------------------------------------------------------
 
 

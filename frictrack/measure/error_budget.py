@@ -6,8 +6,8 @@ size is not known stays in the table without a number.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +17,7 @@ from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.measure.friction import friction
 from frictrack.measure.motion import (
     Derivatives,
-    FactoredSmoother,
     FilterMethod,
-    Structure,
     stencil_start,
     unit_responses,
     white_noise,
@@ -68,12 +66,6 @@ class Contribution:
         return {"told" if key == "known_from" else key: value for key, value in vars(self).items()}
 
 
-MIN_REMAINING_SHARE = 0.95  # of an error: a step that leaves more is not worth taking
-NOISE_FACTOR_TWICE_FRAMES = 2.0**0.5  # twice the frames average the noise as much as noise lower by this factor
-FILTERED_SOURCES = (NOISE, FILTER)  # what the smoother trades against each other
-PIXEL_SOURCES = (LOCKING, SHAKE)  # known in pixels, so they scale with the pixel pitch
-
-
 @dataclass(frozen=True)
 class Budget:
     """Error budget of the friction force of one run.
@@ -86,18 +78,12 @@ class Budget:
         Mean of the resisting force over the free section, N.
     rows
         All sources of error.
-    noise_reduction
-        By factor of noise reduction: the factors on the frame and the mean error from noise and filter.
-    filmed
-        Whether the positions come from a film; those of a table have no pixels.
 
     """
 
     run: str
     force_N: float
     rows: tuple[Contribution, ...]
-    noise_reduction: dict[float, tuple[float, float]] = field(default_factory=dict)
-    filmed: bool = True
 
     @property
     def frame_N(self) -> float:
@@ -133,7 +119,7 @@ def _root_sum_square(parts: Iterable[float | None]) -> float:
 
 
 def _sentences(budget: Budget) -> Iterator[str]:
-    """Errors of mean and frame with their largest source, what would halve them, and what is not known."""
+    """Errors of mean and frame with their largest source, and what is not known."""
     if not budget.mean_N or not budget.frame_N:
         yield "no error of this run is known"
         return
@@ -143,9 +129,6 @@ def _sentences(budget: Budget) -> Iterator[str]:
         f"{_largest_source(budget, 'mean_N')}; standard deviation of a single frame: "
         f"{format_number(budget.frame_N, 2)} N, {_largest_source(budget, 'frame_N')}"
     )
-    if budget.noise_reduction:
-        yield _how_to_halve(budget)
-        yield _effect_of_better_camera(budget)
     unknown = [row.source for row in budget.rows if row.frame_N is None]
     if unknown:
         yield f"not counted because unknown: {', '.join(unknown)}"
@@ -162,87 +145,6 @@ def _source_text(source: str) -> str:
     """A source as part of a sentence."""
     without_article = {FILTER: "signal lost in the filter", NOISE: NOISE, LOCKING: LOCKING}
     return without_article.get(source, f"the {source}")
-
-
-def _how_to_halve(budget: Budget) -> str:
-    """Say which single step would halve the error of the mean."""
-    steps = list(_halving_steps(budget))
-    if steps:
-        return f"to halve the error of the mean: {' or '.join(steps)}"
-    first, second, *_ = sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0))
-    if not second.mean_N:
-        return f"even {_finer(budget, max(budget.noise_reduction))} would not halve the error of the mean"
-    return (
-        "no single step would halve the error of the mean: "
-        f"{_source_text(first.source)} and {_source_text(second.source)} both count"
-    )
-
-
-def _halving_steps(budget: Budget) -> Iterator[str]:
-    """Single steps that would halve the error of the mean, largest source first."""
-    half = budget.mean_N / 2.0
-    for row in sorted(budget.rows, key=lambda row: -(row.mean_N or 0.0)):
-        others = _root_sum_square(other.mean_N for other in budget.rows if other is not row)
-        if row.mean_N and row.source in IMPROVEMENTS and others < half:
-            yield IMPROVEMENTS[row.source](row, row.mean_N / float(np.sqrt(half**2 - others**2)))
-    for times in sorted(budget.noise_reduction):
-        if times > NOISE_FACTOR_TWICE_FRAMES and _errors_after(budget, times)[1] <= half:
-            yield _finer(budget, times)
-            return
-
-
-def _finer(budget: Budget, times: float) -> str:
-    """Name the step that lowers the noise by a factor: more pixels in a film, more precise positions in a table."""
-    if budget.filmed:
-        return f"{times:.0f} times the pixels per mm" if times != 2.0 else "twice the pixels per mm"
-    return f"positions {times:.0f} times as precise" if times != 2.0 else "positions twice as precise"
-
-
-def _effect_of_better_camera(budget: Budget) -> str:
-    """Say what twice the frame rate, and noise of half the size, would do."""
-    rate = "frame rate (at the same noise per frame)" if budget.filmed else "sampling rate (at the same noise per row)"
-    steps = ((f"twice the {rate}", NOISE_FACTOR_TWICE_FRAMES), (_finer(budget, 2.0), 2.0))
-    after = {what: _errors_after(budget, times) for what, times in steps}
-    if all(_is_no_help(budget, errors) for errors in after.values()):
-        rate, finer = ("frame rate", "more pixels per mm") if budget.filmed else ("sampling rate", "less noise")
-        return f"neither a higher {rate} nor {finer} would help"
-    return "; ".join(
-        f"{what} would not help"
-        if _is_no_help(budget, (frame, mean))
-        else f"{what} would leave {format_number(mean, 2)} N in the mean and {format_number(frame, 2)} N in a frame"
-        for what, (frame, mean) in after.items()
-    )
-
-
-def _is_no_help(budget: Budget, errors: tuple[float, float]) -> bool:
-    return errors[0] > MIN_REMAINING_SHARE * budget.frame_N and errors[1] > MIN_REMAINING_SHARE * budget.mean_N
-
-
-def _errors_after(budget: Budget, times: float) -> tuple[float, float]:
-    """Errors of a frame and of the mean, N, with `times` the pixels per mm, or with twice the frame rate."""
-    frame, mean = budget.noise_reduction[times]
-    pixel_factor = 1.0 if times == NOISE_FACTOR_TWICE_FRAMES else 1.0 / times
-
-    def remaining(key: str, noise_factor: float) -> float:
-        factors = dict.fromkeys(FILTERED_SOURCES, noise_factor) | dict.fromkeys(PIXEL_SOURCES, pixel_factor)
-        return _root_sum_square(factors.get(row.source, 1.0) * (getattr(row, key) or 0.0) for row in budget.rows)
-
-    return remaining("frame_N", frame), remaining("mean_N", mean)
-
-
-def _times(factor: float) -> str:
-    return f"{factor:.2g} times"
-
-
-IMPROVEMENTS: dict[str, Callable[[Contribution, float], str]] = {
-    SCALE: lambda row, f: f"a ruler {_times(f)} as long (the scale known to {(row.size or 0.0) / f:.2g} %)",
-    MASS: lambda row, f: f"weighing to {(row.size or 0.0) / f:.2g} g",
-    TIME: lambda row, f: f"a frame rate known to {(row.size or 0.0) / f:.2g} %",
-    DRIVE: lambda row, f: f"a drive sensor {_times(f)} quieter",
-    DRIVE_CLOCK: lambda row, f: f"the drive's clock known to {(row.size or 0.0) / f:.2g} ms",
-    SHAKE: lambda row, f: f"a steadier camera, or a fixed reference that is seen {_times(f)} better",
-    LOCKING: lambda row, f: f"peak locking {_times(f)} smaller (a coarser pattern on the target)",
-}  # by source: the improvement by a factor f
 
 
 AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum
@@ -277,26 +179,6 @@ class FilterResponse:
         total = float(self.derived.covariance(2, self.weights[:, None])[0, 0])
         return rows, float(np.sqrt(max(total - transmitted[1] ** 2, 0.0)))
 
-    def noise_reductions(self, factors: Sequence[float]) -> dict[float, tuple[float, float]]:
-        """Factors on both errors if the noise were lower by some factors.
-
-        They are the factor on sigma_a (rms where weights are not zero) and that on the error of the sum. The signal
-        stays the same, so the smoother would transmit more of it: errors fall by less than the noise.
-        """
-        derived, structure = self.derived, self.derived.smoother.structure
-        if structure is None:
-            return {times: (1.0 / times, 1.0 / times) for times in factors}
-        scale = derived.deviations()[2] / np.sqrt(derived.unit_variances(derived.factor, 2))
-
-        def errors(factor: FactoredSmoother) -> Array:
-            """Rms error where weights are not zero, and the error of the sum."""
-            summed = derived.unit_covariance(factor, 2, (self.weights * scale)[:, None])[0, 0]
-            return np.sqrt([np.mean(derived.unit_variances(factor, 2)[self.weights != 0]), summed])
-
-        now = errors(derived.factor)
-        lower = {times: _with_less_noise(structure, 2.0 * np.log(times)) for times in factors}
-        return {times: tuple(errors(derived.factor_smoother(s)) / now / times) for times, s in lower.items()}
-
     def _transmitted_by_method(self, method: FilterMethod) -> AccelerationError:
         """Transmitted noise of another method, frame by frame."""
         rows, total, grid, w = np.zeros(len(self.weights)), 0.0, self.derived.grid, self.derived.w
@@ -307,14 +189,7 @@ class FilterResponse:
         return np.sqrt(rows), float(np.sqrt(total))
 
 
-def _with_less_noise(s: Structure, by: float) -> Structure:
-    """The structure of the same signal with the logarithm of the noise variance lower by `by`."""
-    lines = tuple((omega, mu - by) for omega, mu in s.lines)
-    return replace(s, stiffness=tuple(v - by for v in s.stiffness), lines=lines)
-
-
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
-NOISE_FACTORS = (NOISE_FACTOR_TWICE_FRAMES, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)  # noise reductions that are tried
 
 
 def budget(
@@ -381,8 +256,7 @@ def budget(
         *errors.picture_errors(response, quality),
         *errors.drive_errors((clocks or {}).get("drive", {})),
     )
-    reductions = response.noise_reductions(NOISE_FACTORS)
-    return Budget(run.name, mean, rows, reductions, filmed=film is not None)
+    return Budget(run.name, mean, rows)
 
 
 def _cell(sigma: Array, free: Mask) -> Contribution:
