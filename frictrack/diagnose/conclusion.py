@@ -24,26 +24,14 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.compare import failing_spans
-from frictrack.diagnose.data_faults import (
-    camera_remarks,
-    held_remarks,
-    one_way_remarks,
-    rests_on_repairs,
-    suspect_run_remarks,
-)
+from frictrack.diagnose.data_faults import remarks_on_named, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Candidate, Diagnosis, Importance
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexplained
 from frictrack.diagnose.explanations import MAX_SIZE
 from frictrack.diagnose.formula_terms import shapes_of_functions
-from frictrack.diagnose.formulas import (
-    UnexplainedForce,
-    are_left_out,
-    compare_with_formulas,
-    effects_of_terms,
-    unexplained_force,
-)
+from frictrack.diagnose.formulas import UnexplainedForce, are_left_out, compare_with_formulas, unexplained_force
 from frictrack.diagnose.power import detection_limits, find_undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
@@ -205,15 +193,13 @@ class Conclusion:
         rival = formulas is not None and formulas.summary["rival"] is not None
         verdict = judge(replace(grounds, is_formula=is_formula, has_rivals=grounds.has_rivals or rival))
         keeps_unexplained = self._verdict_of_effects == "unexplained" and not is_formula
-        named = self._terms_that_are_effects if is_formula else self._plausible_names
+        named = list(formulas.effects) if is_formula and formulas is not None else self._plausible_names
         in_um = self._observation.unit == "um"
         noise, misfit = self._noise
         limits, curves = self._limits
         remarks = [*_describe_excluded(search.first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
-            remarks += held_remarks(search.start, self._named[-1].law)
-            remarks += camera_remarks(self.fit.runs, [t.effect for t in self._named])
-            remarks += one_way_remarks(search.start, [t.effect for t in self._named if t.effect.title in named])
+            remarks += remarks_on_named(search.start, self._named, self.fit.runs)
             plausible = [t.effect.title for t in self._named if not t.objection]
             remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
         return Diagnosis(
@@ -376,14 +362,6 @@ class Conclusion:
         """Whether a formula explains far more than the effects found."""
         return self._formulas is not None and bool(self._formulas.summary["decisive"])
 
-    @property
-    def _terms_that_are_effects(self) -> list[str]:
-        """The effects that are terms of the first formula."""
-        assert self._formulas is not None
-        search = self.search
-        fits = [search.last.solution, *search.rivals, *(t.solution for t in search.tried if t.solution is not None)]
-        return [name for name in effects_of_terms(self._formulas.formulas[0].solution, fits) if name]
-
     @cached_property
     def _pattern(self) -> FailurePattern:
         """What the misfit has in common from run to run, given what explains everything, if anything does."""
@@ -456,7 +434,7 @@ class Conclusion:
         if first.solution.problem.is_of_points:
             return []  # runs are planned as motions
         if found.verdict == "unexplained":
-            solution = last.solution if found.leads or not effects else first.solution
+            solution = last.solution if (found.leads and not self._is_formula) or not effects else first.solution
             return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.title for t in effects[:1]]
         order = sorted(self.search.passing, key=lambda t: t.effect.title not in best)

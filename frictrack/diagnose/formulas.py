@@ -384,11 +384,14 @@ class UnexplainedForce:
         them has the right form.
     formulas
         The formulas, with their fits.
+    effects
+        Effects of the library that are terms of the first formula, where that explains far more than those found.
 
     """
 
     summary: dict[str, Any]
     formulas: Sequence[FittedFormula]
+    effects: Sequence[str] = ()
 
     def as_candidate(self) -> tuple[str, Solution, float] | None:
         """The first formula as a candidate: its name in `frictrack add`, its fit, and its fall of BIC.
@@ -447,7 +450,7 @@ def compare_with_formulas(
     """Find formulas of one variable that explain as much as the effects found.
 
     `search`: the search of formulas added to the model without the effects; `found`: the model with the effects found;
-    `rivals`: others that explain as much. A formula that one of these contains is no other cause. `repeats`: computes
+    `rivals`: others that explain as much; a formula that one of these contains is no other cause. `repeats`: computes
     whether the misfit repeats, and over which axis; called only where that matters.
 
     The summary has besides `probability` that one of the formulas is the cause and the effects are not, `decisive` if
@@ -480,7 +483,8 @@ def compare_with_formulas(
         "rival": f"a formula of {_names_of(listed[0]['variables'])}" if is_rival else None,
         "words": _words(listed[0], len(found.problem.layout.slots) - len(start.problem.layout.slots), probability),
     }
-    return UnexplainedForce(unexplained.summary | compared | {"formulas": listed}, formulas)
+    effects = effects_of_terms(formulas[0].solution, [found, *rivals]) if decisive else []
+    return UnexplainedForce(unexplained.summary | compared | {"formulas": listed}, formulas, [e for e in effects if e])
 
 
 def _is_worth_searching(

@@ -187,7 +187,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         if size == MAX_SIZE and simulates and _formula_explains_more(formulas, best):
             beaten = True
             break
-        notify(size, MAX_SIZE, _describe_step(best, size))
+        lacking = join_as_one([e.title for e in best.effects] or ["the model"])
+        notify(size, MAX_SIZE, f"{lacking} leaves misfit: trying sets of {size}")
         space.grow(size)
         new = space.better(best, last)
         if new is not None:
@@ -210,14 +211,6 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     return FinishedSearch(
         start, first, last, tried, found, generators, formulas, cut, alternatives, laws, is_beaten=beaten
     )
-
-
-def _describe_step(best: Explanation, size: int) -> str:
-    if size == 1:
-        return "refining every effect that may explain the misfit"
-    if not best.effects:
-        return f"no effect alone passes: trying sets of {size}"
-    return f"{join_as_one([e.title for e in best.effects])} leaves misfit: trying sets of {size}"
 
 
 def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:
