@@ -250,6 +250,19 @@ def test_a_sum_of_two_waves_is_the_texture_and_the_vibration_that_it_contains():
 
 
 @pytest.mark.slow
+def test_friction_that_grows_along_the_course_competes_with_an_inclined_course():
+    """Either explains chi-squared of half a million to the noise; m x'' = -s (F_c + k x) in closed form."""
+    level, mass, rng = 90.0, 0.7, np.random.default_rng(0)  # F_c/k, m
+    t, w = np.arange(230) / 169.0, math.sqrt(0.031)  # k/m, 1/s^2
+    there = level * (np.cos(w * t) - 1) + 5.5 / w * np.sin(w * t)
+    back = (8.2 + level) * np.cosh(w * t) - 5.5 / w * np.sinh(w * t) - level
+    runs = [measured(t, x, sigma=1e-5, mass=mass, rng=rng, name=f"r{i}") for i, x in enumerate((there, back))]
+    found = diagnose(fit(["coulomb", "viscous"], runs), quick=True)
+    assert found.verdict in ("ambiguous", "unexplained")
+    assert found.unexplained["formulas"][0]["form"] == "F * L * s * x"
+
+
+@pytest.mark.slow
 def test_a_slope_that_levels_hide_is_sought_by_runs_back_and_more_of_them():
     """Three runs forth and one back: their levels differ, yet three degrees of freedom are too few to be sure."""
     law = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.1}}

@@ -498,7 +498,10 @@ def _is_worth_searching(
     best_axis = repeats().best if may_imitate else None
     if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
-    return (1 + MAX_GAIN_ERROR) * smooth_forces(compressed, formula_axes(compressed))[0].gain > evidence
+    gain = smooth_forces(compressed, formula_axes(compressed))[0].gain
+    # near the evidence of the effects, the linear approximation does not decide: the fits of the best formulas do
+    is_near = (1 + MAX_GAIN_ERROR) * gain > evidence
+    return gain > evidence or (is_near and search.solution.objective - search.least_misfit > evidence)
 
 
 def _probability(advantages: Array, shares: Array, prior: float) -> float:
@@ -537,10 +540,9 @@ def effects_of_terms(formula: Solution, found: Sequence[Solution]) -> list[str]:
     `formula`: the fit with a formula; `found`: fits with effects more than the law. Only effects whose force depends on
     the moment alone are compared; a phase of each run may be the same in all of them.
     """
-    terms, law, paths = _forces_of_terms(formula)
+    terms, law, runs = _forces_of_terms(formula)
     own = [(e, f) for f in found for e in f.problem.model.effects if e.name not in formula.problem.model]
     own = [(e, f) for e, f in own if _is_comparable(e)]
-    runs = [(r.piece.run, path) for r, path in zip(formula.responses, paths, strict=True)]
     return [next((e.title for e, f in own if _is_force_of(e, f, force, law, runs)), "") for force in terms]
 
 
@@ -568,10 +570,10 @@ def _is_comparable(effect: Effect) -> bool:
     return of_moment and not (effect.single or any(p.per_run and p.role != "phase" for p in effect.parameters))
 
 
-def _forces_of_terms(formula: Solution) -> tuple[Array, Array, list[Path]]:
-    """Forces (terms, n) of the terms of a formula, columns (n, k) of the other effects, and the paths."""
+def _forces_of_terms(formula: Solution) -> tuple[Array, Array, list[tuple[int, Path]]]:
+    """Forces (terms, n) of terms of a formula, columns (n, k) of the other effects; run and path of each piece."""
     model, layout = formula.problem.model, formula.problem.layout
-    forces, columns, paths = [], [], []
+    forces, columns, runs = [], [], []
     for r in formula.responses:
         values, level = layout.values(formula.p, r.piece.run)
         path = r.piece.path_at_nodes(r.motion.x, r.motion.v, level)
@@ -579,8 +581,8 @@ def _forces_of_terms(formula: Solution) -> tuple[Array, Array, list[Path]]:
         terms = [name for name in made if name.startswith(EFFECT_NAME)]
         forces.append([made[name] @ model.coefficients(name, values) for name in terms])
         columns.append(np.hstack([made[name] for name in made if name not in terms]))
-        paths.append(path)
-    return np.hstack(forces), np.vstack(columns), paths
+        runs.append((r.piece.run, path))
+    return np.hstack(forces), np.vstack(columns), runs
 
 
 def _unexplained_share(target: Array, columns: Array) -> Array:

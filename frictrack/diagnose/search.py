@@ -207,10 +207,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    alternatives, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
-    return FinishedSearch(
-        start, first, last, tried, found, generators, formulas, cut, alternatives, laws, is_beaten=beaten
-    )
+    sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
+    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, is_beaten=beaten)
 
 
 def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:
