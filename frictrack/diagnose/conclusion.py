@@ -355,7 +355,7 @@ class Conclusion:
             pattern = find_failure_pattern(start, search.generators[1]) if search.last.leaves_misfit else self._pattern
             return pattern.repeats
 
-        return compare_with_formulas(search.formulas, search.last.solution, search.rivals, repeats)
+        return compare_with_formulas(search.formulas, search.last.solution, repeats, search.rivals)
 
     @property
     def _is_formula(self) -> bool:

@@ -445,12 +445,12 @@ def are_left_out(search: FormulaSearch, extended: Solution) -> bool:
 
 
 def compare_with_formulas(
-    search: FormulaSearch, found: Solution, rivals: Sequence[Solution], repeats: Callable[[], Repeatability]
+    search: FormulaSearch, found: Solution, repeats: Callable[[], Repeatability], rivals: Sequence[Solution] = ()
 ) -> UnexplainedForce | None:
     """Find formulas of one variable that explain as much as the effects found.
 
     `search`: the search of formulas added to the model without the effects; `found`: the model with the effects found;
-    `rivals`: others that explain as much; a formula that one of these contains is no other cause. `repeats`: computes
+    `rivals`: others that explain as much. A formula that one of these contains is no other cause. `repeats`: computes
     whether the misfit repeats, and over which axis; called only where that matters.
 
     The summary has besides `probability` that one of the formulas is the cause and the effects are not, `decisive` if
