@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import frictrack as ft
-from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, suspect_run_remarks
+from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, one_way_remarks, suspect_run_remarks
 from frictrack.effects import LIBRARY
 
 MU, VISCOUS, SIGMA = 0.26, 0.3, 5e-7  # of the weight; N s/m; m
@@ -54,3 +54,12 @@ def test_errors_of_a_camera_are_doubted_where_runs_are_tables() -> None:
     assert camera_remarks(runs, [LIBRARY["spring"]]) == []
     displacement = replace(runs[0].displacement, pixel_pitch=5e-4)
     assert camera_remarks([replace(runs[0], displacement=displacement)], named) == []
+
+
+def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> None:
+    named = [LIBRARY[name] for name in ("vibration", "run_in", "spring")]
+    there = slide(3.0, 0.35, 0.35)
+    back = ft.Run.from_arrays(there.displacement.t, -there.displacement.x, mass=0.35, name="back")
+    (line,) = one_way_remarks(ft.fit("coulomb, viscous", [there]).solution, named)
+    assert line.startswith("all runs move one way, so that spring may be friction that changes along the course")
+    assert one_way_remarks(ft.fit("coulomb, viscous", [there, back]).solution, named) == []

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.compare import failing_spans
-from frictrack.diagnose.data_faults import camera_remarks, held_remarks, rests_on_repairs, suspect_run_remarks
+from frictrack.diagnose.data_faults import remarks_on_named, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Candidate, Diagnosis, Importance
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.examination import ALPHA
@@ -56,7 +55,6 @@ from frictrack.records import Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 
 UNNAMED = "{} passes its test too, but with it the error of what was held out rises: it is not named"
-MAX_ERROR_RATIO_ADDED = 0.99  # of held-out errors, for an effect to be worth adding
 MIN_SHARE_LISTED = 0.01  # of the misfit, of further effects in the table of importance
 MAX_OTHERS_LISTED = 6  # further effects in the table of importance
 WITHOUT_MEMORY = (
@@ -195,16 +193,15 @@ class Conclusion:
         rival = formulas is not None and formulas.summary["rival"] is not None
         verdict = judge(replace(grounds, is_formula=is_formula, has_rivals=grounds.has_rivals or rival))
         keeps_unexplained = self._verdict_of_effects == "unexplained" and not is_formula
-        named = [] if is_formula else self._plausible_names
+        named = list(formulas.effects) if is_formula and formulas is not None else self._plausible_names
         in_um = self._observation.unit == "um"
         noise, misfit = self._noise
         limits, curves = self._limits
         remarks = [*_describe_excluded(search.first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
-            remarks += held_remarks(search.start, self._named[-1].law)
-            remarks += camera_remarks(self.fit.runs, [t.effect for t in self._named])
+            remarks += remarks_on_named(search.start, self._named, self.fit.runs)
             plausible = [t.effect.title for t in self._named if not t.objection]
-            remarks += [UNNAMED.format(name) for name in plausible if named and name not in named]
+            remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
         return Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
@@ -279,22 +276,20 @@ class Conclusion:
         """The effects found; none if the runs leave the model itself undetermined."""
         return [] if self._verdict_of_effects == "undetermined" else self.search.found
 
-    @property
-    def _plausible_names(self) -> list[str]:
-        """The plausible effects found, up to the last that does not raise the error of what was held out."""
+    @cached_property
+    def _n_worth_adding(self) -> int:
+        """How many effects are worth adding: up to the last that does not raise the error of what was held out."""
         lowest, last = 1.0, 0
         for i, t in enumerate(self._named, start=1):
             bare, error, _ = self._heldout(t.law)
             if error < MAX_ERROR_RATIO * lowest * bare:
                 lowest, last = min(error / bare, lowest), i
-        return [t.effect.title for t in self._named[:last] if not t.objection]
+        return last
 
-    @cached_property
-    def _error_ratios(self) -> list[float]:
-        """For every effect named, the held-out error with it over that of the model before it was added."""
-        heldout = [self._heldout(t.law) for t in self._named]
-        errors = [before for before, _, _ in heldout[:1]] + [after for _, after, _ in heldout]
-        return [after / max(before, 1e-300) for before, after in pairwise(errors)]
+    @property
+    def _plausible_names(self) -> list[str]:
+        """The plausible effects among those worth adding."""
+        return [t.effect.title for t in self._named[: self._n_worth_adding] if not t.objection]
 
     @property
     def _importance(self) -> list[Importance]:
@@ -302,12 +297,11 @@ class Conclusion:
         alone = {t.effect.title: t.share for t in self.search.tried}
         first, unit, out = self.search.first, self._observation.unit, list[Importance]()
         excess = max(first.solution.chi2 - first.solution.problem.n_frames, 1e-300)
-        worth = [i for i, ratio in enumerate(self._error_ratios) if ratio < MAX_ERROR_RATIO_ADDED]
         chi2 = [first.solution.chi2, *(t.law.chi2 for t in self._named)]
         for i, t in enumerate(self._named):
             share, error = float(np.clip((chi2[i] - chi2[i + 1]) / excess, -1.0, 1.0)), self._heldout(t.law)[1]
             name = t.effect.title
-            out.append(Importance(name, alone.get(name), share, error, unit, stop=worth[-1:] == [i]))
+            out.append(Importance(name, alone.get(name), share, error, unit, stop=i + 1 == self._n_worth_adding))
         names = {t.effect.title for t in self._named}
         others = [
             c.effect for c in self._candidates if c.p < first.level and c.effect not in names and not c.implausible
@@ -361,7 +355,7 @@ class Conclusion:
             pattern = find_failure_pattern(start, search.generators[1]) if search.last.leaves_misfit else self._pattern
             return pattern.repeats
 
-        return compare_with_formulas(search.formulas, search.last.solution, repeats)
+        return compare_with_formulas(search.formulas, search.last.solution, repeats, search.rivals)
 
     @property
     def _is_formula(self) -> bool:
@@ -440,7 +434,7 @@ class Conclusion:
         if first.solution.problem.is_of_points:
             return []  # runs are planned as motions
         if found.verdict == "unexplained":
-            solution = last.solution if found.leads or not effects else first.solution
+            solution = last.solution if (found.leads and not self._is_formula) or not effects else first.solution
             return plan_for_unexplained(solution, notify, self.costs)
         best = [t.effect.title for t in effects[:1]]
         order = sorted(self.search.passing, key=lambda t: t.effect.title not in best)

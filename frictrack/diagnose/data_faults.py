@@ -140,13 +140,9 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
 
 def _may_be_odd(last: Solution, run: str) -> bool:
     """Whether the other runs agree far better without one, in linear approximation; a refit shows by how much."""
-    names = last.problem.layout.run_names
-    others = replace(last, responses=[r for r in last.responses if names[r.piece.run] != run])
-    rows, right = others.penalised_rows_and_residual
-    unit = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    left = np.sum((right - unit @ np.linalg.lstsq(unit, right, rcond=1e-8)[0]) ** 2)
-    n_frames = sum(len(r.r) for r in others.responses)
-    return bool(left - n_frames <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
+    own = [r for r in last.responses if last.problem.layout.run_names[r.piece.run] != run]
+    left = chi2_without(replace(last, responses=own), [None] * len(last.problem.layout.run_names))
+    return bool(left - sum(len(r.r) for r in own) <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
 
 
 def _without(last: Solution, run: str) -> Solution | None:
@@ -164,6 +160,12 @@ def _without(last: Solution, run: str) -> Solution | None:
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
     """Whether a model leaves no significant misfit."""
     return found is not None and lack_of_fit(draw_null_ensemble(found, rng, N_DRAWS)) >= MIN_P_EXPLAINED
+
+
+def remarks_on_named(model: Solution, found: Sequence[RefinedCandidate], runs: Sequence[Run]) -> list[str]:
+    """Return remarks on the effects found."""
+    named = [t.effect for t in found]
+    return [*held_remarks(model, found[-1].law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
 
 
 def held_remarks(model: Solution, grown: Solution) -> list[str]:
@@ -200,4 +202,15 @@ def camera_remarks(runs: Sequence[Run], named: Sequence[Effect]) -> list[str]:
     return [
         f"{' and '.join(names)} {are} of a camera, but these runs are tables: where no camera measured them, read "
         f"{them} as an error of the sensor that looks the same, of its scale, mount or clock, and check that first"
+    ]
+
+
+def one_way_remarks(model: Solution, named: Sequence[Effect]) -> list[str]:
+    """Return one remark if all runs move one way and forces of the place are named: these may turn round or not."""
+    of_place = [e.title for e in named if e.varies_with == "x" and e.acts_on == "force" and not e.needs]
+    if not of_place or len({way for p in model.problem.pieces for way in np.sign(p.path.s).tolist() if way}) > 1:
+        return []
+    return [
+        f"all runs move one way, so that {' and '.join(of_place)} may be friction that changes along the course, or a "
+        "force that pulls there whatever the direction: a run the other way tells which"
     ]

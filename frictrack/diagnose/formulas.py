@@ -384,11 +384,14 @@ class UnexplainedForce:
         them has the right form.
     formulas
         The formulas, with their fits.
+    effects
+        Effects of the library that are terms of the first formula, where that explains far more than those found.
 
     """
 
     summary: dict[str, Any]
     formulas: Sequence[FittedFormula]
+    effects: Sequence[str] = ()
 
     def as_candidate(self) -> tuple[str, Solution, float] | None:
         """The first formula as a candidate: its name in `frictrack add`, its fit, and its fall of BIC.
@@ -442,15 +445,17 @@ def are_left_out(search: FormulaSearch, extended: Solution) -> bool:
 
 
 def compare_with_formulas(
-    search: FormulaSearch, found: Solution, repeats: Callable[[], Repeatability]
+    search: FormulaSearch, found: Solution, repeats: Callable[[], Repeatability], rivals: Sequence[Solution] = ()
 ) -> UnexplainedForce | None:
     """Find formulas of one variable that explain as much as the effects found.
 
     `search`: the search of formulas added to the model without the effects; `found`: the model with the effects found;
-    `repeats`: computes whether the misfit repeats, and over which axis; called only where that matters. Its
-    summary has besides `probability` that one of the formulas is the cause and the effects are not, `decisive` if that
-    is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor unlikely, and `words`. None if no
-    formula explains as much.
+    `rivals`: others that explain as much. A formula that one of these contains is no other cause. `repeats`: computes
+    whether the misfit repeats, and over which axis; called only where that matters.
+
+    The summary has besides `probability` that one of the formulas is the cause and the effects are not, `decisive` if
+    that is at least `MIN_PROBABILITY_DECISIVE`, `rival` in words if it is neither that nor unlikely, and `words`. None
+    if no formula explains as much.
     """
     start = search.solution
     evidence = information_criterion(start) - information_criterion(found)
@@ -462,8 +467,8 @@ def compare_with_formulas(
     unexplained = unexplained_force(search)
     formulas: list[FittedFormula] = []
     for one in unexplained.formulas:
-        if is_special_case(one.solution, found):
-            evidence = max(evidence, one.delta_bic)  # of the effect, which it is
+        if any(all(effects_of_terms(one.solution, [own])) for own in (found, *rivals)):
+            evidence = max(evidence, one.delta_bic)  # of the effects, which it is
         else:
             formulas.append(one)
     listed, advantages = [one.entry for one in formulas], np.array([one.delta_bic - evidence for one in formulas])
@@ -478,13 +483,14 @@ def compare_with_formulas(
         "rival": f"a formula of {_names_of(listed[0]['variables'])}" if is_rival else None,
         "words": _words(listed[0], len(found.problem.layout.slots) - len(start.problem.layout.slots), probability),
     }
-    return UnexplainedForce(unexplained.summary | compared | {"formulas": listed}, formulas)
+    effects = effects_of_terms(formulas[0].solution, [found, *rivals]) if decisive else []
+    return UnexplainedForce(unexplained.summary | compared | {"formulas": listed}, formulas, [e for e in effects if e])
 
 
 def _is_worth_searching(
     search: FormulaSearch, found: Solution, repeats: Callable[[], Repeatability], evidence: float
 ) -> bool:
-    """Whether a smooth force of any variable of the formulas explains more, or effects may imitate one."""
+    """Whether a smooth force of any variable of the formulas may explain more, or effects may imitate one."""
     own = {s.effect for s in found.problem.layout.slots if s.run is not None}
     start, compressed = search.solution.problem, search.compressed
     several = len({p.run for p in start.pieces}) > 1
@@ -492,7 +498,10 @@ def _is_worth_searching(
     best_axis = repeats().best if may_imitate else None
     if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
-    return smooth_forces(compressed, formula_axes(compressed))[0].gain > evidence
+    gain = smooth_forces(compressed, formula_axes(compressed))[0].gain
+    # near the evidence of the effects, the linear approximation does not decide: the fits of the best formulas do
+    is_near = (1 + MAX_GAIN_ERROR) * gain > evidence
+    return gain > evidence or (is_near and search.solution.objective - search.least_misfit > evidence)
 
 
 def _probability(advantages: Array, shares: Array, prior: float) -> float:
@@ -525,54 +534,55 @@ def _names_of(variables: tuple[str, ...] | list[str]) -> str:
     return " and ".join(AXES[name].name for name in variables)
 
 
-def is_special_case(formula: Solution, found: Solution) -> bool:
-    """Return whether the effect of one fit can be exactly the formula of another, given the law that both have.
+def effects_of_terms(formula: Solution, found: Sequence[Solution]) -> list[str]:
+    """Return for every term of a formula the effect that is exactly this force, given the law; "" where none is.
 
-    `formula`: the fit with a formula in place of the effect; `found`: the fit with one effect more than the law. Only
-    effects whose force depends on the moment alone, with parameters that all runs share, are compared.
+    `formula`: the fit with a formula; `found`: fits with effects more than the law. Only effects whose force depends on
+    the moment alone are compared; a phase of each run may be the same in all of them.
     """
-    known = found.problem.model.names
-    own = [e for e in found.problem.model.effects if e.name not in formula.problem.model.names]
-    if len(own) != 1 or not _is_comparable(own[0]):
-        return False
-    target, law, paths = _force_of_others(formula, known)
-    slots = [(i, s) for i, s in enumerate(found.problem.layout.slots) if s.effect == own[0].name]
-    nonlinear = {p.name for p in own[0].nonlinear}
-    moved = [(i, s) for i, s in slots if s.parameter in nonlinear]
-    fixed = found.problem.layout.values(found.p, 0)[0][own[0].name]
+    terms, law, runs = _forces_of_terms(formula)
+    own = [(e, f) for f in found for e in f.problem.model.effects if e.name not in formula.problem.model]
+    own = [(e, f) for e, f in own if _is_comparable(e)]
+    return [next((e.title for e, f in own if _is_force_of(e, f, force, law, runs)), "") for force in terms]
+
+
+def _is_force_of(effect: Effect, found: Solution, force: Array, law: Array, runs: Sequence[tuple[int, Path]]) -> bool:
+    """Whether an effect can be exactly a force (n,) along the paths of runs, beside columns (n, k) of a law."""
+    names, layout = {p.name for p in effect.nonlinear}, found.problem.layout
+    moved = [i for i, s in enumerate(layout.slots) if s.effect == effect.name and s.parameter in names]
 
     def residual(z: Array) -> Array:
-        values = fixed | {s.parameter: float(one) for (_, s), one in zip(moved, z, strict=True)}
-        columns = np.vstack([own[0].columns(path, values) for path in paths])
-        return _unexplained_share(target, np.hstack([law, columns]))
+        p = found.p.copy()
+        p[moved] = z
+        columns = [effect.columns(path, layout.values(p, run)[0][effect.name]) for run, path in runs]
+        return _unexplained_share(force, np.hstack([law, np.vstack(columns)]))
 
-    start = np.array([found.p[i] for i, _ in moved])
-    if not moved:
-        return float(np.linalg.norm(residual(start))) < MAX_RESIDUAL_SHARE
-    low, high = np.array([s.bounds for _, s in moved]).T
-    best = least_squares(residual, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 1e-9), ftol=1e-12)
-    return float(np.linalg.norm(best.fun)) < MAX_RESIDUAL_SHARE
+    best = found.p[moved]
+    if moved:
+        bounds, scale = np.array([layout.slots[i].bounds for i in moved]).T, np.maximum(np.abs(best), 1e-9)
+        best = least_squares(residual, best, bounds=tuple(bounds), x_scale=scale, ftol=1e-12).x
+    return float(np.linalg.norm(residual(best))) < MAX_RESIDUAL_SHARE
 
 
 def _is_comparable(effect: Effect) -> bool:
-    """Whether the force of an effect depends on the moment alone, with parameters that all runs share."""
+    """Whether the force of an effect depends on the moment alone, with sizes that all runs share."""
     of_moment = effect.acts_on == "force" and not (effect.modifies or effect.memory or effect.counts_from_release)
-    return of_moment and not any(p.per_run for p in effect.parameters)
+    return of_moment and not (effect.single or any(p.per_run and p.role != "phase" for p in effect.parameters))
 
 
-def _force_of_others(formula: Solution, known: list[str]) -> tuple[Array, Array, list[Path]]:
-    """Force (n,) of the effects that are not `known`, columns (n, k) of those that are, and the paths."""
+def _forces_of_terms(formula: Solution) -> tuple[Array, Array, list[tuple[int, Path]]]:
+    """Forces (terms, n) of terms of a formula, columns (n, k) of the other effects; run and path of each piece."""
     model, layout = formula.problem.model, formula.problem.layout
-    forces, columns, paths = [], [], []
+    forces, columns, runs = [], [], []
     for r in formula.responses:
         values, level = layout.values(formula.p, r.piece.run)
         path = r.piece.path_at_nodes(r.motion.x, r.motion.v, level)
         made: Mapping[str, Array] = model.force_columns(path, values)
-        others = [made[name] @ model.coefficients(name, values) for name in made if name not in known]
-        forces.append(np.sum(others, axis=0))
-        columns.append(np.hstack([made[name] for name in made if name in known]))
-        paths.append(path)
-    return np.concatenate(forces), np.vstack(columns), paths
+        terms = [name for name in made if name.startswith(EFFECT_NAME)]
+        forces.append([made[name] @ model.coefficients(name, values) for name in terms])
+        columns.append(np.hstack([made[name] for name in made if name not in terms]))
+        runs.append((r.piece.run, path))
+    return np.hstack(forces), np.vstack(columns), runs
 
 
 def _unexplained_share(target: Array, columns: Array) -> Array:

@@ -108,8 +108,8 @@ class FinishedSearch:
     `first` and `last` are the examinations of the model and of the model with the effects found. `tried` are effects
     that gain something alone, best first, and `generators` the random numbers of the later steps. `formulas` searches
     formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
-    None if nothing was. `alternatives` are other sets that explain as much as the effects found; `is_beaten` says that
-    one formula explains far more than these.
+    None if nothing was. `alternatives` are other sets that explain as much as the effects found, and `rivals` their
+    fits and those of other single effects; `is_beaten` says that one formula explains far more than the effects found.
     """
 
     start: Solution
@@ -121,6 +121,7 @@ class FinishedSearch:
     formulas: FormulaSearch
     cut: str | None = None
     alternatives: Sequence[dict[str, Any]] = ()
+    rivals: Sequence[Solution] = ()
     is_beaten: bool = False
 
     @property
@@ -186,7 +187,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         if size == MAX_SIZE and simulates and _formula_explains_more(formulas, best):
             beaten = True
             break
-        notify(size, MAX_SIZE, _describe_step(best, size))
+        lacking = join_as_one([e.title for e in best.effects] or ["the model"])
+        notify(size, MAX_SIZE, f"{lacking} leaves misfit: trying sets of {size}")
         space.grow(size)
         new = space.better(best, last)
         if new is not None:
@@ -205,16 +207,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    alternatives = alternatives_of(best, rivals)
-    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, alternatives, is_beaten=beaten)
-
-
-def _describe_step(best: Explanation, size: int) -> str:
-    if size == 1:
-        return "refining every effect that may explain the misfit"
-    if not best.effects:
-        return f"no effect alone passes: trying sets of {size}"
-    return f"{join_as_one([e.title for e in best.effects])} leaves misfit: trying sets of {size}"
+    sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
+    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, is_beaten=beaten)
 
 
 def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:

@@ -27,7 +27,7 @@ CPU_LIMIT_S = 120.0  # s
 N_STACK_FUNCTIONS = 12  # functions that say where a study ran out of time
 HARMLESS_REMARKS = (  # parts of remarks that speak of no fault: on any study, or on how parameters are correlated
     *("is absorbed exactly", "single run:", "on an incline, Coulomb", "not tried:", "long record:", "no camera shake:"),
-    *("are hard to distinguish", "are correlated"),
+    *("are hard to distinguish", "are correlated", "all runs move one way"),
 )
 STOPPED, OUT_OF_TIME, BROKEN = "stopped", "out of time", "broken"
 
