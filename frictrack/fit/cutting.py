@@ -393,7 +393,8 @@ def _log_likelihood(pieces: Sequence[Piece], rows: Sequence[Array], keep: Array)
     total, rest = 0.0, []
     for piece, own in zip(pieces, rows, strict=True):
         start = piece.whitened(np.column_stack([np.ones_like(piece.t), piece.t - piece.t.mean()]))
-        upper = np.linalg.qr(np.column_stack([start, own[:, :-1] @ keep, own[:, -1]]), mode="r")
+        both = np.column_stack([start, own[:, :-1] @ keep, own[:, -1]])
+        upper: Array = np.asarray(np.linalg.qr(both, mode="r"))
         total -= float(np.sum(np.log(piece.whitening.size)) + np.sum(np.log(np.abs(np.diag(upper)[:2]))))
         rest.append(upper[2:, 2:])
     *free, left = np.abs(np.diag(np.linalg.qr(np.concatenate(rest), mode="r")))
