@@ -122,15 +122,15 @@ def chi2_without(solution: Solution, repaired: Repaired) -> float:
 def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[str]:
     """Name the run that disagrees with all others, or the runs of which one does.
 
-    `last`: the model with the effects found, which leaves a significant misfit. Returns at most one sentence. Empty for
-    fewer than three runs, or where many runs or frames would make it slow.
+    `last`: the model with the effects found. Returns at most one sentence. Empty where it leaves no significant misfit,
+    for fewer than three runs, or where many runs or frames would make it slow.
     """
     fitted = [run for run in runs if run.role != "validation"]
     frames = sum(len(run.motion) for run in fitted)
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
         return []
     odd = [run.name for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
-    if not odd or len(odd) == len(fitted):
+    if not odd or len(odd) == len(fitted) or _explains(last, rng):
         return []
     check = (
         f"check {'its' if len(odd) == 1 else 'their'} mass, frame rate and scale, and whether the surface was the same"
