@@ -160,14 +160,14 @@ def test_a_constant_drive_and_none(study_file: Path) -> None:
 
 
 def test_a_drive_that_does_not_last_is_refused(study_file: Path) -> None:
-    (study_file.parent / "short.csv").write_text("t_s,drive_N\n0,1\n0.05,2\n")
+    (study_file.parent / "short.csv").write_text("t_s,drive_N\n0,1\n0.03,2\n")
     with pytest.raises(FrictrackError) as caught:
         opened(study_file, 'drive = {table = "short.csv", offset = 0}').runs[0].get("sensors")
-    assert "short.csv: expected values over 0 to 0.11975 s, as long as the run, but got 0 to 0.05 s" in str(
+    assert "short.csv: expected values over 0 to 0.11975 s, as long as the run, but got 0 to 0.03 s" in str(
         caught.value
     )
     assert "correct its offset" in str(caught.value)
-    opened(study_file, 'drive = {table = "short.csv", offset = 0, until = "40 ms"}').runs[0].get("sensors")
+    opened(study_file, 'drive = {table = "short.csv", offset = 0, until = "25 ms"}').runs[0].get("sensors")
 
 
 def test_short_gaps_of_a_drive_are_bridged_and_said(study_file: Path) -> None:

@@ -52,6 +52,7 @@ TYPES = {
     "Pause": ("number or text with unit, above 0", "s", '"5 min"'),
     "Load": ("number or text with unit, above 0", "N", '"3.4 N"'),
     "Energy": ("number or text with unit, above 0", "J", '"2 J"'),
+    "Scatter": ("number or text with unit, at least 0", "N", '"0.05 N"'),
     "Angle": ("number or text with unit, within 90 degrees; with its error", "rad", '"22 +/- 0.1 deg"'),
     "Rolling": ('"disc", "ball", "hollow ball", "ring", or I/(m r^2) from 0 to 1', "", '"ball"'),
     "Times": ("start and end, numbers or texts with unit", "s", '["0.01 s", "0.2 s"]'),

@@ -77,7 +77,10 @@ def _stacked_records(frame: pd.DataFrame) -> pd.DataFrame:
     names = guess_columns(list(map(str, frame.columns)))
     if not names.keys() >= set("tx"):
         return frame
-    t, x = (pd.to_numeric(frame[names[key]], errors="coerce").to_numpy(float) for key in "tx")
+    try:
+        t, x = (pd.to_numeric(frame[names[key]], errors="coerce").to_numpy(float) for key in "tx")
+    except OverflowError:  # a number beyond all numbers of the machine, of which the reader of rows tells the row
+        return frame
     steps, moved = np.diff(t), np.abs(np.diff(x))
     starts = np.flatnonzero(steps < 0) + 1
     ends = [0, *starts.tolist(), len(t)]

@@ -398,8 +398,7 @@ def next_run(fit: Fit, diagnosis: Mapping[str, Any], costs: Costs = DEFAULT_COST
     Examples
     --------
     >>> import frictrack as ft
-    >>> runs = ft.samples.runs()[:1]
-    >>> fit = ft.fit(["coulomb", "viscous"], runs)
+    >>> fit = ft.fit("tustin", ft.samples.runs()[:2])
     >>> next_run(fit, ft.diagnose(fit, quick=True).summary()) is None  # one effect is named, without a rival
     True
 

@@ -211,7 +211,8 @@ class Solution:
         data = residual + rows @ self._departure()
         basis = self._basis_of(self._few_rows_at_level_one())
         tau = basis.spread(basis.u.T @ data, float(data @ data))
-        tau = float(np.clip(tau, self.tau * np.exp(-reach), self.tau * np.exp(reach)))
+        low, high = self.tau * np.exp(np.clip((-reach, reach), -50.0, 50.0))  # wider than any bounds of tau
+        tau = float(np.clip(tau, low, high))
         return tau, basis.logdet(tau) - basis.logdet(self.tau)
 
     def _few_rows_at_level_one(self) -> Array:
