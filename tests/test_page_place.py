@@ -177,5 +177,5 @@ def test_keys_of_the_study_and_settings_of_a_search_are_typed_on_the_page(tables
     page.fill("Generations", "25").click("Fit")
     page.until(lambda: len(asked) == 1)
     assert asked[0]["arguments"]["settings"] == {"population": "40", "generations": "25", "crossover": "0.8"}
-    page.fill("Conditions, compared by frictrack batch", "nonsense").hears("Expected settings like")
+    page.fill("Conditions, compared by frictrack batch", "nonsense").hears("Expected conditions like")
     page.faults.clear()

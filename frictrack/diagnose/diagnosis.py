@@ -177,7 +177,7 @@ class Diagnosis(NotebookView):
     Examples
     --------
     >>> import frictrack as ft
-    >>> found = ft.diagnose(ft.fit(["coulomb", "viscous"], ft.samples.runs()[1:2]), quick=True)
+    >>> found = ft.diagnose(ft.fit(["coulomb", "viscous"], ft.samples.runs()[:2]), quick=True)
     >>> found.verdict, found.missing, found.candidates[0].effect
     ('missing', ['patch'], 'patch')
 
