@@ -161,7 +161,7 @@ def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str
         raise FrictrackError(f"{path.name}: expected {what} ({names[0]}) but the file holds {came}")
     try:
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as e:
+    except (TypeError, ValueError, OverflowError) as e:
         raise FrictrackError(f"{path.name}: expected {what} as numbers but got {str(value)[:60]}") from e
 
 
