@@ -59,6 +59,7 @@ class _ClusterPool:
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
         self._threads: dict[str, int] = {}  # by address of the worker
+        self._pinned: dict[Any, tuple[str, ...]] = {}  # by future of Dask: the workers that it waits for
         self._under_way = 0  # tasks
         self._is_alone = False  # whether the one under way runs alone
         self._changed = asyncio.Condition()  # of these two
@@ -81,6 +82,9 @@ class _ClusterPool:
             self._threads = dict(self._client.nthreads())
         except (OSError, RuntimeError):  # it is being lost; the client finds out
             return 0
+        for future, workers in list(self._pinned.items()):
+            if not set(workers) & set(self._threads):  # it would wait for workers that have died
+                future.cancel()
         return 2 * max(1, sum(self._threads.values()))
 
     async def _run(self, found: Future[Any], function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
@@ -126,13 +130,18 @@ class _ClusterPool:
         self, function: Callable[..., Any], arguments: tuple[Any, ...], workers: tuple[str, ...]
     ) -> tuple[Any, Exception | None]:
         """Return the result of a task, or its error. What is neither happened on the way to us: it is lost."""
-        key = f"{function.__name__}-{uuid4()}"  # Dask learns durations by the first part
-        where = {"workers": list(workers), "allow_other_workers": True} if workers else {}  # others, if these have died
-        future = self._client.submit(_call, function, arguments, pure=False, key=key, **where)
+        how: dict[str, Any] = {"key": f"{function.__name__}-{uuid4()}"}  # Dask learns durations by the first part
+        if workers:
+            how["workers"] = list(workers)
+        future = self._client.submit(_call, function, arguments, pure=False, **how)
+        if workers:
+            self._pinned[future] = workers
         try:
             return await self._client.gather(future, asynchronous=True), None
         except Exception as e:  # noqa: BLE001 - a task may raise anything
             return None, e if future.status == "error" else _LostError()
+        finally:
+            self._pinned.pop(future, None)
 
     def _others(self, full: str) -> tuple[str, ...]:
         """Return the workers on other hosts than this one; the other ones on this host if there is no other host."""
@@ -142,7 +151,7 @@ class _ClusterPool:
 
 
 class _LostError(Exception):
-    """A task was lost with the scheduler."""
+    """A task was lost with the scheduler, or waited for workers that have died."""
 
 
 def _host(address: str) -> str:
