@@ -13,6 +13,7 @@ from few_effects import use_few_effects
 from runs import BASE, MASS, Spec, measured, study
 from scipy.integrate import solve_ivp
 
+from frictrack import samples
 from frictrack.diagnose import diagnose, explanations
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.examination import Examination, examine
@@ -445,6 +446,12 @@ def test_the_true_pair_is_named_and_not_one_that_imitates_it() -> None:
     named, *others = sets_of(fit(LAW, runs))
     assert named == {"drag", "slope"}
     assert frozenset({"asymmetry", "spring"}) not in others
+
+
+@pytest.mark.slow
+def test_a_pair_is_found_where_one_of_it_alone_leaves_the_model_far_from_the_data() -> None:
+    """Fitted with the curve alone, the sample slides are missed by far more than along the measured motion."""
+    assert sets_of(fit(LAW, samples.runs())) == [frozenset({"patch", "stribeck"})]
 
 
 @pytest.mark.slow

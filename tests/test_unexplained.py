@@ -19,7 +19,13 @@ from frictrack.diagnose import diagnose
 from frictrack.diagnose.compressed import candidate_axes, compress_residual
 from frictrack.diagnose.explanations import Explanation
 from frictrack.diagnose.formula_terms import SHAPES
-from frictrack.diagnose.formulas import FormulaSearch, are_left_out, compare_with_formulas, unexplained_force
+from frictrack.diagnose.formulas import (
+    MIN_CHI2_FALL,
+    FormulaSearch,
+    are_left_out,
+    compare_with_formulas,
+    unexplained_force,
+)
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
 from frictrack.diagnose.search import _formula_explains_more
@@ -205,7 +211,9 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
     assert name == "formula:1"
     assert delta_bic == found.summary["formulas"][0]["delta_bic"]
     assert law.problem.model.names == [*LAW, "formula:1"]
-    assert refine(law.problem, law.p, law.starts, tau=law.tau).objective == pytest.approx(law.objective, abs=0.05)
+    assert refine(law.problem, law.p, law.starts, tau=law.tau).objective == pytest.approx(
+        law.objective, abs=MIN_CHI2_FALL
+    )
 
 
 @pytest.mark.slow

@@ -284,7 +284,7 @@ class Explanations:
         misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
         trials = try_effects(law, scanned, data)
         for t in deepen_trials(law, trials) if search_again else trials:
-            self._enter(centre, law, t, _misfit_of_data(law.solution) / misfit)
+            self._enter(centre, law, t, _ratio_of_excess(law.solution, misfit) * (misfit - t.misfit))
 
     def _propose_pairs(self, limit: Callable[[Sequence[Effect]], float]) -> None:
         """Try pairs of effects, those first that promise most, that may reach the criterion of such a pair.
@@ -299,7 +299,7 @@ class Explanations:
         law = tried[-1][0]
         trials = {t.effect.title: t for mine, t in tried if mine is law and {t.effect.title} not in self._expanded}
         misfit, problem = baseline_misfit(law), law.solution.problem
-        scale, error = _misfit_of_data(law.solution) / misfit, MIN_ERROR_OF_PROMISE
+        scale, error = _ratio_of_excess(law.solution, misfit), MIN_ERROR_OF_PROMISE
         by_scatter = most_by_smaller_scatter(law.solution)
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
         own = parameter_penalty(problem.layout, problem)
@@ -315,19 +315,18 @@ class Explanations:
             if self._budget.stops():
                 break
             pair = try_pair(law, trials[first], trials[second])
-            self._enter(empty, law, pair, scale, trials[first].effect)
+            self._enter(empty, law, pair, scale * (misfit - pair.misfit), trials[first].effect)
             error = max(error, min((left - pair.misfit) / max(excess, 1e-300), 1.0))
 
     def _enter(
-        self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, scale: float, *others: Effect
+        self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, fall: float, *others: Effect
     ) -> None:
         """Enter the set that a trial of an effect, and others, makes of a centre, if it promises more than before.
 
-        A trial promises to take the same share of the simulated misfit, from which the misfit along the measured motion
-        differs by `scale` where the model is far from the data.
+        `fall` is the fall of the simulated misfit that it promises.
         """
         solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
-        gain = solution.objective - scale * trial.misfit + gain_by_smaller_scatter(law, trial)
+        gain = fall + gain_by_smaller_scatter(law, trial) + float(np.sum(prior_residual(problem.layout, solution.p) ** 2))
         gain -= float(np.sum(prior_residual(trial.layout, trial.p) ** 2))
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
@@ -429,9 +428,15 @@ class Explanations:
         return one
 
 
-def _misfit_of_data(solution: Solution) -> float:
-    """The objective without what parameters depart from their priors."""
-    return solution.objective - float(np.sum(prior_residual(solution.problem.layout, solution.p) ** 2))
+def _ratio_of_excess(solution: Solution, misfit: float) -> float:
+    """Ratio of the simulated misfit above the noise to `misfit`, that along the measured motion, above it.
+
+    Far from the data the two differ. An effect that leaves only noise along the measured motion does so in simulation,
+    and one that takes a share of the excess takes that share of the other.
+    """
+    n = solution.problem.n_frames
+    simulated = solution.objective - float(np.sum(prior_residual(solution.problem.layout, solution.p) ** 2))
+    return max(simulated - n, np.sqrt(2 * n)) / max(misfit - n, np.sqrt(2 * n))
 
 
 def _excess(one: Explanation) -> float:
