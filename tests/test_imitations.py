@@ -110,7 +110,7 @@ def test_a_next_run_is_named_where_nothing_explains_the_misfit(wide_stribeck):
 @pytest.mark.slow
 def test_a_next_run_separates_an_effect_from_a_formula():
     """In one run place, speed and time change together: a rough patch may be a peak of the friction over speed."""
-    made = fit(["coulomb", "viscous"], samples.runs()[0])
+    made = fit(["coulomb", "viscous"], samples.runs()[:1])
     found = diagnose(made, quick=True).summary()
     assert found["unexplained"]["rival"] == "a formula of speed"
     named = next_run(made, found, COSTS)
