@@ -455,13 +455,14 @@ def test_a_pair_is_found_where_one_of_it_alone_leaves_the_model_far_from_the_dat
 
 
 @pytest.mark.slow
-def test_two_effects_that_each_explain_nothing_in_place_of_one_are_found() -> None:
+@pytest.mark.parametrize("late", [0.02, 0.1])
+def test_two_effects_that_each_explain_nothing_in_place_of_one_are_found(late: float) -> None:
     """Flash weakening imitates a late clock with air drag; drag in its place is of no use without the clock."""
 
     def force(x: float, v: float, s: float, load: float) -> float:
         return s * load * (4.0 + 0.3 * np.sin(2 * np.pi * x / 0.05)) + 0.5 * v + 0.01 * v * abs(v)
 
-    runs = slides(force, late=0.02)
+    runs = slides(force, late=late)
     imitation, true = (
         fit([*LAW, "texture", *more], runs).solution for more in (["flash_weakening"], ["drag", "timebase"])
     )

@@ -148,7 +148,7 @@ class Explanations:
         self, start: Solution, own: Sequence[Effect] = (), handicap: Callable[[Effect], float] = lambda effect: 0.0
     ) -> None:
         self._own, self._handicap, self._budget = own, handicap, start.problem.budget
-        self._expanded: set[Names] = set()
+        self._expanded: dict[Names, tuple[LinearisedModel, list[CandidateTrial]]] = {}
         self._rebased: dict[Names, Explanation] = {}
         self._error = MIN_ERROR_OF_PROMISE
         self.known = {frozenset[str](): Explanation((), information_criterion(start), solution=start)}
@@ -174,22 +174,21 @@ class Explanations:
     def begin(self, tested: Examination, scanned: Sequence[ScannedCandidate]) -> Explanation:
         """Propose some of the effects that the examination of the model scanned, each alone; return the empty set."""
         empty = self.known[frozenset()]
-        self._expanded.add(empty.names)
         own = [(s.effect, s.scans) for s in scanned]
         self._propose(empty, tested.draws.law, own, search_again=tested.something_is_missing)
         return empty
 
     def grow(self, size: int) -> None:
-        """Propose and refine the sets of a size: one effect more than the best that are one effect smaller.
+        """Propose and refine the sets of a size: one effect more than the best that are one smaller, or two more.
 
         The sets that the best of this size contains are expanded too: each of its effects may give way to another.
         """
         for centre in self.laws(size - 1)[:N_CENTRES]:
             self.expand(centre)
-        if size == 2:
-            rivals = [one.criterion for one in [*self.of_size(2), *self.laws(1)] if not one.objection]
+        for centre in self.laws(size - 2)[:1]:
+            rivals = [one.criterion for one in [*self.of_size(size), *self.laws(size - 1)] if not one.objection]
             limit = min(rivals, default=np.inf) + MIN_CHI2_SEPARATED
-            self._propose_pairs(lambda pair: limit)
+            self._propose_pairs(centre, lambda pair, limit=limit: limit)
         self.refine(size)
         self._exchange_law(size)
         while True:
@@ -261,7 +260,6 @@ class Explanations:
         """Propose every set with one effect more than a law has."""
         if centre.names in self._expanded or not centre.is_law or self._budget.stops():
             return
-        self._expanded.add(centre.names)
         centre = self._rebased.get(centre.names, centre)
         law = linearise(centre.law)
         library, _ = list_candidates(centre.law, self._own)
@@ -283,28 +281,29 @@ class Explanations:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
         misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
         trials = try_effects(law, scanned, data)
-        for t in deepen_trials(law, trials) if search_again else trials:
+        trials = deepen_trials(law, trials) if search_again else trials
+        for t in trials:
             self._enter(centre, law, t, _ratio_of_excess(law.solution, misfit) * (misfit - t.misfit))
+        plausible = [t for t in trials if not physical_objection(t.layout, t.p, t.effect)]
+        self._expanded.setdefault(centre.names, (law, plausible))
 
-    def _propose_pairs(self, limit: Callable[[Sequence[Effect]], float]) -> None:
-        """Try pairs of effects, those first that promise most, that may reach the criterion of such a pair.
+    def _propose_pairs(self, centre: Explanation, limit: Callable[[Sequence[Effect]], float]) -> None:
+        """Try pairs of effects with a centre, those first that promise most, that may reach the criterion of such a set.
 
-        Pairs with an effect to which all others have been added are known already.
+        Sets with an effect to which all others have been added are known already.
         """
-        empty = self.known[frozenset()]
-        tried = [one.trial for one in self.of_size(1) if one.trial is not None]
-        tried = [(law, t) for law, t in tried if not physical_objection(t.layout, t.p, t.effect)]
-        if len(tried) < 2:
+        if centre.names not in self._expanded:
             return
-        law = tried[-1][0]
-        trials = {t.effect.title: t for mine, t in tried if mine is law and {t.effect.title} not in self._expanded}
+        law, plausible = self._expanded[centre.names]
+        centre = self._rebased.get(centre.names, centre)
+        trials = {t.effect.title: t for t in plausible if centre.names | {t.effect.title} not in self._expanded}
         misfit, problem = baseline_misfit(law), law.solution.problem
         scale, error = _ratio_of_excess(law.solution, misfit), MIN_ERROR_OF_PROMISE
         by_scatter = most_by_smaller_scatter(law.solution)
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
         own = parameter_penalty(problem.layout, problem)
         promises = {
-            pair: (empty.criterion + sum(penalty[name] - own for name in pair) - scale * gain, misfit - gain)
+            pair: (centre.criterion + sum(penalty[name] - own for name in pair) - scale * gain, misfit - gain)
             for pair, gain in gains_of_pairs(law, list(trials.values())).items()
         }
         for (first, second), (criterion, left) in sorted(promises.items(), key=lambda own: own[1])[:N_PAIRS]:
@@ -315,7 +314,7 @@ class Explanations:
             if self._budget.stops():
                 break
             pair = try_pair(law, trials[first], trials[second])
-            self._enter(empty, law, pair, scale * (misfit - pair.misfit), trials[first].effect)
+            self._enter(centre, law, pair, scale * (misfit - pair.misfit), trials[first].effect)
             error = max(error, min((left - pair.misfit) / max(excess, 1e-300), 1.0))
 
     def _enter(
@@ -326,7 +325,9 @@ class Explanations:
         `fall` is the fall of the simulated misfit that it promises.
         """
         solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
-        gain = fall + gain_by_smaller_scatter(law, trial) + float(np.sum(prior_residual(problem.layout, solution.p) ** 2))
+        gain = (
+            fall + gain_by_smaller_scatter(law, trial) + float(np.sum(prior_residual(problem.layout, solution.p) ** 2))
+        )
         gain -= float(np.sum(prior_residual(trial.layout, trial.p) ** 2))
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
@@ -337,21 +338,23 @@ class Explanations:
         if old is None or (old.solution is None and (bool(why), new.criterion) < (bool(old.objection), old.criterion)):
             self.known[new.names] = new
 
-    def pair_instead(self, single: Explanation) -> Explanation:
-        """Return two effects that together explain decisively more than one that imitates them, or that one.
+    def pair_instead(self, best: Explanation) -> Explanation:
+        """Return a set in which two effects, in place of one, explain decisively more than the best one, or that one.
 
         An effect with another incline is one cause too, and only has to explain more.
         """
-        decisive, near = single.criterion - MIN_CHI2_SEPARATED, single.criterion + MAX_BIC_EQUAL
+        decisive, near = best.criterion - MIN_CHI2_SEPARATED, best.criterion + MAX_BIC_EQUAL
 
         def limit(effects: Sequence[Effect]) -> float:
-            in_its_place = not single.names <= {e.title for e in effects}
-            return near if in_its_place and sum(not e.of_record for e in effects) <= single.n_causes else decisive
+            in_its_place = not best.names <= {e.title for e in effects}
+            return near if in_its_place and sum(not e.of_record for e in effects) <= best.n_causes else decisive
 
-        self._propose_pairs(limit)
-        self.refine(2, below=lambda one: limit(one.effects))
-        better = [o for o in self.laws(2) if o.criterion < min(limit(o.effects), single.criterion)]
-        return better[0] if better else single
+        size = len(best.effects) + 1
+        for rest in self.subsets(best):
+            self._propose_pairs(rest, lambda pair, rest=rest: limit([*rest.effects, *pair]))
+        self.refine(size, below=lambda one: limit(one.effects))
+        better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), best.criterion)]
+        return better[0] if better else best
 
     def refine(self, size: int, below: Callable[[Explanation], float] = lambda one: np.inf) -> None:
         """Simulate the sets of a size, best first, until no other may explain as much as the best, and fall `below`."""

@@ -195,7 +195,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
             best, last = take(new)
         elif size > 1 or not last.leaves_misfit:
             break
-    if len(best.effects) == 1 and not last.something_is_missing:
+    if 0 < len(best.effects) < MAX_SIZE and not last.something_is_missing:
         pair = space.pair_instead(best)
         if pair is not best:
             best, last = take(pair)
