@@ -32,6 +32,7 @@ from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import CandidateScan, LinearisedModel, linearise, measured_series
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.penalties import prior_residual
 from frictrack.fit.stepwise import (
     CandidateTrial,
@@ -185,10 +186,10 @@ class Explanations:
         """
         for centre in self.laws(size - 1)[:N_CENTRES]:
             self.expand(centre)
+        rivals = [one.criterion for one in [*self.of_size(size), *self.laws(size - 1)] if not one.objection]
+        limit = min(rivals, default=np.inf) + MIN_CHI2_SEPARATED
         for centre in self.laws(size - 2)[:1]:
-            rivals = [one.criterion for one in [*self.of_size(size), *self.laws(size - 1)] if not one.objection]
-            limit = min(rivals, default=np.inf) + MIN_CHI2_SEPARATED
-            self._propose_pairs(centre, lambda pair, limit=limit: limit)
+            self._propose_pairs(centre, lambda effects: limit)
         self.refine(size)
         self._exchange_law(size)
         while True:
@@ -288,7 +289,7 @@ class Explanations:
         self._expanded.setdefault(centre.names, (law, plausible))
 
     def _propose_pairs(self, centre: Explanation, limit: Callable[[Sequence[Effect]], float]) -> None:
-        """Try pairs of effects with a centre, those first that promise most, that may reach the criterion of such a set.
+        """Try pairs of effects with a centre, those first that promise most, that may reach the limit of such a set.
 
         Sets with an effect to which all others have been added are known already.
         """
@@ -308,7 +309,7 @@ class Explanations:
         }
         for (first, second), (criterion, left) in sorted(promises.items(), key=lambda own: own[1])[:N_PAIRS]:
             excess = max(left - problem.n_frames, 0.0)
-            effects = trials[first].effect, trials[second].effect
+            effects = [*centre.effects, trials[first].effect, trials[second].effect]
             if criterion - error * scale * excess - by_scatter > limit(effects):
                 continue
             if self._budget.stops():
@@ -325,10 +326,8 @@ class Explanations:
         `fall` is the fall of the simulated misfit that it promises.
         """
         solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
-        gain = (
-            fall + gain_by_smaller_scatter(law, trial) + float(np.sum(prior_residual(problem.layout, solution.p) ** 2))
-        )
-        gain -= float(np.sum(prior_residual(trial.layout, trial.p) ** 2))
+        gain = fall + gain_by_smaller_scatter(law, trial)
+        gain += _beside_prior(problem.layout, solution.p) - _beside_prior(trial.layout, trial.p)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
         new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
@@ -351,7 +350,7 @@ class Explanations:
 
         size = len(best.effects) + 1
         for rest in self.subsets(best):
-            self._propose_pairs(rest, lambda pair, rest=rest: limit([*rest.effects, *pair]))
+            self._propose_pairs(rest, limit)
         self.refine(size, below=lambda one: limit(one.effects))
         better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), best.criterion)]
         return better[0] if better else best
@@ -438,8 +437,13 @@ def _ratio_of_excess(solution: Solution, misfit: float) -> float:
     and one that takes a share of the excess takes that share of the other.
     """
     n = solution.problem.n_frames
-    simulated = solution.objective - float(np.sum(prior_residual(solution.problem.layout, solution.p) ** 2))
+    simulated = solution.objective - _beside_prior(solution.problem.layout, solution.p)
     return max(simulated - n, np.sqrt(2 * n)) / max(misfit - n, np.sqrt(2 * n))
+
+
+def _beside_prior(layout: ParameterLayout, p: Array) -> float:
+    """What unknowns add to the objective by their departure from their priors."""
+    return float(np.sum(prior_residual(layout, p) ** 2))
 
 
 def _excess(one: Explanation) -> float:
