@@ -47,6 +47,7 @@ from frictrack.fit.stepwise import (
     try_effects,
 )
 from frictrack.fit.uncertainty import dispersion
+from frictrack.records import Array
 
 N_CENTRES = 2  # best sets of one size to which every effect is added in turn
 N_PAIRS = 24  # pairs that are fitted at most, whatever each of their effects explains alone
