@@ -219,6 +219,13 @@ def test_one_run_cannot_tell_whether_a_failure_repeats():
     assert found.words.startswith("One run cannot show")
 
 
+def test_a_place_that_only_one_run_reaches_shows_no_repetition():
+    specs = (Spec(3.6, 1, 0.11), Spec(4.4, 1, 0.035), Spec(5.0, 2, 0.03))
+    found = repeatability_of(fit(LAW, lacking("patch", PATCH, specs=specs)).solution)
+    assert found.best is None
+    assert found.words.startswith("Only run r0 shows the misfit")
+
+
 def test_words_say_which_axes_these_runs_hardly_part():
     axes = [
         AxisRepeatability("x", 0.8, 0.005, 5, 6, evidence=40.0),

@@ -36,6 +36,7 @@ STRIDE = 8  # of the scanned periods: those between are slow modulations of thes
 MIN_PREDICTED_SHARE = 0.25  # of a run's misfit that counts as repeating there
 MIN_SHARE, ALPHA = 0.5, 0.01  # share of the misfit that the other runs must predict, and its significance level
 MIN_EXPLAINED = 0.99  # of the gain of separate forces, above which a common one may be most of the misfit
+MIN_SHARE_ALONE = 0.999  # of the misfit in one run, in which case the others cannot show what repeats
 MIN_EVIDENCE = 10.0  # twice the log likelihood ratio that decides
 
 AXIS_TEXTS = {
@@ -126,6 +127,10 @@ def assess_repeatability(compressed: CompressedResidual, waves: WaveScan, rng: n
         return Repeatability(
             words="One run cannot show whether the misfit repeats: film another one, best at another speed."
         )
+    if misfit.excess.max() > MIN_SHARE_ALONE * misfit.excess.sum():
+        run = waves.model.solution.problem.layout.run_names[sorted(set(compressed.runs))[int(np.argmax(misfit.excess))]]
+        words = f"Only run {run} shows the misfit: no other can show whether it repeats; film one more like it."
+        return Repeatability(words=words)
     separate = max(separate_curves(compressed).process.gain, 0.0)
     found = []
     for axis in ("x", "t", "v"):
