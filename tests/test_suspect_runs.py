@@ -63,3 +63,6 @@ def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> N
     (line,) = one_way_remarks(ft.fit("coulomb, viscous", [there]).solution, named)
     assert line.startswith("all runs move one way, so that spring may be friction that changes along the course")
     assert one_way_remarks(ft.fit("coulomb, viscous", [there, back]).solution, named) == []
+    t = np.arange(0.0, 3.0, 0.01)
+    swing = ft.Run.from_arrays(t, 0.2 * np.exp(-0.05 * t) * np.cos(6.0 * t), mass=0.35, name="swing")
+    assert one_way_remarks(ft.fit("spring, viscous", [swing]).solution, named) == []
