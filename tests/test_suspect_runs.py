@@ -66,3 +66,13 @@ def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> N
     t = np.arange(0.0, 3.0, 0.01)
     swing = ft.Run.from_arrays(t, 0.2 * np.exp(-0.05 * t) * np.cos(6.0 * t), mass=0.35, name="swing")
     assert one_way_remarks(ft.fit("spring, viscous", [swing]).solution, named) == []
+
+
+def test_four_swings_without_dry_friction_have_no_levels_to_compare() -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    swings = [
+        ft.Run.from_arrays(t, size * np.exp(-0.05 * t) * np.cos(6.0 * t), mass=0.35, name=f"swing {size}")
+        for size in (0.1, 0.15, 0.2, 0.25)
+    ]
+    remarks = ft.fit("spring, viscous", swings).summary()["remarks"]
+    assert not [one for one in remarks if "dry friction" in one]

@@ -284,7 +284,7 @@ def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Arr
 
     """
     logs = np.log(levels)
-    for k, name in enumerate(names) if len(names) > MIN_OTHER_RUNS else ():
+    for k, name in enumerate(names) if len(levels) > MIN_OTHER_RUNS else ():  # none without dry friction
         contrast = np.where(np.arange(len(names)) == k, 1.0, -1.0 / (len(names) - 1))
         departure, sigma = float(contrast @ logs), float(np.sqrt(contrast @ covariance @ contrast))
         spread = float(np.std(np.delete(logs, k), ddof=1))
