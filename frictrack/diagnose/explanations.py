@@ -50,7 +50,7 @@ from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
 
 N_CENTRES = 2  # best sets of one size to which every effect is added in turn
-N_PAIRS = 24  # pairs that are fitted at most, whatever each of their effects explains alone
+N_PAIRS = 10  # pairs that are fitted at most: true ones are among the first that linear approximation ranks
 MAX_SIZE = 3  # effects in a set
 MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
 Names = frozenset[str]
