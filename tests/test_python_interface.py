@@ -79,6 +79,7 @@ def test_a_doubled_sample_is_left_out_of_all_columns():
     [
         (dict(x=X[:-1]), "expected x of shape (800,), as t has 800 values, but got (799,)"),
         (dict(x=np.where(T[7] == T, np.nan, X)), "expected finite x but got nan in row 7; leave the row out"),
+        (dict(t=T[:0], x=T[:0]), "expected positions at several times but got none"),
         (dict(t=T[::-1]), "expected rising time but got t[1] = 0.1995 s after t[0] = 0.19975 s"),
         (dict(x=["a"] * 800), "expected numbers in x but got list"),
         (dict(sigma=np.ones(3)), "expected sigma of shape (800,), as t has 800 values, but got (3,)"),

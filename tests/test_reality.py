@@ -346,6 +346,20 @@ def test_a_blow_that_turns_a_mass_is_no_swing():
     assert len(join_swings(struck, rows)) == 2
 
 
+def test_a_swing_is_followed_through_its_reversals_until_it_ends():
+    """Dry friction shifts the middle of every half swing by f/k; an encoder rounds so that slow motion is uncertain."""
+    pull, friction, step = 64.9, 0.165, 1.57e-4  # over the mass: 1/s^2, m/s^2, m
+    t, omega, shift = np.arange(5000) / 1000, np.sqrt(pull), friction / pull
+    half = (omega * t // np.pi).astype(int)
+    amplitude = 0.066 - shift * (2 * half + 1)
+    x = amplitude * np.cos(omega * t) + shift * (-1.0) ** half
+    run = Run.from_arrays(t, step * np.round(x / step), mass=1.0, name="swing")
+    found = fit(["coulomb", "spring"], [run])
+    assert sum(len(p.t) for p in found.solution.problem.pieces) > 0.9 * len(t)
+    assert found.parameters["coulomb.F_c"].value == pytest.approx(friction, rel=0.01)
+    assert found.parameters["spring.k"].value == pytest.approx(pull, rel=0.002)
+
+
 def test_a_mass_that_sets_out_from_rest_is_not_taken_for_one_that_stops():
     t = np.arange(400) / 1000
     slope, friction = np.deg2rad(20.0), 1.0

@@ -131,7 +131,12 @@ def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
     around = slice(max(before.stop - shorter, before.start), after.start + shorter)
     acceleration, typical = float(np.max(a[turn])), float(np.median(a[around]))
     significant = float(np.min(a[turn])) > MIN_MOVING_SIGMAS * float(np.max(run.motion.sigma_a[turn]))
-    is_swing = significant and np.all(run.displacement.valid[turn]) and acceleration < MAX_SWING_RATIO * typical
+    # or the velocity passes its uncertain range as fast as it changes around
+    uncertain = 2 * MIN_MOVING_SIGMAS * float(np.max(run.motion.sigma_v[turn]))
+    passes = (turn.stop - turn.start - 2) * typical * _interval(run) < MAX_SWING_RATIO * uncertain
+    is_swing = (
+        (significant or passes) and run.displacement.valid[turn].all() and acceleration < MAX_SWING_RATIO * typical
+    )
     return acceleration if is_swing else None
 
 
@@ -451,9 +456,9 @@ def _sudden_speed_loss(run: Run, first: int, stop: int) -> float:
 
 
 def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
-    """First and last frame of the first impact: half of the speed is lost far faster than in the slide.
+    """First and last frame of the first impact: half of the speed is lost far faster than in the slide and nearby.
 
-    Speed that returns soon after was not lost; a frame was.
+    Speed that returns soon after was not lost; a frame was. A swing that decays turns faster than it does on average.
     """
     v, a = run.motion.v, np.abs(run.motion.a)
     window = _impact_frames(run)
@@ -465,6 +470,8 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     speed_after = np.max([direction * v[np.minimum(j + k, len(v) - 1)] for k in offsets], axis=0)
     loss = speed_before - speed_after
     hits = i[(loss > 0.5 * speed_before) & (loss > _sudden_speed_loss(run, first, stop)) & ~_events_at_ends(run)[i]]
+    around = [(max(k - 2 * window, first), min(k + 3 * window, stop)) for k in hits]
+    hits = hits[[loss[k - first] > _sudden_speed_loss(run, *span) for k, span in zip(hits, around, strict=True)]]
     if len(hits) == 0:
         return None
     hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))

@@ -438,6 +438,8 @@ def run_of_arrays(
         if values is not None:
             columns[name], found = checked_column(name, values, np.size(t))
             faults += found
+    if not np.size(t):
+        faults.append("expected positions at several times but got none")
     raise_faults(faults, f'run "{settings.get("name", "run")}"')
     return _run_of(TableData(**columns, notes=notes), mass, settings)
 
