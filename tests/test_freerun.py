@@ -54,7 +54,7 @@ def swinging(n=1500, *, seed=0, sigma=2e-6, lead=0, **known):
     t = np.arange(n + lead) / FS
     x = oscillator(t, seed)[0][lead:]
     own = {"rng": np.random.default_rng(seed), **known}
-    return measured(t[:n], x, sigma=sigma, mass=M, drive=push(t[lead:], seed), **own)
+    return measured(t[:n], x, sigma=sigma, mass=M, drive=push(t[lead:], seed), sigma_drive=0.0, **own)
 
 
 @pytest.mark.slow
