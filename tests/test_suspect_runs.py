@@ -56,6 +56,20 @@ def test_errors_of_a_camera_are_doubted_where_runs_are_tables() -> None:
     assert camera_remarks([replace(runs[0], displacement=displacement)], named) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("pitch", "first"), [(None, "vibration"), (5e-4, "camera_shake")])
+def test_of_two_equal_causes_that_of_a_camera_comes_last_where_none_is_known(pitch: float | None, first: str) -> None:
+    t, rng, runs = np.arange(300) / 4000, np.random.default_rng(3), []
+    for k, v_0 in enumerate((2.0, 3.0, 4.0)):
+        x = v_0 * t - 1.5 * t**2 + 4e-5 * np.sin(2 * np.pi * 61.0 * t + k) + 2e-6 * rng.standard_normal(len(t))
+        run = ft.Run.from_arrays(t, x, mass=0.35, sigma=2e-6, name=f"r{k}")
+        runs.append(replace(run, displacement=replace(run.displacement, pixel_pitch=pitch)))
+    found = ft.diagnose(ft.fit("coulomb", runs), quick=True)
+    assert found.verdict == "ambiguous"
+    assert found.missing == [first]
+    assert {"vibration", "camera_shake"} <= {first, *found.best.indistinguishable_from}
+
+
 def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> None:
     named = [LIBRARY[name] for name in ("vibration", "run_in", "spring")]
     there = slide(3.0, 0.35, 0.35)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
+from frictrack.diagnose.model_selection import CAMERA_EFFECTS
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
@@ -34,7 +35,6 @@ MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
-CAMERA_EFFECTS = ("camera_shake", "lens", "out_of_plane", "rolling_shutter")  # kinds; a clock may fail in any sensor
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import ceil, sqrt
+from math import ceil, log, sqrt
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,13 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, information_criterion, objection
+from frictrack.diagnose.model_selection import (
+    CAMERA_EFFECTS,
+    MAX_CHI2_NEAR,
+    PRIOR_CAMERA,
+    information_criterion,
+    objection,
+)
 from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.cutting import has_known_history, pieces_of
@@ -171,7 +177,14 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, settings.level)
     scanned = sorted(first.scanned, key=lambda s: -s.excess[0])
-    space = Explanations(start, own, lambda e: 0.0 if sensor is None or e.acts_on == sensor.acts_on else MAX_CHI2_NEAR)
+    seen = any(run.pixel_pitch is not None for run in runs)
+
+    def handicap(effect: Effect) -> float:
+        contradicted = sensor is not None and effect.acts_on != sensor.acts_on
+        unseen = not seen and effect.kind in CAMERA_EFFECTS
+        return contradicted * MAX_CHI2_NEAR - unseen * 2 * log(PRIOR_CAMERA)
+
+    space = Explanations(start, own, handicap)
     best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
 
     def take(new: Explanation) -> tuple[Explanation, Examination]:
