@@ -223,7 +223,7 @@ def filters(run: AnyRun) -> Figure:
         inside &= run.friction.free  # a push would hide all else
     errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]
     lower = found[1].name if errors[1] < errors[2] else "smoothing"
-    figure = new_figure(7.4, f"{run.name}: lowest error by {lower}, {format_number(min(errors[1:]), 2)} m/s²")
+    figure = new_figure(7.4, f"{run.name}: smallest stated error by {lower}, {format_number(min(errors[1:]), 2)} m/s²")
     quantities = [axis_label("x - smoothed", "µm"), *SHORT_LABELS[1:]]
     rows = [[(one.values[k], one.sigma[k]) for one in found] for k in range(3)]
     rows[0] = [(1e6 * (x - found[2].values[0]), 1e6 * sigma) for x, sigma in rows[0]]
@@ -234,7 +234,7 @@ def filters(run: AnyRun) -> Figure:
         for one, error, (values, sigma), look in zip(found, errors, row, FILTER_LOOKS, strict=True):
             if one is not found[0]:
                 draw_band(ax, t, values, sigma, color=look["color"], alpha=0.25)
-            ax.plot(t, values, label=f"{one.name}, error {format_number(error, 2)} m/s²", **look)
+            ax.plot(t, values, label=f"{one.name}, stated error {format_number(error, 2)} m/s²", **look)
         shown = row if k == 0 else row[1:]  # differences of what was measured would hide the others
         style.set_y_limits(ax, [v[inside] + n * s[inside] for v, s in shown for n in (-2.0, 2.0)])
         ax.set_ylabel(quantity)
