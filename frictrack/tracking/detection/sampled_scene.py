@@ -29,6 +29,8 @@ NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
+CLUSTER_SIGMAS, FREQUENT_RATIO = 3.0, 1.5  # of noise, that equal grey values differ by; and more samples than at the median
+MIN_PAIRS = 0.15  # of neighbouring samples, that must agree on the grey value of the background
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
 ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
@@ -53,6 +55,16 @@ class Blob:
     mask: Mask  # (h, w)
     area: int
     cut: bool  # by the edge of the picture: it goes on outside
+
+    @cached_property
+    def middle(self) -> Array:
+        """Mean position (2,) of its pixels, px."""
+        return np.mean(np.argwhere(self.mask)[:, ::-1], axis=0) + self.box[:2]
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Principal standard deviations (2,) of its pixels, px: the same at any angle."""
+        return np.sqrt(np.linalg.eigvalsh(np.cov(np.argwhere(self.mask).T)) + 1 / 12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +164,34 @@ def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> Sa
     shake = _estimate_shake(small) if steady else np.zeros((len(small), 2))
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
-    background = np.median(np.stack(small), axis=0).astype(np.float32)
+    background = _still_scene(np.stack(small))
     return _without_ghosts(_build_scene(index, frames, (factor, shake, small), background))
+
+
+def _still_scene(stack: Picture) -> Picture:
+    """Background (h, w) of samples (k, h, w): their median, or the grey value that clearly more neighbouring ones share.
+
+    A textured body that passes slowly covers a place in most samples, but with another grey value in each. Where hardly
+    any two neighbours are alike, what is behind the body is as its surroundings are.
+    """
+    middle = np.median(stack, axis=0)
+    stack = stack / np.array([light_ratio(picture, middle) for picture in stack], np.float32)[:, None, None]
+    middle = np.median(stack, axis=0)
+    steps = np.quantile(np.abs(np.diff(stack[:, ::2, ::2], axis=0)), NOISE_QUANTILE)  # most may be a body's
+    near = CLUSTER_SIGMAS * max(float(steps) / (np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE)), 0.5)
+
+    def pairs(level: Picture) -> Array:
+        alike = np.abs(stack - level) < near
+        return np.count_nonzero(alike[1:] & alike[:-1], axis=0) / len(stack)
+
+    best, share = middle, FREQUENT_RATIO * pairs(middle)
+    for picture in stack:
+        each = pairs(picture)
+        best, share = np.where(each > share, picture, best), np.maximum(each, share)
+    alike = np.where(np.abs(stack - best) < near, stack, np.inf)
+    found = np.where(best == middle, middle, _middle_of_known(alike)).astype(np.float32)
+    unknown = clean_mask(pairs(found) < MIN_PAIRS, close=7)
+    return cv2.inpaint(found, unknown.astype(np.uint8), 3, cv2.INPAINT_TELEA) if len(stack) >= 8 and unknown.any() else found
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:

@@ -31,8 +31,8 @@ DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the
 MIN_SHARPNESS = 0.15  # steepest change of brightness over the largest, 1/px; less is a shadow or a gradient of light
 MIN_FINDS = 8  # from which some must lie on the way, or the finds jump between similar objects
 MAX_BODIES = 8  # that are followed through the sampled frames
-# Regions are the same if their sides differ by this share or px, and they overlap by this share when laid together.
-MAX_SIDE_CHANGE, MAX_SIDE_CHANGE_PX, MIN_OVERLAP = 0.15, 2, 0.75
+MAX_SIDE_CHANGE, MAX_SIDE_CHANGE_PX = 0.15, 2  # share or px, of boxes that may be the same body
+MAX_SHAPE_CHANGE = 0.12  # of the principal lengths of a region that turns
 MIN_REGION_TRAVEL = 0.5  # of a region, over the root of its area
 MAX_STEP_SHARE = 0.4  # of its travel; a longer step between two samples is a jump to another region
 MIN_TEXTURE_MERIT = 0.2  # of a region's merit, from which its texture is followed
@@ -219,33 +219,20 @@ def _followed(
 
 def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
     """Find a region of foreground in every sampled frame by its shape: a body that rotates changes its texture."""
-    size = np.array(blob.box[2:])
+    half = np.array(blob.box[2:]) / 2
 
     def by_shape(k: int, last: Array) -> tuple[Array, float] | None:
-        found = [(b.box[:2] + (np.array(b.box[2:]) - size) / 2, _overlap(blob, b)) for b in scene.blobs[k]]
-        same = [(corner, overlap) for corner, overlap in found if overlap > MIN_OVERLAP]
+        change = [float(np.max(np.abs(np.log(b.lengths / blob.lengths)))) for b in scene.blobs[k]]
+        same = [(b.middle - half, 1 - 2 * c) for b, c in zip(scene.blobs[k], change, strict=True) if c < MAX_SHAPE_CHANGE]
         return min(same, key=lambda each: np.hypot(*(each[0] - last)), default=None)
 
-    corner, score = _followed(scene, row, np.array(blob.box[:2], dtype=np.float64), by_shape)
+    corner, score = _followed(scene, row, blob.middle - half, by_shape)
     rows = np.flatnonzero(np.isfinite(corner[:, 0]))
     distance = _span(corner[rows])
     step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
     travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
     merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and is_sharp(scene, row, blob.box))
     return Body(blob.box, row, corner, score, merit, rotates=True)
-
-
-def _overlap(a: Blob, b: Blob) -> float:
-    """Common share of two regions laid together at their middles; 0 for different sides."""
-    off = np.abs(np.subtract(a.box[2:], b.box[2:]))
-    if np.any(off > np.maximum(MAX_SIDE_CHANGE * np.array(a.box[2:]), MAX_SIDE_CHANGE_PX)):
-        return 0.0
-    size = np.maximum(a.mask.shape, b.mask.shape)
-    one, other = np.zeros((2, *size), np.bool_)  # each in the middle
-    for mask, whole in ((a.mask, one), (b.mask, other)):
-        y, x = (size - mask.shape) // 2
-        whole[y : y + mask.shape[0], x : x + mask.shape[1]] = mask
-    return float(np.sum(one & other) / np.sum(one | other))
 
 
 def is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
