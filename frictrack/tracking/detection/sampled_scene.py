@@ -29,7 +29,10 @@ NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
-CLUSTER_SIGMAS, FREQUENT_RATIO = 3.0, 1.5  # of noise, that equal grey values differ by; and more samples than at the median
+CLUSTER_SIGMAS, FREQUENT_RATIO = (
+    3.0,
+    1.5,
+)  # of noise, that equal grey values differ by; and more samples than at the median
 MIN_PAIRS = 0.15  # of neighbouring samples, that must agree on the grey value of the background
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
@@ -191,7 +194,11 @@ def _still_scene(stack: Picture) -> Picture:
     alike = np.where(np.abs(stack - best) < near, stack, np.inf)
     found = np.where(best == middle, middle, _middle_of_known(alike)).astype(np.float32)
     unknown = clean_mask(pairs(found) < MIN_PAIRS, close=7)
-    return cv2.inpaint(found, unknown.astype(np.uint8), 3, cv2.INPAINT_TELEA) if len(stack) >= 8 and unknown.any() else found
+    return (
+        cv2.inpaint(found, unknown.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+        if len(stack) >= 8 and unknown.any()
+        else found
+    )
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:

@@ -223,7 +223,9 @@ def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
 
     def by_shape(k: int, last: Array) -> tuple[Array, float] | None:
         change = [float(np.max(np.abs(np.log(b.lengths / blob.lengths)))) for b in scene.blobs[k]]
-        same = [(b.middle - half, 1 - 2 * c) for b, c in zip(scene.blobs[k], change, strict=True) if c < MAX_SHAPE_CHANGE]
+        same = [
+            (b.middle - half, 1 - 2 * c) for b, c in zip(scene.blobs[k], change, strict=True) if c < MAX_SHAPE_CHANGE
+        ]
         return min(same, key=lambda each: np.hypot(*(each[0] - last)), default=None)
 
     corner, score = _followed(scene, row, blob.middle - half, by_shape)
