@@ -33,7 +33,6 @@ CLUSTER_SIGMAS, FREQUENT_RATIO = (
     3.0,
     1.5,
 )  # of noise, that equal grey values differ by; and more samples than at the median
-MIN_PAIRS = 0.15  # of neighbouring samples, that must agree on the grey value of the background
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
 ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
@@ -172,33 +171,30 @@ def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> Sa
 
 
 def _still_scene(stack: Picture) -> Picture:
-    """Background (h, w) of samples (k, h, w): their median, or the grey value that clearly more neighbouring ones share.
+    """Background (h, w) of samples (k, h, w): their median, or a grey value that far more neighbouring ones share.
 
-    A textured body that passes slowly covers a place in most samples, but with another grey value in each. Where hardly
-    any two neighbours are alike, what is behind the body is as its surroundings are.
+    A textured body that passes slowly covers a place in most samples, but with another grey value in each.
     """
     middle = np.median(stack, axis=0)
     stack = stack / np.array([light_ratio(picture, middle) for picture in stack], np.float32)[:, None, None]
     middle = np.median(stack, axis=0)
-    steps = np.quantile(np.abs(np.diff(stack[:, ::2, ::2], axis=0)), NOISE_QUANTILE)  # most may be a body's
-    near = CLUSTER_SIGMAS * max(float(steps) / (np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE)), 0.5)
+    steps = np.quantile(np.abs(np.diff(stack, axis=0)), NOISE_QUANTILE, axis=0).astype(
+        np.float32
+    )  # most may be a body's
+    steps = cv2.blur(steps, (5, 5)) / np.float32(np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE))
+    least = max(float(np.quantile(steps, NOISE_QUANTILE)), 0.5)
+    near = CLUSTER_SIGMAS * np.clip(steps, least, MAX_NOISE_RATIO * least)
 
     def pairs(level: Picture) -> Array:
         alike = np.abs(stack - level) < near
-        return np.count_nonzero(alike[1:] & alike[:-1], axis=0) / len(stack)
+        return np.count_nonzero(alike[1:] & alike[:-1], axis=0).astype(np.float64)
 
-    best, share = middle, FREQUENT_RATIO * pairs(middle)
+    best, count = middle, FREQUENT_RATIO * pairs(middle)
     for picture in stack:
         each = pairs(picture)
-        best, share = np.where(each > share, picture, best), np.maximum(each, share)
+        best, count = np.where(each > count, picture, best), np.maximum(each, count)
     alike = np.where(np.abs(stack - best) < near, stack, np.inf)
-    found = np.where(best == middle, middle, _middle_of_known(alike)).astype(np.float32)
-    unknown = clean_mask(pairs(found) < MIN_PAIRS, close=7)
-    return (
-        cv2.inpaint(found, unknown.astype(np.uint8), 3, cv2.INPAINT_TELEA)
-        if len(stack) >= 8 and unknown.any()
-        else found
-    )
+    return np.where(best == middle, middle, _middle_of_known(alike)).astype(np.float32)
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
@@ -257,10 +253,15 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     stack = np.stack(shown)
     replaced = np.count_nonzero(np.isfinite(stack), axis=0) >= MIN_GHOST_FRAMES
     background = np.where(replaced, _middle_of_known(stack), scene.background)
-    return scene_before(scene, background)
+    return _scene_before(scene, background)
 
 
-def scene_before(scene: SampledScene, background: Picture) -> SampledScene:
+def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
+    """The same samples before the background without a body; see `background_without`."""
+    return _scene_before(scene, background_without(scene, box, corner))
+
+
+def _scene_before(scene: SampledScene, background: Picture) -> SampledScene:
     """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
 

@@ -2,7 +2,7 @@
 
 A match score says nothing there: an empty place before a plain wall matches itself perfectly, and a plain region
 slides along inside a plain body. What moves is known without the template, by its difference from the scene without the
-target.
+target. A sample contradicts the track where that is elsewhere.
 """
 
 from __future__ import annotations
@@ -14,25 +14,21 @@ import numpy as np
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
-from frictrack.tracking.correlation import Rectangle
+from frictrack.tracking.detection.body_outline import Body
 from frictrack.tracking.detection.sampled_scene import (
-    MIN_SIDE_PX,
     Blob,
     Picture,
     SampledScene,
-    background_without,
     read_subpixel,
     sample_scene,
-    scene_before,
+    scene_without,
 )
-from frictrack.tracking.detection.targets import MIN_TRAVEL_PX, is_sharp, jumps, travel_distance
+from frictrack.tracking.detection.targets import body_merit, is_sharp, rival_question
 
-MIN_BUSY_SHARE = 0.25  # of the samples, in which something must move outside a target that rests
-MAX_MISSED_SHARE = 0.4  # of the samples, in which something moves and the target is not found
-MAX_ASTRAY_SHARE = 0.25  # of the samples, in which what moves is not where the target was found ...
-MAX_ASTRAY_PX = 2  # ... by more than this, reduced px
-MAX_UNKNOWN_SHARE = 0.25  # of the frames, in which nothing in the picture looks like the target
-MIN_UNCOVERED_SAMPLES = 3  # that show a place after the target has left it
+MAX_CONTRADICTED = 0.25  # of the samples that tell where the target is
+LOST_WEIGHT = 0.5  # of samples in which the target is not found: they are known to be missing
+MIN_SAMPLES = 3  # that tell it, and that show a place after the target has left it
+MAX_ASTRAY_PX = 2  # reduced px from the track, of the place where what moves looks as usual
 MARGIN_PX, SEARCH_SHARE, MIN_SEARCH_PX = 4, 0.35, 8  # about the target: its outline, and where it is searched
 MIN_THICKNESS = 0.5  # of the target's shorter side, for a region that may be what it should be
 MAX_TURN = 0.2  # rad; the silhouette of a body that turns by more changes
@@ -59,71 +55,55 @@ def target_fault(recording: Recording, track: Track) -> str:
     size = np.array(track.target[2:]) / scene.factor
     at = np.stack([track.x_px, track.y_px], axis=1)
     corner = (at[scene.index] + 0.5) / scene.factor - scene.shake - size / 2
-    low, high = np.nanquantile(at, (0.1, 0.9), axis=0)
     seen = np.isfinite(corner[:, 0])
-    if np.hypot(*(high - low)) <= MIN_TRAVEL_PX:
-        box = (*(np.array(track.target[:2]) / scene.factor), *size)
-        outside = [[b for b in blobs if _is_body(scene, b) and not _overlaps(b.box, box)] for blobs in scene.blobs]
-        busy = np.array([len(blobs) > 0 for blobs in outside])
-        why = "rests while something else moves" if busy.mean() > MIN_BUSY_SHARE else ""
-    else:
-        around = (*(3 * np.rint(size)).astype(int).tolist(),)  # the body may be that much larger
-        scene = scene_before(scene, background_without(scene, (0, 0, *around), corner - size))
-        boxes = [(*(c - size / 4), *(1.5 * size)) for c in corner]
-        outside = [
-            _others(scene, k, box, MIN_THICKNESS * min(size)) if seen[k] else scene.blobs[k]
-            for k, box in enumerate(boxes)
-        ]
-        busy = np.array([len(blobs) > 0 for blobs in outside])
-        astray = _astray(scene, corner, size) if np.ptp(track.angle[track.found]) < MAX_TURN else np.zeros(0, np.bool_)
-        rows, why = np.flatnonzero(busy & seen), ""
-        if jumps(at[track.found], travel_distance(at[track.found])):
-            why = "jumps between places that look alike"
-        elif len(astray) and astray.mean() > MAX_ASTRAY_SHARE:
-            why = f"does not go along with what moves in {astray.sum()} of {len(astray)} frames"
-        elif np.mean(busy & ~seen) > MAX_MISSED_SHARE:
-            why = "is not found in many frames in which something moves"
-        elif np.mean(busy & seen) > MIN_BUSY_SHARE and _travels([outside[k][0].box for k in rows]):
-            why = "is not all that moves"
-        elif (unknown := np.mean(np.char.startswith(track.reason, "match score"))) > MAX_UNKNOWN_SHARE:
-            why = f"is not recognised in {unknown:.0%} of the frames"
-    if not why:
+    around = (*(3 * np.rint(size)).astype(int).tolist(),)  # the body may be that much larger
+    rest = scene_without(scene, (0, 0, *around), corner - size)
+    found = [_where(rest, k, (*(c - size / 4), *(1.5 * size)), min(size)) for k, c in enumerate(corner)]
+    unknown = np.char.startswith(track.reason[scene.index], "match score")
+    here, others = np.array([h for h, _ in found]), [o for _, o in found]
+    elsewhere = ~here & np.array([len(o) > 0 for o in others]) | unknown
+    evidence = [(here | elsewhere, elsewhere)]  # samples that tell where the target is, and that contradict the track
+    if np.ptp(track.angle[track.found]) < MAX_TURN:
+        evidence.append(_silhouettes(rest, corner, size))
+    for tells, wrong in evidence:
+        weight = np.where(seen, 1.0, LOST_WEIGHT) @ wrong
+        if weight >= MIN_SAMPLES and weight > MAX_CONTRADICTED * tells.sum():
+            row = int(np.argmax(wrong * np.array([1 + (o[0].area if o else 0) for o in others])))
+            where = f" at {[round(v * scene.factor) for v in others[row][0].box]}" if others[row] else ""
+            return (
+                f"expected a moving target but the place that was found, {[round(v) for v in track.target]}, does not "
+                f"go along with what moves in {wrong.sum()} of {tells.sum()} sampled frames, such as frame "
+                f"{scene.index[row]}{where}; draw the target, or give target = [x, y, w, h]"
+            )
+    if not seen.any():
         return ""
-    row = int(np.argmax([blobs[0].area if blobs else 0 for blobs in outside]))
-    where = ""
-    if outside[row]:
-        where = f", in frame {scene.index[row]} at {[round(v * scene.factor) for v in outside[row][0].box]}"
-    return (
-        f"expected a moving target but the place that was found, {[round(v) for v in track.target]}, {why}{where}; "
-        "draw the target, or give target = [x, y, w, h]"
-    )
+    box, row = (*np.rint([*corner[seen][0], *size]).astype(int).tolist(),), int(np.flatnonzero(seen)[0])
+    score = np.where(seen, track.score[scene.index], np.nan)
+    return rival_question(scene, Body(box, row, corner, score, body_merit(scene, box, corner, score, np.eye(2))))
 
 
-def _travels(boxes: Sequence[Rectangle]) -> bool:
-    """Whether both sides of a region move: what a resting body uncovers has a side that does not."""
-    sides = np.array([((x, x + w), (y, y + h)) for x, y, w, h in boxes], dtype=np.float64)
-    spans = np.ptp(np.quantile(sides, (0.1, 0.9), axis=0), axis=0)
-    return any(min(span) > MIN_SIDE_PX / 2 for span in spans)
+def _where(scene: SampledScene, k: int, box: Sequence[float], side: float) -> tuple[bool, list[Blob]]:
+    """Whether a region of a sample is in a box, and regions elsewhere that may be the body: as thick, and no more cut.
+
+    A box with NaN is nowhere.
+    """
+    here = [b for b in scene.blobs[k] if _overlaps(b.box, box)]
+    others = [b for b in scene.blobs[k] if not _overlaps(b.box, box) and (any(h.cut for h in here) or not b.cut)]
+    return len(here) > 0, [b for b in others if _thickness(b) > MIN_THICKNESS * side and is_sharp(scene, k, b.box)]
 
 
-def _others(scene: SampledScene, k: int, box: Sequence[float], thickness: float) -> list[Blob]:
-    """Regions of a sample that may be the body instead of a target in a box: outside it, and no more cut off."""
-    cut = any(b.cut and _overlaps(b.box, box) for b in scene.blobs[k])
-    others = [b for b in scene.blobs[k] if not _overlaps(b.box, box) and (cut or not b.cut)]
-    return [b for b in others if _thickness(b) > thickness and is_sharp(scene, k, b.box)]
-
-
-def _astray(scene: SampledScene, corner: Array, size: Array) -> Mask:
-    """Whether the silhouette of what moves lies elsewhere about the target, in samples that can show it (k,).
+def _silhouettes(scene: SampledScene, corner: Array, size: Array) -> tuple[Mask, Mask]:
+    """Samples (k,) that show the silhouette of what moves, and those where it lies elsewhere about the target.
 
     These are samples whose place other samples show without the target.
     """
     room, reach = np.array(scene.background.shape[::-1]), max(MIN_SEARCH_PX, int(SEARCH_SHARE * max(size)))
     inside = np.all((corner > -MARGIN_PX) & (corner + size < room + MARGIN_PX), axis=1)
     away = np.any(np.abs(corner[:, None] - corner[None]) > 2 * size, axis=2)
-    rows = np.flatnonzero(inside & (away.sum(axis=1) >= MIN_UNCOVERED_SAMPLES))
-    if len(rows) < MIN_UNCOVERED_SAMPLES:
-        return np.zeros(0, np.bool_)
+    tells = inside & (away.sum(axis=1) >= MIN_SAMPLES)
+    astray, rows = np.zeros_like(tells), np.flatnonzero(tells)
+    if len(rows) < MIN_SAMPLES:
+        return astray, astray
     h, w = np.rint(size[::-1]).astype(int) + 2 * MARGIN_PX
 
     def silhouette(k: np.intp, margin: int) -> Picture:
@@ -133,16 +113,13 @@ def _astray(scene: SampledScene, corner: Array, size: Array) -> Mask:
     usual = np.median(np.stack([silhouette(k, 0) for k in rows]), axis=0).astype(np.float32)
     scores = [cv2.matchTemplate(silhouette(k, reach), usual, cv2.TM_CCOEFF_NORMED) for k in rows]
     off = np.abs([np.subtract(cv2.minMaxLoc(score)[3], reach) for score in scores])
-    return np.asarray(off[:, int(np.argmax(np.ptp(corner[rows], axis=0)))] > MAX_ASTRAY_PX)
+    astray[rows] = off[:, int(np.argmax(np.ptp(corner[rows], axis=0)))] > MAX_ASTRAY_PX
+    return tells, astray
 
 
 def _thickness(blob: Blob) -> float:
     """Diameter of the largest circle inside a region, px."""
     return 2 * float(cv2.distanceTransform(np.pad(blob.mask.astype(np.uint8), 1), cv2.DIST_L2, 3).max())
-
-
-def _is_body(scene: SampledScene, blob: Blob) -> bool:
-    return min(blob.box[2:]) >= scene.min_side_reduced
 
 
 def _overlaps(a: Sequence[float], b: Sequence[float]) -> bool:

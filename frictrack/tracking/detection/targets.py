@@ -23,7 +23,14 @@ from frictrack.tracking.areas import Areas, bounding_rectangle, is_polygon
 from frictrack.tracking.correlation import Rectangle, best_match, correlate, parabola_vertex
 from frictrack.tracking.detection.body_outline import Body, body_outline, foreground_at, round_outline
 from frictrack.tracking.detection.patches import most_moving_patch
-from frictrack.tracking.detection.sampled_scene import MIN_SIDE_PX, Blob, Picture, SampledScene, sample_scene
+from frictrack.tracking.detection.sampled_scene import (
+    MIN_SIDE_PX,
+    Blob,
+    Picture,
+    SampledScene,
+    sample_scene,
+    scene_without,
+)
 
 MIN_TRAVEL_PX = 1.5  # of a moving body
 MIN_SCORE = 0.6  # of a find, and of a picture of the target
@@ -113,9 +120,8 @@ def locate_target(recording: Recording) -> tuple[Rectangle, int]:
                 "to be tracked; check the film, or give target = [x, y, w, h]"
             )
         return patch, scene.index[0]
-    rivals = [body for body in bodies[1:] if _is_rival(scene, bodies[0], body)]
-    if rivals:
-        raise FrictrackError(_ambiguity_message(recording, scene, (bodies[0], rivals[0])))
+    if question := rival_question(scene, bodies[0]):
+        raise FrictrackError(f"{recording.path.name}: {question}")
     return body_outline(scene, bodies[0])
 
 
@@ -197,7 +203,7 @@ def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None 
     # The position along a stripe is undetermined: a find far along it is another stripe.
     stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
     corner[stray], score[stray] = np.nan, np.nan
-    merit = _merit(scene, box, corner, score, axes_known) * is_sharp(scene, row, box)
+    merit = body_merit(scene, box, corner, score, axes_known) * is_sharp(scene, row, box)
     textured = Body(box, row, corner, score, merit)
     region = None if blob is None else _follow_region(scene, row, blob)
     return textured if region is None or merit >= MIN_TEXTURE_MERIT * region.merit else region
@@ -233,7 +239,7 @@ def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
     distance = _span(corner[rows])
     step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
     travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
-    merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and is_sharp(scene, row, blob.box))
+    merit = body_merit(scene, blob.box, corner, score, np.eye(2)) * (travels and is_sharp(scene, row, blob.box))
     return Body(blob.box, row, corner, score, merit, rotates=True)
 
 
@@ -285,18 +291,18 @@ def _textured_axes(patch: Picture) -> Array:
     return np.asarray(axes_known @ axes_known.T, dtype=np.float64)
 
 
-def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
+def body_merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
     """Suitability as a target: found often and well, large, far travelled; 0 for a body that does not move."""
     seen = np.isfinite(corner[:, 0])
-    distance = travel_distance(corner[seen] @ axes_known)
-    if distance * scene.factor <= MIN_TRAVEL_PX or jumps(corner[seen] @ axes_known, distance):
+    distance = _travel_distance(corner[seen] @ axes_known)
+    if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
     similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
     return float(similarity * distance * np.sqrt(box[2] * box[3]) * (CUT_OFF_MERIT if cut else 1.0))
 
 
-def travel_distance(corner: Array) -> float:
+def _travel_distance(corner: Array) -> float:
     """Distance covered by the finds (k, 2), px; one stray match in ten is ignored."""
     if len(corner) < 2:
         return 0.0
@@ -304,7 +310,7 @@ def travel_distance(corner: Array) -> float:
     return 2 * float(away[-max(2, len(corner) // 10)])
 
 
-def jumps(corner: Array, distance: float) -> bool:
+def _jumps(corner: Array, distance: float) -> bool:
     """Whether the finds (k, 2) jump between places without any on the way: several similar objects."""
     steps = np.hypot(*np.diff(corner, axis=0).T)
     return len(corner) >= MIN_FINDS and float(np.sum(steps[steps < 0.45 * distance])) < 0.2 * distance
@@ -314,6 +320,20 @@ def _is_cut_off(scene: SampledScene, row: int, box: Rectangle, corner: Array) ->
     """Whether the foreground of a body continues beyond the picture."""
     centre = corner + np.array(box[2:]) / 2
     return any(blob.cut for blob in scene.blobs[row] if _contains(centre, blob.box))
+
+
+def rival_question(scene: SampledScene, first: Body) -> str:
+    """Ask which of two bodies is the target, where another moves before the scene without the first; else empty."""
+    rest = scene_without(scene, first.box, first.corner)
+    second = next((body for body in moving_bodies(rest) if _is_rival(rest, first, body)), None)
+    if second is None:
+        return ""
+    lines = []
+    for body in sorted((first, second), key=lambda body: float(np.nanmin(body.corner[:, 0]))):
+        (x, y, w, h), frame = body_outline(rest, body)
+        line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
+        lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
+    return "expected one moving target but two move; give " + " or ".join(lines)
 
 
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
@@ -332,16 +352,6 @@ def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
 def _span(at: Array) -> float:
     """Diagonal of the box that holds the places (k, 2), px."""
     return float(np.hypot(*np.ptp(at, axis=0)))
-
-
-def _ambiguity_message(recording: Recording, scene: SampledScene, bodies: tuple[Body, Body]) -> str:
-    """Ask which of two bodies is the target."""
-    lines = []
-    for body in sorted(bodies, key=lambda body: float(np.nanmin(body.corner[:, 0]))):
-        (x, y, w, h), frame = body_outline(scene, body)
-        line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
-        lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
-    return f"{recording.path.name}: expected one moving target but two move; give " + " or ".join(lines)
 
 
 Target = Sequence[float] | Sequence[Sequence[float]] | NDArray[Any] | str | Path | None
