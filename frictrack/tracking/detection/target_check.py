@@ -19,7 +19,6 @@ from frictrack.tracking.detection.sampled_scene import (
     Blob,
     Picture,
     SampledScene,
-    read_subpixel,
     sample_scene,
     scene_without,
 )
@@ -31,7 +30,6 @@ MIN_SAMPLES = 3  # that tell it, and that show a place after the target has left
 MAX_ASTRAY_PX = 2  # reduced px from the track, of the place where what moves looks as usual
 MARGIN_PX, SEARCH_SHARE, MIN_SEARCH_PX = 4, 0.35, 8  # about the target: its outline, and where it is searched
 MIN_THICKNESS = 0.5  # of the target's shorter side, for a region that may be what it should be
-MAX_TURN = 0.2  # rad; the silhouette of a body that turns by more changes
 
 
 def target_fault(recording: Recording, track: Track) -> str:
@@ -62,9 +60,8 @@ def target_fault(recording: Recording, track: Track) -> str:
     unknown = np.char.startswith(track.reason[scene.index], "match score")
     here, others = np.array([h for h, _ in found]), [o for _, o in found]
     elsewhere = ~here & np.array([len(o) > 0 for o in others]) | unknown
-    evidence = [(here | elsewhere, elsewhere)]  # samples that tell where the target is, and that contradict the track
-    if np.ptp(track.angle[track.found]) < MAX_TURN:
-        evidence.append(_silhouettes(rest, corner, size))
+    # samples that tell where the target is, and those that contradict the track
+    evidence = (here | elsewhere, elsewhere), _silhouettes(rest, corner, size, np.nan_to_num(track.angle[scene.index]))
     for tells, wrong in evidence:
         weight = np.where(seen, 1.0, LOST_WEIGHT) @ wrong
         if weight >= MIN_SAMPLES and weight > MAX_CONTRADICTED * tells.sum():
@@ -92,10 +89,10 @@ def _where(scene: SampledScene, k: int, box: Sequence[float], side: float) -> tu
     return len(here) > 0, [b for b in others if _thickness(b) > MIN_THICKNESS * side and is_sharp(scene, k, b.box)]
 
 
-def _silhouettes(scene: SampledScene, corner: Array, size: Array) -> tuple[Mask, Mask]:
+def _silhouettes(scene: SampledScene, corner: Array, size: Array, angle: Array) -> tuple[Mask, Mask]:
     """Samples (k,) that show the silhouette of what moves, and those where it lies elsewhere about the target.
 
-    These are samples whose place other samples show without the target.
+    These are samples whose place other samples show without the target. A target that turns is turned back.
     """
     room, reach = np.array(scene.background.shape[::-1]), max(MIN_SEARCH_PX, int(SEARCH_SHARE * max(size)))
     inside = np.all((corner > -MARGIN_PX) & (corner + size < room + MARGIN_PX), axis=1)
@@ -104,11 +101,15 @@ def _silhouettes(scene: SampledScene, corner: Array, size: Array) -> tuple[Mask,
     astray, rows = np.zeros_like(tells), np.flatnonzero(tells)
     if len(rows) < MIN_SAMPLES:
         return astray, astray
-    h, w = np.rint(size[::-1]).astype(int) + 2 * MARGIN_PX
+    shape = np.rint(size).astype(int) + 2 * MARGIN_PX
 
     def silhouette(k: np.intp, margin: int) -> Picture:
         change = cv2.GaussianBlur(np.abs(scene.small[k] / np.float32(scene.light[k]) - scene.background), (0, 0), 1.0)
-        return read_subpixel(change, corner[k] - MARGIN_PX - margin, (h + 2 * margin, w + 2 * margin))
+        c, s, (w, h) = np.cos(angle[k]), np.sin(angle[k]), (shape + 2 * margin).tolist()
+        turn = np.array([[c, -s], [s, c]])  # as the target stood in its own frame
+        at = corner[k] + (size - 1) / 2 - turn @ ((w - 1) / 2, (h - 1) / 2)
+        matrix = np.column_stack([turn, at])
+        return np.asarray(cv2.warpAffine(change, matrix, (w, h), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP))
 
     usual = np.median(np.stack([silhouette(k, 0) for k in rows]), axis=0).astype(np.float32)
     scores = [cv2.matchTemplate(silhouette(k, reach), usual, cv2.TM_CCOEFF_NORMED) for k in rows]
