@@ -7,23 +7,16 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from io import RawIOBase
-from pathlib import Path
 from threading import Condition, Thread
-from typing import Any, ClassVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import write_at
 from frictrack.recording.base import Frame, Recording, RecordingView
-from frictrack.recording.raw import BoxReader, PixelLayout, picture_bytes
 
-KEPT_FRAMES, LOOK_BACK_FRAMES = (
-    400,
-    16,
-)  # frames kept where each is wanted once, and how many of them may still be looked back at
+KEPT_FRAMES, LOOK_BACK_FRAMES = 400, 16  # frames kept where each is wanted once, and those that may be looked back at
 MAX_MEMORY_BYTES = 512 << 20  # of decoded film; a longer film goes to a temporary file
 
 
@@ -58,7 +51,7 @@ def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recor
     if recording.direct:
         yield recording
         return
-    spool = Spool(recording, _store(recording, once))
+    spool = Spool(recording, _room_for(recording, once))
     try:
         yield spool
     finally:
@@ -68,9 +61,9 @@ def random_access(recording: Recording, *, once: bool = False) -> Iterator[Recor
 class Spool(RecordingView):
     """Decoded frames of another recording, with random access; created by `random_access`."""
 
-    def __init__(self, source: Recording, store: _MemoryStore | _DiskStore) -> None:
+    def __init__(self, source: Recording, decoded: Frame) -> None:
         super().__init__(source)
-        self._store = store
+        self._decoded = decoded  # (m, h, w): frame i is at i modulo m
         self._passed = 0  # frames before this one will not be asked for again
         self._ready, self._done, self._stop = 0, False, False
         self._wanted = source.n_frames  # the first frame that a reader waits for
@@ -85,7 +78,10 @@ class Spool(RecordingView):
         indices, corners = self._boxes(indices, corners, size)
         if len(indices) and not self._wait(int(indices.max()), int(indices.min())):
             raise FrictrackError(self._breaks_off(int(indices.max())))
-        return self._store.cut(indices, corners, size)
+        out: Frame = np.empty((len(indices), *size), self._decoded.dtype)
+        for target, i, (x, y) in zip(out, indices.tolist(), corners.tolist(), strict=True):
+            target[...] = self._decoded[i % len(self._decoded), y : y + size[0], x : x + size[1]]
+        return out
 
     def close(self) -> None:
         """Stop the decoder and free the memory; it may be called again."""
@@ -96,20 +92,24 @@ class Spool(RecordingView):
             self._stop = True
             self._condition.notify_all()
         self._decoder.join()
-        self._store.close()
+        self._decoded = self._decoded[:0].copy()  # which also deletes a temporary file
+
+    @property
+    def _rolls(self) -> bool:
+        """Whether only the last frames are kept."""
+        return 0 < len(self._decoded) < self.n_frames
 
     def _read(self, indices: Iterable[int]) -> Iterator[Frame]:
-        corner = np.zeros((1, 2), np.int64)
         for index in indices:
             if not self._wait(index):
                 return
-            yield self._store.cut(np.array([index]), corner, self.shape)[0]
+            yield np.array(self._decoded[index % len(self._decoded)])
 
     def _wait(self, index: int, first: int | None = None) -> bool:
         """Wait for a frame, `first` being the first one wanted; False where the film breaks off before it."""
         first = index if first is None else first
-        if self._store.kept is not None:
-            if first < self._ready - self._store.kept:
+        if self._rolls:
+            if first < self._ready - len(self._decoded):
                 raise ValueError(f"frame {first} was given up after frame {self._ready}")
             with self._condition:
                 self._passed = max(self._passed, first - LOOK_BACK_FRAMES)
@@ -133,7 +133,7 @@ class Spool(RecordingView):
             for i, frame in enumerate(self._source.frames()):
                 if not self._wait_for_room(i):
                     break
-                self._store.write(i, frame)
+                self._decoded[i % len(self._decoded)] = frame
                 self._announce(i + 1)
         except BaseException as fault:  # noqa: BLE001 - it is raised again where the frame is asked for
             self._fault = fault
@@ -144,8 +144,8 @@ class Spool(RecordingView):
 
     def _wait_for_room(self, i: int) -> bool:
         """Wait until frame `i` may replace an older one; False where no reader is left."""
-        if self._store.kept is not None:
-            kept = self._store.kept
+        if self._rolls:
+            kept = len(self._decoded)
             with self._condition:
                 self._condition.wait_for(lambda: self._stop or i - kept < self._passed)
         return not self._stop
@@ -159,67 +159,19 @@ class Spool(RecordingView):
                 self._condition.notify_all()
 
 
-class _MemoryStore:
-    """Decoded frames in memory: all, or the last ones (`kept`)."""
-
-    def __init__(self, n: int, shape: tuple[int, int], kind: Any, kept: int | None = None) -> None:
-        self._frames: Frame = np.empty((kept or n, *shape), kind)
-        self.kept = kept
-
-    def write(self, i: int, frame: Frame) -> None:
-        self._frames[i % len(self._frames)] = frame
-
-    def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
-        out: Frame = np.empty((len(indices), *size), self._frames.dtype)
-        h, w = size
-        for target, i, (x, y) in zip(out, indices.tolist(), corners.tolist(), strict=True):
-            target[...] = self._frames[i % len(self._frames), y : y + h, x : x + w]
-        return out
-
-    def close(self) -> None:
-        self._frames = self._frames[:0].copy()
-
-
-class _DiskStore:
-    """Decoded frames in a temporary file."""
-
-    kept: ClassVar[int | None] = None
-
-    def __init__(self, n: int, shape: tuple[int, int], bits: int) -> None:
-        self._frame = picture_bytes(shape, bits)
-        # Not every system can unlink an open file: it has a name and is deleted in `close`.
-        self._file = tempfile.NamedTemporaryFile(prefix="frictrack-", suffix=".film", buffering=0, delete=False)  # noqa: SIM115
-        self._file.truncate(n * self._frame)
-        path = Path(self._file.name)
-        layout = PixelLayout(path, range(0, n * self._frame, self._frame), bits, "=")
-        self._cutter = BoxReader(shape, layout)
-
-    def write(self, i: int, frame: Frame) -> None:
-        write_at(cast(RawIOBase, self._file), i * self._frame, np.ascontiguousarray(frame).data)
-
-    def cut(self, indices: NDArray[np.int64], corners: NDArray[np.int64], size: tuple[int, int]) -> Frame:
-        return self._cutter.cut(indices, corners, size)
-
-    def close(self) -> None:
-        del self._cutter
-        self._file.close()
-        Path(self._file.name).unlink(missing_ok=True)
-
-
-def _store(source: Recording, once: bool = False) -> _MemoryStore | _DiskStore:
-    """Choose the store by the size of the decoded film."""
-    bits = 8 if source.bit_depth <= 8 else 16
-    kind = np.uint8 if bits == 8 else np.uint16
-    frame = picture_bytes(source.shape, bits)
-    total = source.n_frames * frame
-    if once and source.n_frames > KEPT_FRAMES and KEPT_FRAMES * frame <= MAX_MEMORY_BYTES:
-        return _MemoryStore(source.n_frames, source.shape, kind, KEPT_FRAMES)
-    if total <= MAX_MEMORY_BYTES:
-        return _MemoryStore(source.n_frames, source.shape, kind)
+def _room_for(source: Recording, once: bool) -> Frame:
+    """Room for the decoded frames: for all, or for the last ones; in memory, or for a long film in a temporary file."""
+    kind = np.dtype(np.uint8 if source.bit_depth <= 8 else np.uint16)
+    frame = source.shape[0] * source.shape[1] * kind.itemsize
+    rolls = once and source.n_frames > KEPT_FRAMES and KEPT_FRAMES * frame <= MAX_MEMORY_BYTES
+    shape = (KEPT_FRAMES if rolls else source.n_frames, *source.shape)
+    if shape[0] * frame <= MAX_MEMORY_BYTES:
+        return np.empty(shape, kind)
     free = shutil.disk_usage(tempfile.gettempdir()).free
-    if total > free:
+    if shape[0] * frame > free:
         raise FrictrackError(
-            f"{source.path.name}: expected {total / 1e9:.1f} GB of room for the decoded film in "
+            f"{source.path.name}: expected {shape[0] * frame / 1e9:.1f} GB of room for the decoded film in "
             f"{tempfile.gettempdir()} but {free / 1e9:.1f} GB are free; make room or set TMPDIR to another disk"
         )
-    return _DiskStore(source.n_frames, source.shape, bits)
+    with tempfile.TemporaryFile(prefix="frictrack-", suffix=".film") as file:
+        return np.memmap(file, kind, "w+", shape=shape)
