@@ -297,7 +297,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
     Returns
     -------
     array (h, w)
-        DN; that of all frames where the body always covers it.
+        DN; that of all frames where the body always or never covers it.
 
     """
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
@@ -306,7 +306,8 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
     for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
     middle = _middle_of_known(stack)
-    return np.where(np.isfinite(middle), middle, scene.background).astype(np.float32)
+    uncovered = np.isfinite(middle) & ~np.all(np.isfinite(stack), axis=0)
+    return np.where(uncovered, middle, scene.background).astype(np.float32)
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
