@@ -82,8 +82,10 @@ def target_fault(recording: Recording, track: Track) -> str:
 def _where(scene: SampledScene, k: int, box: Sequence[float], side: float) -> tuple[bool, list[Blob]]:
     """Whether a region of a sample is in a box, and regions elsewhere that may be the body: as thick, and no more cut.
 
-    A box with NaN is nowhere.
+    Without a box (NaN) any region may be the body.
     """
+    if np.isnan(box[0]):
+        return False, scene.blobs[k]
     here = [b for b in scene.blobs[k] if _overlaps(b.box, box)]
     others = [b for b in scene.blobs[k] if not _overlaps(b.box, box) and (any(h.cut for h in here) or not b.cut)]
     return len(here) > 0, [b for b in others if _thickness(b) > MIN_THICKNESS * side and is_sharp(scene, k, b.box)]
