@@ -25,7 +25,7 @@ from frictrack.tracking.detection.sampled_scene import (
 from frictrack.tracking.detection.targets import body_merit, is_sharp, rival_question
 
 MAX_CONTRADICTED = 0.25  # of the samples that tell where the target is
-LOST_WEIGHT = 0.5  # of samples in which the target is not found: they are known to be missing
+LOST_WEIGHT = 0.5  # of samples in which the target is hidden or away: they are known to be missing
 MIN_SAMPLES = 3  # that tell it, and that show a place after the target has left it
 MAX_ASTRAY_PX = 2  # reduced px from the track, of the place where what moves looks as usual
 MARGIN_PX, SEARCH_SHARE, MIN_SEARCH_PX = 4, 0.35, 8  # about the target: its outline, and where it is searched
@@ -63,7 +63,7 @@ def target_fault(recording: Recording, track: Track) -> str:
     # samples that tell where the target is, and those that contradict the track
     evidence = (here | elsewhere, elsewhere), _silhouettes(rest, corner, size, np.nan_to_num(track.angle[scene.index]))
     for tells, wrong in evidence:
-        weight = np.where(seen, 1.0, LOST_WEIGHT) @ wrong
+        weight = np.where(seen | unknown, 1.0, LOST_WEIGHT) @ wrong
         if weight >= MIN_SAMPLES and weight > MAX_CONTRADICTED * tells.sum():
             row = int(np.argmax(wrong * np.array([1 + (o[0].area if o else 0) for o in others])))
             where = f" at {[round(v * scene.factor) for v in others[row][0].box]}" if others[row] else ""
