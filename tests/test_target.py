@@ -9,7 +9,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking import Areas, driver, find_reference, track
+from frictrack.tracking import Areas, driver, find_reference, followed_target, learning_rounds, track
 from frictrack.tracking.detection import resolve_target, target_fault
 
 
@@ -96,6 +96,15 @@ def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
     jumps, lost = np.where(k < N / 2, 30.0, 180.0), np.where(k < N / 3, SLIDE, np.nan)
     for wrong in (slips, jumps, lost):
         assert "does not go along with what moves" in target_fault(film, a_track(wrong))
+
+
+def test_a_film_none_of_whose_frames_fits_the_learnt_picture_is_refused(monkeypatch):
+    """It is said so, and nothing divides by a number of frames that is none."""
+    monkeypatch.setattr(learning_rounds._Round, "usable", property(lambda one: np.zeros(len(one.cuts), np.bool_)))
+    assert track(a_film(SLIDE), [20, 16, 40, 30]).found.all()  # with the picture of the first frame
+    monkeypatch.setattr(followed_target, "_loss_reasons", lambda _, rows, __: ["poor"] * len(rows))
+    with pytest.raises(FrictrackError, match="is found in fewer than two frames"):
+        track(a_film(SLIDE), [20, 16, 40, 30])
 
 
 def test_a_picture_of_the_target(tmp_path):
