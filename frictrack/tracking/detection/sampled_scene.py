@@ -184,17 +184,21 @@ def _still_scene(stack: Picture) -> Picture:
     steps = cv2.blur(steps, (5, 5)) / np.float32(np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE))
     least = max(float(np.quantile(steps, NOISE_QUANTILE)), 0.5)
     near = CLUSTER_SIGMAS * np.clip(steps, least, MAX_NOISE_RATIO * least)
+    best, count = middle.astype(np.float32), FREQUENT_RATIO * _agreeing_pairs(stack, middle, near)
+    unsure = count < len(stack) - 1  # elsewhere no other grey value can be so frequent
+    some, reach, level, most = stack[:, unsure], near[unsure], middle[unsure], count[unsure]
+    for values in some:
+        each = _agreeing_pairs(some, values, reach)
+        level, most = np.where(each > most, values, level), np.maximum(each, most)
+    alike = np.where(np.abs(some - level) < reach, some, np.inf)
+    best[unsure] = np.where(level == middle[unsure], level, _middle_of_known(alike))
+    return best
 
-    def pairs(level: Picture) -> Array:
-        alike = np.abs(stack - level) < near
-        return np.count_nonzero(alike[1:] & alike[:-1], axis=0).astype(np.float64)
 
-    best, count = middle, FREQUENT_RATIO * pairs(middle)
-    for picture in stack:
-        each = pairs(picture)
-        best, count = np.where(each > count, picture, best), np.maximum(each, count)
-    alike = np.where(np.abs(stack - best) < near, stack, np.inf)
-    return np.where(best == middle, middle, _middle_of_known(alike)).astype(np.float32)
+def _agreeing_pairs(stack: Picture, level: NDArray[Any], near: NDArray[Any]) -> Array:
+    """Number of neighbouring samples (k, ...) that both have a grey value near a level."""
+    alike = np.abs(stack - level) < near
+    return np.count_nonzero(alike[1:] & alike[:-1], axis=0).astype(np.float64)
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
