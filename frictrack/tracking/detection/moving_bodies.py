@@ -41,6 +41,7 @@ LOST_WEIGHT = 0.5  # of samples in which the target is hidden or away: they are 
 MIN_SAMPLES = 3  # that tell it, and that show a place after the target has left it
 MAX_ASTRAY_PX = 2  # reduced px from the track, of the place where what moves looks as usual
 MARGIN_PX, SEARCH_SHARE, MIN_SEARCH_PX = 4, 0.35, 8  # about the target: its outline, and where it is searched
+BODY_MARGIN = 0.25  # of the target's sides, by which its body may be larger on each
 MIN_THICKNESS = 0.5  # of the target's shorter side, for a region that may be what it should be
 
 
@@ -301,15 +302,17 @@ def target_fault(recording: Recording, track: Track) -> str:
     at = np.stack([track.x_px, track.y_px], axis=1)
     corner = (at[scene.index] + 0.5) / scene.factor - scene.shake - size / 2
     seen = np.isfinite(corner[:, 0])
-    around = (*(3 * np.rint(size)).astype(int).tolist(),)  # the body may be that much larger
-    rest = scene_without(scene, (0, 0, *around), corner - size)
-    found = [_where(rest, k, (*(c - size / 4), *(1.5 * size)), min(size)) for k, c in enumerate(corner)]
+    margin = BODY_MARGIN * size  # the body may be that much larger
+    rest = scene_without(scene, (0, 0, *np.rint(size + 2 * margin).astype(int).tolist()), corner - margin)
+    found = [_where(rest, k, (*(c - margin), *(size + 2 * margin)), min(size)) for k, c in enumerate(corner)]
     unknown = np.char.startswith(track.reason[scene.index], "match score")
-    here, others = np.array([h for h, _ in found]), [o for _, o in found]
+    low, high = np.nanquantile(at, (0.1, 0.9), axis=0)
+    moves = bool(np.hypot(*(high - low)) > MIN_TRAVEL_PX)  # else nothing that moves can be it
+    here, others = np.array([h and moves for h, _ in found]), [o for _, o in found]
     elsewhere = ~here & np.array([len(o) > 0 for o in others]) | unknown
     # samples that tell where the target is, those that contradict the track, and how many of them may
     silhouettes = _silhouettes(rest, corner, size, np.nan_to_num(track.angle[scene.index]))
-    for tells, wrong, most in ((here | elsewhere, elsewhere, MAX_ELSEWHERE), (*silhouettes, MAX_ASTRAY)):
+    for tells, wrong, most in ((here | elsewhere | (not moves), elsewhere, MAX_ELSEWHERE), (*silhouettes, MAX_ASTRAY)):
         weight = np.where(seen | unknown, 1.0, LOST_WEIGHT) @ wrong
         if weight >= MIN_SAMPLES and weight > most * tells.sum():
             row = int(np.argmax(wrong * np.array([1 + (o[0].area if o else 0) for o in others])))
@@ -345,7 +348,7 @@ def _silhouettes(scene: SampledScene, corner: Array, size: Array, angle: Array) 
     """
     room, reach = np.array(scene.background.shape[::-1]), max(MIN_SEARCH_PX, int(SEARCH_SHARE * max(size)))
     inside = np.all((corner > -MARGIN_PX) & (corner + size < room + MARGIN_PX), axis=1)
-    away = np.any(np.abs(corner[:, None] - corner[None]) > 2 * size, axis=2)
+    away = np.any(np.abs(corner[:, None] - corner[None]) > (1 + BODY_MARGIN) * size, axis=2)
     tells = inside & (away.sum(axis=1) >= MIN_SAMPLES)
     astray, rows = np.zeros_like(tells), np.flatnonzero(tells)
     if len(rows) < MIN_SAMPLES:
