@@ -1,4 +1,4 @@
-"""Open a high-speed recording: frames on demand with true times; one file format per module."""
+"""Open a high-speed recording: frames on demand with true times."""
 
 from __future__ import annotations
 

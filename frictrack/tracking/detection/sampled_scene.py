@@ -1,6 +1,7 @@
 """Separate the static scene from moving foreground, on reduced pictures of sampled frames.
 
-Some frames spread over the film are reduced, aligned if the whole picture shakes, and their median is the background.
+Some frames spread over the film are reduced and aligned if the whole picture shakes; what most of them, or of neighbours
+among them, agree on is the background.
 Regions that differ from it by more than noise, after normalising the light, move.
 """
 
@@ -84,7 +85,7 @@ class SampledScene:
     small : list of array
         Reduced and aligned frames, DN.
     background : array
-        Their median, DN.
+        What is behind all that moves, DN.
     foreground : list of array of bool
         Pixels that differ from the background.
     light : array (k,)
