@@ -1,8 +1,8 @@
 """Separate the static scene from moving foreground, on reduced pictures of sampled frames.
 
-Some frames spread over the film are reduced and aligned if the whole picture shakes; what most of them, or of neighbours
-among them, agree on is the background.
-Regions that differ from it by more than noise, after normalising the light, move.
+Some frames spread over the film are reduced and aligned if the whole picture shakes. What most of them, or far more
+neighbours among them, agree on is the background. Regions that differ from it by more than noise, after normalising the
+light, move.
 """
 
 from __future__ import annotations
