@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -96,6 +98,19 @@ def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
     jumps, lost = np.where(k < N / 2, 30.0, 180.0), np.where(k < N / 3, SLIDE, np.nan)
     for wrong in (slips, jumps, lost):
         assert "does not go along with what moves" in target_fault(film, a_track(wrong))
+
+
+def test_a_second_body_is_asked_about_after_tracking_too():
+    scene, paste = pasted()
+
+    def draw(i):
+        picture = scene.copy()
+        paste(picture, SLIDE[i], 20, (26, 40), 1)
+        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
+        return picture
+
+    one = replace(a_track(SLIDE, 20, (26, 40)), score=np.ones(N))
+    assert "expected one moving target but two move; give target = [" in target_fault(shown(draw), one)
 
 
 def test_a_film_none_of_whose_frames_fits_the_learnt_picture_is_refused(monkeypatch):
