@@ -14,6 +14,7 @@ from film import Film, block_film, expose, speckle
 
 from frictrack.base.errors import FrictrackError
 from frictrack.tracking import find_target, target_line, track
+from frictrack.tracking.detection.sampled_scene import sample_scene
 from frictrack.tracking.detection.targets import locate_target
 
 
@@ -201,6 +202,18 @@ def test_a_body_that_never_clears_its_place_on_a_plain_wall():
     assert abs(left + w - (x + 24)) < 6
     assert abs(top - 12) < 6
     assert abs(top + h - 48) < 6
+
+
+def test_a_body_that_passes_slowly_is_no_background():
+    """It covers each place on its way in up to two thirds of the frames, never with the same grey value for long."""
+    scene, paste = pasted()
+
+    def draw(i):
+        picture = scene.copy()
+        paste(picture, 60 + 0.9 * i, 30, SIZE, 1)
+        return picture
+
+    assert np.quantile(np.abs(sample_scene(shown(draw)).background - scene), 0.98) < 5  # noise of a frame: 1.5
 
 
 def test_noise_is_no_foreground_where_the_sensor_is_full_elsewhere():

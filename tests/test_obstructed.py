@@ -59,14 +59,14 @@ def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
 
 
 def test_the_rotation_of_a_plain_disc_is_said_to_be_unseen():
-    film = scene(6, look="plain", **ROLLING)
+    film = scene(6, look="plain", slope=0.0, **ROLLING)  # shading that turns with it would be a mark that is not seen
     result = track(DrawnFilm(film.frames))
     assert any("how far it turns is not seen" in note for note in result.notes)
     assert np.nanmax(np.abs(result.angle)) == 0
     assert np.nanmin(result.sigma_angle) > 1
     assert len(result.outline) == 24  # its whole outline is the target
     assert np.ptp(np.array(result.outline), axis=0) == pytest.approx(2 * film.body.half + 3, abs=2)
-    assert np.nanstd(_error(film, result)[:, 0]) < 0.06
+    assert np.nanstd(_error(film, result)[:, 0]) < 0.03
 
 
 @pytest.mark.slow

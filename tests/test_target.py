@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
-from frictrack.tracking import Areas, driver, find_reference, track
+from frictrack.tracking import Areas, driver, find_reference, followed_target, learning_rounds, track
 from frictrack.tracking.detection import resolve_target, target_fault
 
 
@@ -84,7 +86,7 @@ def test_a_place_that_rests_while_a_body_moves_is_no_target(monkeypatch):
     assert not target_fault(shown(lambda i: pasted()[0]), a_track(empty))  # nothing moves
     x, y, w, h = (round(v) for v in a_track(empty).target)
     monkeypatch.setattr(driver, "resolve_areas", lambda *_: (Areas([x, y, w, h]), (x, y, w, h), 0))
-    with pytest.raises(FrictrackError, match=r"place that was found, \[.*\], rests while .* moves, in frame \d+ at \["):
+    with pytest.raises(FrictrackError, match=r"that was found, \[.*\], does not go along .* frame \d+ at \["):
         track(film)
     assert np.ptp(track(film, [x, y, w, h]).x_px) < 1  # what the user has drawn is tracked
 
@@ -93,9 +95,31 @@ def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
     """A match score would not tell: here the tracks themselves are wrong."""
     film, k = a_film(SLIDE), np.arange(N)
     slips = SLIDE - 12 * k / N  # along a plain body, say
-    assert "does not go along with what moves" in target_fault(film, a_track(slips))
-    assert "jumps between places" in target_fault(film, a_track(np.where(k < N / 2, 30.0, 180.0)))
-    assert "in which something moves" in target_fault(film, a_track(np.where(k < N / 3, SLIDE, np.nan)))
+    jumps, lost = np.where(k < N / 2, 30.0, 180.0), np.where(k < N / 3, SLIDE, np.nan)
+    for wrong in (slips, jumps, lost):
+        assert "does not go along with what moves" in target_fault(film, a_track(wrong))
+
+
+def test_a_second_body_is_asked_about_after_tracking_too():
+    scene, paste = pasted()
+
+    def draw(i):
+        picture = scene.copy()
+        paste(picture, SLIDE[i], 20, (26, 40), 1)
+        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
+        return picture
+
+    one = replace(a_track(SLIDE, 20, (26, 40)), score=np.ones(N))
+    assert "expected one moving target but two move; give target = [" in target_fault(shown(draw), one)
+
+
+def test_a_film_none_of_whose_frames_fits_the_learnt_picture_is_refused(monkeypatch):
+    """It is said so, and nothing divides by a number of frames that is none."""
+    monkeypatch.setattr(learning_rounds._Round, "usable", property(lambda one: np.zeros(len(one.cuts), np.bool_)))
+    assert track(a_film(SLIDE), [20, 16, 40, 30]).found.all()  # with the picture of the first frame
+    monkeypatch.setattr(followed_target, "_loss_reasons", lambda _, rows, __: ["poor"] * len(rows))
+    with pytest.raises(FrictrackError, match="is found in fewer than two frames"):
+        track(a_film(SLIDE), [20, 16, 40, 30])
 
 
 def test_a_picture_of_the_target(tmp_path):

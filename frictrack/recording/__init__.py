@@ -1,4 +1,4 @@
-"""Open a high-speed recording: frames on demand with true times; one file format per module."""
+"""Open a high-speed recording: frames on demand with true times."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import RemoteFile, trim_cache
 from frictrack.recording.base import Frame, FrameRange, Header, Recording
 from frictrack.recording.byte_ranges import find_ranges
-from frictrack.recording.folder import Folder
 from frictrack.recording.phantom import Phantom
 from frictrack.recording.photron import Photron
-from frictrack.recording.spool import random_access
+from frictrack.recording.raw import random_access
 from frictrack.recording.tiff import Tiff
 from frictrack.recording.timebase import Stamps, read_stamps
-from frictrack.recording.video import Video
+from frictrack.recording.video import Folder, Video
 
 __all__ = [
     "FORMATS",

@@ -241,16 +241,16 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
     if not target_model.rotates:
         rows = np.flatnonzero(measured.found & followed.remeasure)
         measured = measure_all(film, measured, rows, target_model, work)
+    if np.count_nonzero(measured.found) < 2:
+        raise FrictrackError(
+            f"{recording.path.name}: the target {list(followed.rectangle)} is found in fewer than two frames; "
+            "choose a rectangle that fits the moving body, in a frame that shows it well"
+        )
     result = _with_systematic_error(_to_track(recording, measured, followed.rectangle, name), target_model)
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(
             result, angle=lost, sigma_angle=lost + UNKNOWN_ANGLE_SIGMA, notes=(*result.notes, ROTATION_UNSEEN)
-        )
-    if np.count_nonzero(result.found) < 2:
-        raise FrictrackError(
-            f"{recording.path.name}: the target {list(followed.rectangle)} is found in fewer than two frames; "
-            "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
     result = _with_reference_sigma(result, followed.template)
     line_notes = interlacing_note(film, result) if followed.rereadable else ()

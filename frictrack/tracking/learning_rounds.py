@@ -131,7 +131,7 @@ def learn_target_model(
             break
         if 0 < k < MAX_ROUNDS - 1:  # the first round straightens the places; before that all looks odd
             pattern = with_obstacles(_estimate_pattern(found), blocked)
-    return _final_model(found, pattern)
+    return _final_model(found, pattern) if found.usable.any() else TargetModel(without_border(template), pattern)
 
 
 def _recentre(found: _Round) -> _Round:

@@ -377,7 +377,7 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
     margin = 2 + int(np.ceil(np.max(np.abs(scene.shake)) * scene.factor))
     excluded[:margin], excluded[-margin:], excluded[:, :margin], excluded[:, -margin:] = True, True, True, True
     foot = float(np.nanmax(track.y_px) + 0.25 * track.target[3])
-    return _choose_patch(_patch_sigmas(still, noise, excluded), max(int(np.ceil(foot)), 0))
+    return _choose_patch(still, noise, excluded, max(int(np.ceil(foot)), 0))
 
 
 def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
@@ -402,57 +402,31 @@ def _static_picture(scene: SampledScene) -> tuple[Picture, Picture, Mask]:
 def _covered_by_target(track: Track, shape: tuple[int, int]) -> Mask:
     """Pixels that the target's rectangle, somewhat enlarged, ever covered."""
     assert track.target is not None
-    size = np.array(track.target[2:])
+    half = 0.7 * np.array(track.target[2:])
     centre = np.stack([track.x_px, track.y_px], axis=1)[track.found]
-    limit = np.array(shape[::-1])
-    low = np.clip(np.floor(centre - 0.7 * size), 0, limit).astype(int)
-    high = np.clip(np.ceil(centre + 0.7 * size) + 1, 0, limit).astype(int)
-    corners = np.zeros((shape[0] + 1, shape[1] + 1))
-    np.add.at(corners, (low[:, 1], low[:, 0]), 1)
-    np.add.at(corners, (high[:, 1], high[:, 0]), 1)
-    np.add.at(corners, (low[:, 1], high[:, 0]), -1)
-    np.add.at(corners, (high[:, 1], low[:, 0]), -1)
-    return np.asarray(np.cumsum(np.cumsum(corners, axis=0), axis=1)[:-1, :-1] > 0)
+    corners = np.hstack([np.floor(centre - half), np.ceil(centre + half) + 1]).clip(0).astype(int)
+    covered = np.zeros(shape, np.bool_)
+    for x0, y0, x1, y1 in np.unique(corners, axis=0).tolist():
+        covered[y0:y1, x0:x1] = True
+    return covered
 
 
-def _patch_sigmas(still: Picture, noise: Picture, excluded: Mask) -> dict[tuple[int, int], Array]:
-    """For each patch size the Cramer-Rao bound on the worse axis at every corner, px; inf where excluded."""
-    smooth = cv2.GaussianBlur(still, (0, 0), 0.7)
-    gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(smooth))
-    found = {}
+def _choose_patch(still: Picture, noise: Picture, excluded: Mask, foot: int) -> Rectangle | None:
+    """Patch with the smallest Cramer-Rao bound on its worse axis; one below row `foot` if it is nearly as good."""
+    gy, gx = (np.asarray(g / noise, dtype=np.float64) for g in np.gradient(cv2.GaussianBlur(still, (0, 0), 0.7)))
+    parts = [cv2.integral(p) for p in (gx * gx, gy * gy, gx * gy, excluded.astype(np.float64))]
+    best: list[tuple[float, Rectangle]] = [(np.inf, (0, 0, 0, 0))] * 2  # anywhere, and below
     for h, w in PATCH_SIZES_PX:
         if h + 4 > still.shape[0] or w + 4 > still.shape[1]:
             continue
-        xx, yy, xy, blocked = (_box_sums(p, (h, w)) for p in (gx * gx, gy * gy, gx * gy, excluded.astype(np.float64)))
-        weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        xx, yy, xy, blocked = (s[h:, w:] - s[:-h, w:] - s[h:, :-w] + s[:-h, :-w] for s in parts)
         # The gradient of the noise that remains in the median is no texture.
-        weakest -= 0.1 * h * w
-        found[h, w] = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
-    return found
-
-
-def _box_sums(values: Array, size: tuple[int, int]) -> Array:
-    """Sums over patches of `size` (h, w) with their corner at each pixel."""
-    total = cv2.integral(values)
-    h, w = size
-    return np.asarray(total[h:, w:] - total[:-h, w:] - total[h:, :-w] + total[:-h, :-w])
-
-
-def _choose_patch(found: dict[tuple[int, int], Array], foot: int) -> Rectangle | None:
-    """Patch with the smallest standard deviation; one below row `foot` if it is nearly as good."""
-    best, anywhere = _best_patch(found, 0)
-    if best > MAX_SIGMA_PX:
+        weakest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2) - 0.1 * h * w
+        sigma = np.where((blocked < 0.5) & (weakest > 0), 1 / np.sqrt(np.maximum(weakest, 1e-9)), np.inf)
+        for k, first in enumerate((0, foot)):
+            if sigma[first:].size and sigma[first:].min() < best[k][0]:
+                y, x = np.unravel_index(int(np.argmin(sigma[first:])), sigma[first:].shape)
+                best[k] = float(sigma[first:].min()), (int(x), int(y) + first, w, h)
+    if best[0][0] > MAX_SIGMA_PX:
         return None
-    sigma, below = _best_patch(found, foot)
-    return below if sigma <= min(MAX_REFERENCE_SIGMA_RATIO * best, MAX_SIGMA_PX) else anywhere
-
-
-def _best_patch(found: dict[tuple[int, int], Array], first_row: int) -> tuple[float, Rectangle]:
-    """Smallest standard deviation of the patches from a row on, and that patch; infinite without any."""
-    best, patch = np.inf, (0, 0, 0, 0)
-    for (h, w), sigma in found.items():
-        part = sigma[first_row:]
-        if part.size and part.min() < best:
-            y, x = np.unravel_index(int(np.argmin(part)), part.shape)
-            best, patch = float(part.min()), (int(x), int(y) + first_row, w, h)
-    return best, patch
+    return best[best[1][0] <= min(MAX_REFERENCE_SIGMA_RATIO * best[0][0], MAX_SIGMA_PX)][1]

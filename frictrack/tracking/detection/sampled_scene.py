@@ -1,7 +1,8 @@
 """Separate the static scene from moving foreground, on reduced pictures of sampled frames.
 
-Some frames spread over the film are reduced, aligned if the whole picture shakes, and their median is the background.
-Regions that differ from it by more than noise, after normalising the light, move.
+Some frames spread over the film are reduced and aligned if the whole picture shakes. What most of them, or far more
+neighbours among them, agree on is the background. Regions that differ from it by more than noise, after normalising the
+light, move.
 """
 
 from __future__ import annotations
@@ -29,6 +30,10 @@ NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
+CLUSTER_SIGMAS, FREQUENT_RATIO = (
+    3.0,
+    1.5,
+)  # of noise, that equal grey values differ by; and more samples than at the median
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
 ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
@@ -54,6 +59,16 @@ class Blob:
     area: int
     cut: bool  # by the edge of the picture: it goes on outside
 
+    @cached_property
+    def middle(self) -> Array:
+        """Mean position (2,) of its pixels, px."""
+        return np.mean(np.argwhere(self.mask)[:, ::-1], axis=0) + self.box[:2]
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Principal standard deviations (2,) of its pixels, px: the same at any angle."""
+        return np.sqrt(np.linalg.eigvalsh(np.cov(np.argwhere(self.mask).T)) + 1 / 12)
+
 
 @dataclass(frozen=True, eq=False)
 class SampledScene:
@@ -70,7 +85,7 @@ class SampledScene:
     small : list of array
         Reduced and aligned frames, DN.
     background : array
-        Their median, DN.
+        What is behind all that moves, DN.
     foreground : list of array of bool
         Pixels that differ from the background.
     light : array (k,)
@@ -152,8 +167,39 @@ def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> Sa
     shake = _estimate_shake(small) if steady else np.zeros((len(small), 2))
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
-    background = np.median(np.stack(small), axis=0).astype(np.float32)
+    background = _still_scene(np.stack(small))
     return _without_ghosts(_build_scene(index, frames, (factor, shake, small), background))
+
+
+def _still_scene(stack: Picture) -> Picture:
+    """Background (h, w) of samples (k, h, w): their median, or a grey value that far more neighbouring ones share.
+
+    A textured body that passes slowly covers a place in most samples, but with another grey value in each.
+    """
+    middle = np.median(stack, axis=0)
+    stack = stack / np.array([light_ratio(picture, middle) for picture in stack], np.float32)[:, None, None]
+    middle = np.median(stack, axis=0)
+    steps = np.quantile(np.abs(np.diff(stack, axis=0)), NOISE_QUANTILE, axis=0).astype(
+        np.float32
+    )  # most may be a body's
+    steps = cv2.blur(steps, (5, 5)) / np.float32(np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE))
+    least = max(float(np.quantile(steps, NOISE_QUANTILE)), 0.5)
+    near = CLUSTER_SIGMAS * np.clip(steps, least, MAX_NOISE_RATIO * least)
+    best, count = middle.astype(np.float32), FREQUENT_RATIO * _agreeing_pairs(stack, middle, near)
+    unsure = count < len(stack) - 1  # elsewhere no other grey value can be so frequent
+    some, reach, level, most = stack[:, unsure], near[unsure], middle[unsure], count[unsure]
+    for values in some:
+        each = _agreeing_pairs(some, values, reach)
+        level, most = np.where(each > most, values, level), np.maximum(each, most)
+    alike = np.where(np.abs(some - level) < reach, some, np.inf)
+    best[unsure] = np.where(level == middle[unsure], level, _middle_of_known(alike))
+    return best
+
+
+def _agreeing_pairs(stack: Picture, level: NDArray[Any], near: NDArray[Any]) -> Array:
+    """Number of neighbouring samples (k, ...) that both have a grey value near a level."""
+    alike = np.abs(stack - level) < near
+    return np.count_nonzero(alike[1:] & alike[:-1], axis=0).astype(np.float64)
 
 
 def _build_scene(index: list[int], frames: list[Frame], reduced: Any, background: Picture) -> SampledScene:
@@ -212,10 +258,15 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     stack = np.stack(shown)
     replaced = np.count_nonzero(np.isfinite(stack), axis=0) >= MIN_GHOST_FRAMES
     background = np.where(replaced, _middle_of_known(stack), scene.background)
-    return scene_before(scene, background)
+    return _scene_before(scene, background)
 
 
-def scene_before(scene: SampledScene, background: Picture) -> SampledScene:
+def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
+    """The same samples before the background without a body; see `background_without`."""
+    return _scene_before(scene, background_without(scene, box, corner))
+
+
+def _scene_before(scene: SampledScene, background: Picture) -> SampledScene:
     """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
 
@@ -251,7 +302,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
     Returns
     -------
     array (h, w)
-        DN; that of all frames where the body always covers it.
+        DN; that of all frames where the body always or never covers it.
 
     """
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
@@ -260,7 +311,8 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
     for picture, (x, y) in zip(stack, np.rint(corner[rows]).astype(int), strict=True):
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
     middle = _middle_of_known(stack)
-    return np.where(np.isfinite(middle), middle, scene.background).astype(np.float32)
+    uncovered = np.isfinite(middle) & ~np.all(np.isfinite(stack), axis=0)
+    return np.where(uncovered, middle, scene.background).astype(np.float32)
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:

@@ -96,7 +96,8 @@ def scene(seed: int, **given: Any) -> Scene:
     """Film number `seed`; what is not given is drawn at random.
 
     `given` may hold frames, shape (h, w), look, motion, disc (bool), disturbances, quality (of JPEG; None for none),
-    contrast (grey values of the body above its surroundings) and wall ("brick" or "plank").
+    contrast (grey values of the body above its surroundings), slope (of its shading, grey values/px)
+    and wall ("brick" or "plank").
     """
     rng = np.random.default_rng([49, seed])
     w, h, n = (int(rng.integers(low, high)) for low, high in ((320, 641), (96, 201), (60, 301)))
@@ -126,7 +127,7 @@ def scene(seed: int, **given: Any) -> Scene:
     turn = (x - x[0]) / half[0] if disc else np.full(n, tilt)
     contrast = rng.choice([-1, 1]) * rng.uniform(40, 90)
     grey = float(np.clip(level + given.get("contrast", contrast), 15, 240))
-    body = Body(half, disc, centre, turn, _texture(rng, half, look, grey))
+    body = Body(half, disc, centre, turn, _texture(rng, half, look, grey, given.get("slope", np.nan)))
     second = _second(rng, (h, w, n), body, shake) if "second body" in some else None
     still = _background(rng, (h, w), level, row + half[1] if abs(tilt) < 0.02 else None)
     if "wall" in given:
@@ -190,10 +191,15 @@ def _smooth(rng: np.random.Generator, n: int, width: float) -> Array:
     return (series - series[0]) / np.sqrt(np.sum(kernel**2))
 
 
-def _texture(rng: np.random.Generator, half: Array, look: str, grey: float) -> NDArray[np.float32]:
-    """Picture of a body with 4 px of margin."""
+def _texture(
+    rng: np.random.Generator, half: Array, look: str, grey: float, slope: float = np.nan
+) -> NDArray[np.float32]:
+    """Picture of a body with 4 px of margin; `slope` is its shading along x, grey values/px, at random by default."""
     w, h = (int(np.ceil(2 * q)) + 9 for q in half)
-    picture = np.full((h, w), grey, np.float32) + rng.uniform(-0.2, 0.2) * np.arange(w, dtype=np.float32)
+    shading = rng.uniform(-0.2, 0.2)
+    picture = np.full((h, w), grey, np.float32) + np.arange(w, dtype=np.float32) * np.float32(
+        shading if np.isnan(slope) else slope
+    )
     if look == "textured":
         noise = cv2.GaussianBlur(rng.standard_normal((h, w)).astype(np.float32), (0, 0), rng.uniform(1.2, 3.0))
         picture += noise / noise.std() * rng.uniform(15, 40)
