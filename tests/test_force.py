@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 from runs import BASE, FPS, MASS, Spec, measured, study
+from scipy.integrate import solve_ivp
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
@@ -175,6 +176,25 @@ class TestSearch:
         found = [search_parameters(misfit, search, rng).costs[0] / at_best for rng in rngs]
         assert min(found) > 0.999
         assert np.median(found) < close
+
+    @pytest.mark.parametrize("search", ["de", pytest.param("mga", marks=pytest.mark.slow)])
+    def test_levels_do_not_follow_what_a_model_lacks(self, search):
+        # by SciPy: all runs of one friction, with a vibration of 40 N that the model lacks, in six phases
+        t, mass = np.arange(200) / FPS, 2.0
+
+        def run(speed, phase):
+            def change(now, z):
+                friction = 8.0 + 6.0 * np.exp(-z[1] / 0.4) + 1.2 * z[1]
+                return z[1], -(friction + 40.0 * np.sin(2 * np.pi * 31.0 * now + phase)) / mass
+
+            x = solve_ivp(change, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+            return measured(t, x, sigma=1e-6, mass=mass, name=f"at {speed}")
+
+        result = fit("tustin", [run(4.0 + 0.3 * i, 0.4 + 2.0 * i) for i in range(6)], search=search)
+        p, misfit = result.solution.p, population_misfit(result.solution.problem)
+        low, high = search_bounds(misfit).T
+        assert p[misfit.layout.levels] == pytest.approx(1.0, abs=0.06)
+        assert np.all((low <= p[misfit.searched]) & (p[misfit.searched] <= high))
 
     def test_differential_evolution_reaches_the_optimum_of_variable_projection(self):
         run = one_slide()
