@@ -32,7 +32,7 @@ from frictrack.measure.error_budget import budget
 from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
-from frictrack.results.model_names import plain_name
+from frictrack.results.names import plain_name
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
 

@@ -37,4 +37,4 @@ from frictrack.present.plots.plan import next_experiments, pair_separation, rema
 from frictrack.present.plots.style import html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import passes
-from frictrack.results.model_names import numbered_name, plain_name
+from frictrack.results.names import numbered_name, plain_name

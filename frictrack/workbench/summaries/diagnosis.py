@@ -19,7 +19,7 @@ from frictrack.present.report import (
 )
 from frictrack.results import ModelResults, Results, to_builtins
 from frictrack.results.candidates import candidate_rows
-from frictrack.results.motion_axes import AXES
+from frictrack.results.names import AXES
 from frictrack.results.verdicts import describe_formula, force_without_effect
 from frictrack.study import Study
 from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns

@@ -11,9 +11,8 @@ from frictrack.effects import catalogue
 from frictrack.flow import user_effects
 from frictrack.present.plots import has_law, residual_unit
 from frictrack.results import ModelResults, Results
-from frictrack.results.error_rows import held_out_error
-from frictrack.results.model_names import numbered_name
-from frictrack.results.parameter_rows import parameter_row
+from frictrack.results.names import numbered_name
+from frictrack.results.rows import held_out_error, parameter_row
 from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.summaries.snapshot import Snapshot

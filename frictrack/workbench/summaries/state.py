@@ -10,7 +10,7 @@ from frictrack.base.number_format import upper_first
 from frictrack.effects import models
 from frictrack.flow import Change, undo_stacks
 from frictrack.results import to_builtins
-from frictrack.results.model_names import joined_name, numbered_name
+from frictrack.results.names import joined_name, numbered_name
 from frictrack.results.verdicts import CHECK_FIRST, describe_tests
 from frictrack.study import Study
 from frictrack.workbench.summaries.diagnosis import summarise_diagnosis, verdict_of
