@@ -67,7 +67,7 @@ def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Call
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from frictrack.base.version import __version__  # noqa: PLC0415
+        from frictrack.base import __version__  # noqa: PLC0415
 
         sys.stdout.write(f"frictrack {__version__}\n")
         raise typer.Exit

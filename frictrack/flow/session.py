@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
-from frictrack.base.version import __version__
 from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test

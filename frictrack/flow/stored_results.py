@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import first_words, format_number, format_plus_minus
-from frictrack.base.version import __version__
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import RunPipeline, digest

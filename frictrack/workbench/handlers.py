@@ -18,6 +18,7 @@ from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.workbench import MissingError, OutdatedError
 from frictrack.workbench.actions import (
     cancel,
     change,
@@ -28,7 +29,6 @@ from frictrack.workbench.actions import (
     take_in,
     try_effect,
 )
-from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
 

@@ -30,7 +30,7 @@ from filelock import FileLock, Timeout
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
-from frictrack.workbench.errors import BusyError
+from frictrack.workbench import BusyError
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
 MAX_CANCEL_SECONDS = 3.0  # until a cancelled process has ended

@@ -15,8 +15,8 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from frictrack.base import __version__
 from frictrack.base.errors import os_errors_as
-from frictrack.base.version import __version__
 from frictrack.base.workers import processors, run_parallel
 from frictrack.flow import Progress, no_progress
 from frictrack.validation.reproduce.identification import (
