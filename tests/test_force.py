@@ -51,6 +51,18 @@ def exact_chain(run, piece, x):
     return differentiate(low_pass(seen, run.motion.cutoff)).a
 
 
+def scipy_slide(speed, level=1.0, *, phase=0.0, amplitude=40.0, n=200):
+    """A slide of 2 kg by SciPy: a Tustin friction of this level, and a vibration."""
+    t, mass = np.arange(n) / FPS, 2.0
+
+    def change(now, z):
+        dry = level * (8.0 + 6.0 * np.exp(-abs(z[1]) / 0.4))
+        return z[1], -(dry + 1.2 * z[1] + amplitude * np.sin(2 * np.pi * 31.0 * now + phase)) / mass
+
+    x = solve_ivp(change, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    return measured(t, x, sigma=1e-6, mass=mass, name=f"at {speed}")
+
+
 class TestChain:
     def test_is_the_stages_low_pass_and_derivative(self):
         run = one_slide()
@@ -179,22 +191,19 @@ class TestSearch:
 
     @pytest.mark.parametrize("search", ["de", pytest.param("mga", marks=pytest.mark.slow)])
     def test_levels_do_not_follow_what_a_model_lacks(self, search):
-        # by SciPy: all runs of one friction, with a vibration of 40 N that the model lacks, in six phases
-        t, mass = np.arange(200) / FPS, 2.0
-
-        def run(speed, phase):
-            def change(now, z):
-                friction = 8.0 + 6.0 * np.exp(-z[1] / 0.4) + 1.2 * z[1]
-                return z[1], -(friction + 40.0 * np.sin(2 * np.pi * 31.0 * now + phase)) / mass
-
-            x = solve_ivp(change, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
-            return measured(t, x, sigma=1e-6, mass=mass, name=f"at {speed}")
-
-        result = fit("tustin", [run(4.0 + 0.3 * i, 0.4 + 2.0 * i) for i in range(6)], search=search)
+        """Six runs of one friction, with a vibration of 40 N in six phases, which the model lacks."""
+        runs = [scipy_slide(4.0 + 0.3 * i, phase=0.4 + 2.0 * i) for i in range(6)]
+        result = fit("tustin", runs, search=search)
         p, misfit = result.solution.p, population_misfit(result.solution.problem)
         low, high = search_bounds(misfit).T
         assert p[misfit.layout.levels] == pytest.approx(1.0, abs=0.06)
         assert np.all((low <= p[misfit.searched]) & (p[misfit.searched] <= high))
+
+    def test_levels_that_the_runs_determine_are_found(self):
+        levels = np.array([0.9, 1.0, 1.12])
+        runs = [scipy_slide(3.0 + i, level, amplitude=0.0, n=1600) for i, level in enumerate(levels)]
+        result = fit("tustin", runs, search="de")
+        assert result.solution.p[-3:] == pytest.approx(levels / levels.mean(), abs=0.003)
 
     def test_differential_evolution_reaches_the_optimum_of_variable_projection(self):
         run = one_slide()

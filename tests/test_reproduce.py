@@ -12,7 +12,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
-import frictrack as ft
 from frictrack.base.errors import FrictrackError
 from frictrack.cli.utility_commands import app
 from frictrack.records import Run
@@ -35,7 +34,6 @@ from frictrack.validation.reproduce.sections import (
     FAILS,
     HOLDS,
     OPEN,
-    SectionStore,
     as_text,
     claim,
     format_cell,
@@ -280,31 +278,19 @@ def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
     assert result["quick"] is True
 
 
-def test_a_second_call_keeps_what_is_done(made: tuple[Path, dict], monkeypatch: pytest.MonkeyPatch) -> None:
-    folder, result = made
-    assert set(result["seconds"]) == set(reproduce.SECTIONS)
-    told: list[str] = []
-    monkeypatch.setattr(reproduce, "_timed", None)  # nothing is computed
-    again = reproduce.reproduce(folder, quick=True, progress=lambda done, total, what: told.append(what))
-    assert again == result
-    assert told == ["reproduce: 8 of 8 sections are done and kept"]
-    (folder / "sections" / "orders.json").write_text("{}")  # another version's
-    assert sorted(set(reproduce.SECTIONS) - _kept(folder)) == ["orders"]
-    assert _kept(folder, "another effort") == set()
-
-
-def _kept(folder: Path, about: str | None = None) -> set[str]:
-    known = {"effort": QUICK, "seed": 0}
-    store = SectionStore(folder, about or f"{ft.__version__} {known}")
-    return {name for name in reproduce.SECTIONS if store.read(name) is not None}
-
-
 def test_the_time_is_said_before_the_work() -> None:
-    said = reproduce.describe_work(2, ["orders", "friction_problem"])
-    assert said.startswith(
-        "reproduce: 2 of 8 sections are done and kept; the others take about 4 min of processor time"
-    )
+    said = reproduce.describe_work()
+    assert said.startswith("reproduce: 8 sections; they take about 7 min of processor time")
     assert sum(seconds for *_, seconds in reproduce.SECTIONS.values()) < 600
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "_timed", None)  # nothing is computed
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FrictrackError, match="choose another folder with -o"):
+        reproduce.reproduce(tmp_path / "file")
 
 
 def test_table_7_stands_in_full_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,7 +49,7 @@ Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
 MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
 FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
 MISFITS_DRAWN = 100  # random forces that tell how many data are independent
-LEVEL_ROUNDS = 3  # of the levels and of the misfit that they are weighed against
+LEVEL_ROUNDS = 5  # of the levels and of the misfit that they are weighed against
 MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
@@ -118,7 +118,7 @@ class _SearchMisfit(ABC):
             mine = self.separable.run_of_datum == run
             own[:, i] = np.einsum("qm,qm->q", dry[:, mine], dry[:, mine])
             along[:, i] = np.einsum("qm,qm->q", dry[:, mine], residual[:, mine])
-        left, d = squares, np.zeros_like(own)
+        left, d = np.zeros_like(squares), np.zeros_like(own)  # without a misfit first, so that levels that explain it stay
         for _ in range(LEVEL_ROUNDS):
             weight = np.maximum(left / self.independent, 1.0) / self.tau**2
             per_level = 1 / (own + weight[:, None])
