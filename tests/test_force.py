@@ -51,9 +51,9 @@ def exact_chain(run, piece, x):
     return differentiate(low_pass(seen, run.motion.cutoff)).a
 
 
-def scipy_slide(speed, level=1.0, *, phase=0.0, amplitude=40.0, n=200):
-    """A slide of 2 kg by SciPy: a Tustin friction of this level, and a vibration."""
-    t, mass = np.arange(n) / FPS, 2.0
+def scipy_slide(speed, level=1.0, *, phase=0.0, amplitude=40.0, mass=2.0):
+    """A slide of 50 ms by SciPy: a Tustin friction of this level, and a vibration."""
+    t = np.arange(200) / FPS
 
     def change(now, z):
         dry = level * (8.0 + 6.0 * np.exp(-abs(z[1]) / 0.4))
@@ -201,7 +201,7 @@ class TestSearch:
 
     def test_levels_that_the_runs_determine_are_found(self):
         levels = np.array([0.9, 1.0, 1.12])
-        runs = [scipy_slide(3.0 + i, level, amplitude=0.0, n=1600) for i, level in enumerate(levels)]
+        runs = [scipy_slide(2.2 + i, level, amplitude=0.0, mass=MASS) for i, level in enumerate(levels)]
         result = fit("tustin", runs, search="de")
         assert result.solution.p[-3:] == pytest.approx(levels / levels.mean(), abs=0.003)
 
