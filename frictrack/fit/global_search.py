@@ -102,7 +102,9 @@ class _SearchMisfit(ABC):
         misfits = np.full(len(points), sum(b.rest for b in self.blocks))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             dry, other = self._explained(points)
-            residual = self.separable.data - dry - other
+            residual = self.separable.data - other
+            if self.layout.levels:
+                residual -= dry
             squares = np.einsum("qm,qm->q", residual, residual)
             if self.layout.levels:
                 d, squares = self._level_changes(dry, residual, squares)
@@ -160,11 +162,11 @@ class PopulationMisfit(_SearchMisfit):
 
     def _explained(self, points: Array) -> tuple[Array, Array]:
         vectors = self.full_vectors(points)
-        dry, other = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
-        return dry, other
+        parts = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
+        return (parts[0], parts[1]) if self.layout.levels else (np.zeros((len(points), 1)), parts[0])
 
     def _explained_in(self, block: DataBlock, vectors: Array) -> Array:
-        """Both parts of the modelled data of one block, (2, Q, m)."""
+        """Modelled data of one block, (1, Q, m); with levels the part that follows them and the rest, (2, Q, m)."""
         model, count = self.layout.model, len(vectors)
         path = tiled_path(block.evaluation_path(model.memory), count)
         values, n = self.layout.values(vectors, block.run)[0], len(path.t) // count
@@ -173,13 +175,12 @@ class PopulationMisfit(_SearchMisfit):
             for e in model.effects
         }
         columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
-        force, shift = np.zeros((2, 2, count, n))
+        force, shift = np.zeros((2, 2 if self.layout.levels else 1, count, n))
         for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
             total = force if e.acts_on == "force" else shift
             for column, q in zip(columns[e.name].T, e.linear, strict=True):
-                follows_level = q.loaded and bool(self.layout.levels)
                 size = np.reshape(values[e.name][q.name], (-1, 1))
-                total[0 if follows_level else 1] += size * column.reshape(count, -1)
+                total[0 if q.loaded else -1] += size * column.reshape(count, -1)
         data = block.forward(force)
         return data + block.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
 

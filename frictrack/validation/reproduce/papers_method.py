@@ -39,7 +39,6 @@ TRACKING_NOISE = 1e-5  # m, standard deviation per frame
 PIXEL_PITCH = 5e-4  # m/px
 MAX_DURATION_S = 0.3  # of a recording
 SENSOR_NOISE = 0.5  # m/s^2, standard deviation of the second paper's acceleration sensor
-LOWEST_GENERATIONS = 250  # of differential evolution; ATM1 has converged before, ATM2 nearly
 MIN_SPEED = 0.5  # m/s, at which a recording ends: nearly at rest, as the free section would
 
 
@@ -146,12 +145,16 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
 def friction_run(run: Run, a: Array | None = None) -> Run:
     """The run as the papers see it: the friction -m a along its motion, without one period of the cut-off at each end.
 
-    `a` is the acceleration by a sensor (n,), of which the first and the last frame are left out.
+    `a` is the acceleration by a sensor (n,), of which the first and the last frame are left out. At most every fourth
+    frame is taken, and no fewer than 200 where possible: enough for all frequencies that pass the filter.
     """
     motion, mass = run.motion, run.mass or 1.0
     guard = 1 if a is not None else round(1 / (motion.cutoff * float(np.median(np.diff(motion.t)))))
     inside = float(motion.t[guard]), float(motion.t[len(motion.t) - 1 - guard])
-    return replace(run, friction_N=-mass * (motion.a if a is None else a), free=inside)
+    kept = slice(None, None, int(np.clip(len(motion.t) // 200, 1, 4)))
+    friction = -mass * (motion.a if a is None else a)[kept]
+    seen = run.displacement.rows(kept), motion.rows(kept)
+    return replace(run, displacement=seen[0], motion=seen[1], friction_N=friction, free=inside)
 
 
 def time_speed_force(run: Run) -> tuple[Array, Array, Array]:
@@ -261,13 +264,11 @@ def identify(law: str, run: Run, effort: Effort, method: str = "mga", model: Mod
     evolution of the non-linear parameters. For ATM2 a lower error may exist.
     """
     own: Any = model or law
-    search = search_method(method, {"generations": effort.generations})
+    search, de = (search_method(name, {"generations": effort.generations}) for name in (method, "de"))
     found = tuple(fit(own, [run], search=search, rng=seed) for seed in range(effort.identified))
-    others = [fit(own, [run])]
-    if effort.identified > 1:  # of ATM2 it finds a lower error in seconds, which a quick run does without
-        others.append(
-            fit(own, [run], search=search_method("de", {"generations": LOWEST_GENERATIONS}), over="nonlinear")
-        )
+    others = [fit(own, [run], search=de, over="nonlinear")]
+    if effort.identified > 1:  # seconds for ATM2, which a quick run does without
+        others.append(fit(own, [run]))
     return Identification(law, found, min((*found, *others), key=squared_error))
 
 
