@@ -280,7 +280,7 @@ def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
 
 def test_the_time_is_said_before_the_work() -> None:
     said = reproduce.describe_work()
-    assert said.startswith("reproduce: 8 sections; they take about 7 min of processor time")
+    assert said.startswith("reproduce: 8 sections; they take about 5 min of processor time")
     assert sum(seconds for *_, seconds in reproduce.SECTIONS.values()) < 600
 
 

@@ -43,9 +43,9 @@ from frictrack.validation.reproduce.sections import (
 SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
     "time_units": (time_units, (), 2),
     "tustin_groups": (tustin_groups, ("effort", "seed"), 6),
-    "two_models": (two_models, ("effort", "seed"), 55),
-    "orders": (orders, ("effort", "seed"), 110),
-    "equation_4": (equation_4, ("effort", "seed"), 45),
+    "two_models": (two_models, ("effort", "seed"), 45),
+    "orders": (orders, ("effort", "seed"), 50),
+    "equation_4": (equation_4, ("effort", "seed"), 30),
     "test_function": (eq8_trials, ("effort",), 20),
     "friction_problem": (genetic_searches, ("effort", "seed"), 155),
     "sine_filter": (sine_filter, ("effort", "seed"), 3),
