@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-from frictrack.base.version import __version__
+from frictrack.base import __version__
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "generators"))
 

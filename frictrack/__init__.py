@@ -26,8 +26,8 @@ from frictrack.base.lazy import imports_of
 
 if TYPE_CHECKING:
     from frictrack import effects, samples, search, simulate
+    from frictrack.base import __version__
     from frictrack.base.errors import FrictrackError
-    from frictrack.base.version import __version__
     from frictrack.diagnose import Diagnosis, diagnose
     from frictrack.diagnose.compare import Comparison, ParameterByGroup, compare, compare_groups, history
     from frictrack.effects import effect, models

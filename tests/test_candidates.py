@@ -12,7 +12,7 @@ from frictrack.present import plots, report
 from frictrack.present.report import tables
 from frictrack.results.candidates import STANDINGS, candidate_rows, not_passing
 from frictrack.results.verdicts import VERDICTS
-from frictrack.workbench.summaries.diagnosis import verdict_of
+from frictrack.workbench.summaries.models import verdict_of
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from film import block_film
 from rich.console import Console
 
 from frictrack import samples
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.base.version import __version__
 from frictrack.cli import main, tables
 from frictrack.flow import Session
 from frictrack.measure import calibration

@@ -429,7 +429,7 @@ def test_a_law_too_wild_along_the_measured_motion_is_fitted_all_the_same():
     """A strong swing that the law lacks, down to a slow end: the best static law of it runs away at first."""
     from frictrack.validation.reproduce import laws, papers_method  # noqa: PLC0415
 
-    known = laws.to_effects(laws.atm1(2), laws.read_printed(laws.ATM1["low"], "sample"))
+    known = laws.to_effects("atm1:2", laws.read_printed(laws.ATM1["low"], "sample"))
     t = np.arange(468) / FPS
     slide = simulate(*known, Conditions(2.0), t, (0.0, 3.0))
     run = measured(t, slide.x, sigma=papers_method.TRACKING_NOISE, mass=2.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 from runs import BASE, FPS, MASS, Spec, measured, study
+from scipy.integrate import solve_ivp
 
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
@@ -48,6 +49,18 @@ def exact_chain(run, piece, x):
     seen = replace(run.displacement, t=piece.t, x=x, y=np.full(len(x), np.nan), angle=np.full(len(x), np.nan),
                    sigma_x=piece.sigma, sigma_y=np.full(len(x), np.nan), valid=np.ones(len(x), bool))  # fmt: skip
     return differentiate(low_pass(seen, run.motion.cutoff)).a
+
+
+def scipy_slide(speed, level=1.0, *, phase=0.0, amplitude=40.0, mass=2.0):
+    """A slide of 50 ms by SciPy: a Tustin friction of this level, and a vibration."""
+    t = np.arange(200) / FPS
+
+    def change(now, z):
+        dry = level * (8.0 + 6.0 * np.exp(-abs(z[1]) / 0.4))
+        return z[1], -(dry + 1.2 * z[1] + amplitude * np.sin(2 * np.pi * 31.0 * now + phase)) / mass
+
+    x = solve_ivp(change, (0.0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    return measured(t, x, sigma=1e-6, mass=mass, name=f"at {speed}")
 
 
 class TestChain:
@@ -175,6 +188,22 @@ class TestSearch:
         found = [search_parameters(misfit, search, rng).costs[0] / at_best for rng in rngs]
         assert min(found) > 0.999
         assert np.median(found) < close
+
+    @pytest.mark.parametrize("search", ["de", pytest.param("mga", marks=pytest.mark.slow)])
+    def test_levels_do_not_follow_what_a_model_lacks(self, search):
+        """Six runs of one friction, with a vibration of 40 N in six phases, which the model lacks."""
+        runs = [scipy_slide(4.0 + 0.3 * i, phase=0.4 + 2.0 * i) for i in range(6)]
+        result = fit("tustin", runs, search=search)
+        p, misfit = result.solution.p, population_misfit(result.solution.problem)
+        low, high = search_bounds(misfit).T
+        assert p[misfit.layout.levels] == pytest.approx(1.0, abs=0.06)
+        assert np.all((low <= p[misfit.searched]) & (p[misfit.searched] <= high))
+
+    def test_levels_that_the_runs_determine_are_found(self):
+        levels = np.array([0.9, 1.0, 1.12])
+        runs = [scipy_slide(2.2 + i, level, amplitude=0.0, mass=MASS) for i, level in enumerate(levels)]
+        result = fit("tustin", runs, search="de")
+        assert result.solution.p[-3:] == pytest.approx(levels / levels.mean(), abs=0.003)
 
     def test_differential_evolution_reaches_the_optimum_of_variable_projection(self):
         run = one_slide()

@@ -16,10 +16,10 @@ import pytest
 from campaigns import campaign
 from test_recording import H, W, write_video
 
+from frictrack.base import __version__
 from frictrack.base.errors import MAX_MESSAGE_LENGTH, FrictrackError
 from frictrack.base.files import is_file_name, lock_folder, make_subfolder
 from frictrack.base.units import parse_quantity
-from frictrack.base.version import __version__
 from frictrack.flow import CommandHistory, Session, open_study, store
 from frictrack.flow.store import HEADER_BYTES, GroupContent
 from frictrack.flow.store.file_header import header_of, sign

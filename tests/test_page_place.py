@@ -13,8 +13,7 @@ from frictrack.results import OutdatedPart
 from frictrack.workbench.job_process import ProgressFile
 from frictrack.workbench.jobs import Job
 from frictrack.workbench.plot_data import comparison_plots
-from frictrack.workbench.summaries.diagnosis import verdict_of
-from frictrack.workbench.summaries.models import value_text
+from frictrack.workbench.summaries.models import value_text, verdict_of
 
 browsed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 

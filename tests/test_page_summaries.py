@@ -31,7 +31,7 @@ from frictrack.workbench.summaries import (
     refuse_implausible,
     state_of,
 )
-from frictrack.workbench.summaries.runs import suspect_frames
+from frictrack.workbench.summaries.state import suspect_frames
 
 LAW = ["coulomb", "viscous"]
 

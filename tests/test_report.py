@@ -22,7 +22,7 @@ from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
 from frictrack.present.report import markup, tables, texts
 from frictrack.present.report.texts import next_steps
-from frictrack.workbench.summaries.runs import _measured_part
+from frictrack.workbench.summaries.state import _measured_part
 
 MINUS = "\N{MINUS SIGN}"
 

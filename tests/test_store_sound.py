@@ -24,8 +24,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from frictrack import study
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
-from frictrack.base.version import __version__
 from frictrack.flow import Session, open_study, store
 from frictrack.flow.store import GroupContent, Provenance, file_header
 from frictrack.flow.store.checksums import array_checksum, wrong_checksums

@@ -16,9 +16,9 @@ import pytest
 from conftest import STUDY, slide
 from filelock import FileLock
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import _HOST
-from frictrack.base.version import __version__
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, store, verify
 from frictrack.flow.stages import FILM, TABLE

@@ -142,7 +142,7 @@ def pages_of(full: str) -> dict[str, str]:
 def public_members(module: Any) -> list[str]:
     """Return the public functions and classes of a module, those of typing and constants left out."""
     names = getattr(module, "__all__", None) or [
-        name for name, one in vars(module).items() if getattr(one, "__module__", "") == module.__name__
+        name for name, one in vars(module).items() if str(getattr(one, "__module__", "")).startswith(module.__name__)
     ]
     return [name for name in names if not name.startswith("_") and _is_documented(getattr(module, name))]
 

@@ -110,7 +110,7 @@ def lock_work(folder: Path, waits: Callable[[], None]) -> Iterator[None]:
 
 def is_busy(folder: Path) -> bool:
     """Return whether another process is writing into a folder of results, or computing for it."""
-    return any(_is_held(folder / INTERNAL_FOLDER / name) for name in ("lock", "work"))
+    return any(is_held(folder / INTERNAL_FOLDER / name) for name in ("lock", "work"))
 
 
 def make_internal_folder(folder: Path) -> Path:
@@ -130,7 +130,8 @@ def make_internal_folder(folder: Path) -> Path:
     return make_subfolder(folder, INTERNAL_FOLDER)
 
 
-def _is_held(path: Path) -> bool:
+def is_held(path: Path) -> bool:
+    """Return whether another process holds the lock of a file."""
     if not path.exists():
         return False
     lock = FileLock(path, timeout=0)

@@ -67,7 +67,7 @@ def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Call
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from frictrack.base.version import __version__  # noqa: PLC0415
+        from frictrack.base import __version__  # noqa: PLC0415
 
         sys.stdout.write(f"frictrack {__version__}\n")
         raise typer.Exit
@@ -310,7 +310,7 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
 
 def after_edit(result: Mapping[str, Any], study: Any) -> str:
     """Return what an added or removed effect makes of the held-out error."""
-    from frictrack.results.error_rows import held_out_error  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.rows import held_out_error  # noqa: PLC0415 - `--help` does without it
 
     (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
     change = describe_change(before, after, unit)

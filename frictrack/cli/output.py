@@ -15,8 +15,8 @@ from frictrack.base.number_format import describe_change, format_plain, format_p
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
-from frictrack.results.error_rows import error_rows, held_out_error
-from frictrack.results.motion_axes import AXES
+from frictrack.results.names import AXES
+from frictrack.results.rows import error_rows, held_out_error
 
 MAX_EXAMPLES = 2  # pairs that are named for a run
 MAX_FINDINGS = 8  # that the terminal shows

@@ -13,9 +13,7 @@ from rich.table import Table
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_plain, format_plus_minus
-from frictrack.results.error_rows import FAILING_HEADS, error_rows, failing_rows
-from frictrack.results.measurement_cells import measurement_cells
-from frictrack.results.parameter_rows import parameter_row
+from frictrack.results.rows import FAILING_HEADS, error_rows, failing_rows, measurement_cells, parameter_row
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table

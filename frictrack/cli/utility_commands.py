@@ -301,8 +301,8 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     Of a crate: reads it and the recordings, and repeats the study in a new folder with the same settings and seeds.
     Exits with 1 if a number differs: bit for bit on the same platform; on another one to a relative 1e-9, and
     uncertainties, misfits and detection limits to the digits that they have. Of the papers: compares the printed values
-    with those computed here and checks every claim, in about six minutes of processor time. Writes a page, figures,
-    tables and JSON. Sections that the folder has already are kept.
+    with those computed here and checks every claim, in about five minutes of processor time. Writes a page, figures,
+    tables and JSON.
 
     Examples
     --------

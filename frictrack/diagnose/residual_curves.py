@@ -37,7 +37,7 @@ from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.records import Array
-from frictrack.results.motion_axes import AXES
+from frictrack.results.names import AXES
 
 ALPHA = 0.01  # significance level of a wave
 N_REWEIGHTED = 40  # steps of iteratively reweighted least squares

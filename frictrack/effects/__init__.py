@@ -3,6 +3,7 @@
 `Effect` says what an effect is. `get` and `known` find effects by name, `effect` declares one in Python, `formula`
 makes one from a text, `EffectSettings` holds what a study file changes of one.
 """
+# ruff: noqa: F401 - the imports are the interface
 
 from frictrack.effects.atm2 import PRINTED_TIME_UNIT_S, atm2, atm2_printed
 from frictrack.effects.definition import (
@@ -23,44 +24,3 @@ from frictrack.effects.ranges import PLANNED_SHARE, Span, Within, frequencies
 from frictrack.effects.registry import DECLARED, LIBRARY, catalogue, get, known, laws_in_place_of, order
 from frictrack.effects.settings import EffectSettings, Tie, check_ties, definitions, differences, read_settings
 from frictrack.effects.user import CONSTANTS, FUNCTIONS, OPERATORS, VARIABLES, effect, formula
-
-__all__ = [
-    "ACCELEROMETER_CHECK",
-    "CONSTANTS",
-    "DECLARED",
-    "FUNCTIONS",
-    "LIBRARY",
-    "OPERATORS",
-    "PLANNED_SHARE",
-    "PRINTED_TIME_UNIT_S",
-    "VARIABLES",
-    "DirectCheck",
-    "Effect",
-    "EffectRecord",
-    "EffectSettings",
-    "Nonlinear",
-    "Parameter",
-    "Path",
-    "Span",
-    "TestDraw",
-    "Tie",
-    "Within",
-    "atm2",
-    "atm2_printed",
-    "carries_over",
-    "catalogue",
-    "check_ties",
-    "definitions",
-    "differences",
-    "direction_of_motion",
-    "effect",
-    "formula",
-    "frequencies",
-    "get",
-    "joined_earlier",
-    "known",
-    "laws_in_place_of",
-    "order",
-    "read_settings",
-    "scales_with_load",
-]

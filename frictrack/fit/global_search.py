@@ -7,7 +7,7 @@ Compute the misfit of a whole population of parameter vectors, each evaluated al
 
 `PopulationMisfit` is over all unknowns, as in the papers. `ReducedPopulationMisfit` is over the non-linear parameters
 only and solves the coefficients for every individual. Friction levels of several runs are not searched: each has its
-least-squares value, with a penalty about one.
+least-squares value with mean one, with a penalty about one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ from frictrack.fit.parameters import (
     ParameterLayout,
     Slot,
     canonical_form,
-    normalise_levels,
 )
 from frictrack.fit.penalties import prior_misfit
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
@@ -49,6 +48,8 @@ MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in 
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
 MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
 FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
+MISFITS_DRAWN = 100  # random forces that tell how many data are independent
+LEVEL_ROUNDS = 5  # of the levels and of the misfit that they are weighed against
 MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
@@ -60,6 +61,21 @@ class _SearchMisfit(ABC):
     ) -> None:
         self.layout, self.blocks, self.tau, self.unit = layout, list(blocks), tau, unit
         self.separable = SeparableModel(layout, blocks)
+
+    @cached_property
+    def independent(self) -> float:
+        """Number M of independent data: the squares of a misfit over those that it has along a constant force.
+
+        The misfit is taken as a white force. Twice integrated, few numbers of it are independent.
+        """
+        total = 0.0
+        for block in self.blocks:
+            n = len(block.path.t)
+            misfits = block.forward(np.random.default_rng(0).standard_normal((MISFITS_DRAWN, n)))
+            level = block.forward(np.ones(n))
+            along = (misfits @ level) ** 2 / (level @ level)
+            total += float(np.sum(misfits**2) / np.sum(along))
+        return total
 
     @property
     @abstractmethod
@@ -82,21 +98,40 @@ class _SearchMisfit(ABC):
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
         """Compute misfits and friction levels."""
-        # a level is 1 + d; d has mean zero and standard deviation tau
         levels = np.ones((len(points), len(self.layout.run_names)))
         misfits = np.full(len(points), sum(b.rest for b in self.blocks))
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             dry, other = self._explained(points)
-            residual = self.separable.data - dry - other
-            for run in self.separable.runs if self.layout.levels else ():
-                mine = self.separable.run_of_datum == run
-                own = dry[:, mine]
-                d = np.einsum("qm,qm->q", own, residual[:, mine]) / (np.einsum("qm,qm->q", own, own) + self.tau**-2)
-                residual[:, mine] -= d[:, None] * own
-                misfits += (d / self.tau) ** 2
-                levels[:, run] += d
-            misfits += np.einsum("qm,qm->q", residual, residual)
-        return misfits * self.unit, levels
+            residual = self.separable.data - other
+            if self.layout.levels:
+                residual -= dry
+            squares = np.einsum("qm,qm->q", residual, residual)
+            if self.layout.levels:
+                d, squares = self._level_changes(dry, residual, squares)
+                levels[:, self.separable.runs] += d
+        return (misfits + squares) * self.unit, levels
+
+    def _level_changes(self, dry: Array, residual: Array, squares: Array) -> tuple[Array, Array]:
+        """Best deviations d (Q, R) of the levels from one, and the squares that they leave (Q,) with the penalty."""
+        # sum (r - d f)^2 + s^2 sum d^2 / tau^2 with sum d = 0, else all levels could rise against the coefficients; a
+        # misfit counts as noise of variance s^2 = sum (r - d f)^2 / M, else it would outweigh tau
+        own, along = (np.empty((len(dry), len(self.separable.runs))) for _ in range(2))
+        for i, run in enumerate(self.separable.runs):
+            mine = self.separable.run_of_datum == run
+            own[:, i] = np.einsum("qm,qm->q", dry[:, mine], dry[:, mine])
+            along[:, i] = np.einsum("qm,qm->q", dry[:, mine], residual[:, mine])
+        left, d = (
+            np.zeros_like(squares),
+            np.zeros_like(own),
+        )  # without a misfit first, so that levels that explain it stay
+        for _ in range(LEVEL_ROUNDS):
+            weight = np.maximum(left / self.independent, 1.0) / self.tau**2
+            per_level = 1 / (own + weight[:, None])
+            d = along * per_level
+            if not self.layout.has_scale_constraint:
+                d -= per_level * (d.sum(axis=1) / per_level.sum(axis=1))[:, None]
+            left = squares - np.einsum("qr,qr->q", d, 2 * along - own * d)
+        return d, left + weight * np.einsum("qr,qr->q", d, d)
 
     def full_vectors(self, points: Array) -> Array:
         """Insert points (Q, d) into parameter vectors (Q, P); the other entries are one."""
@@ -127,11 +162,11 @@ class PopulationMisfit(_SearchMisfit):
 
     def _explained(self, points: Array) -> tuple[Array, Array]:
         vectors = self.full_vectors(points)
-        dry, other = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
-        return dry, other
+        parts = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
+        return (parts[0], parts[1]) if self.layout.levels else (np.zeros((len(points), 1)), parts[0])
 
     def _explained_in(self, block: DataBlock, vectors: Array) -> Array:
-        """Both parts of the modelled data of one block, (2, Q, m)."""
+        """Modelled data of one block, (1, Q, m); with levels the part that follows them and the rest, (2, Q, m)."""
         model, count = self.layout.model, len(vectors)
         path = tiled_path(block.evaluation_path(model.memory), count)
         values, n = self.layout.values(vectors, block.run)[0], len(path.t) // count
@@ -140,13 +175,12 @@ class PopulationMisfit(_SearchMisfit):
             for e in model.effects
         }
         columns = model.force_columns(path, nonlinear) | model.measurement_columns(path, nonlinear)
-        force, shift = np.zeros((2, 2, count, n))
+        force, shift = np.zeros((2, 2 if self.layout.levels else 1, count, n))
         for e in (e for e in model.effects if e.name in columns):  # a modifier only changes the columns of others
             total = force if e.acts_on == "force" else shift
             for column, q in zip(columns[e.name].T, e.linear, strict=True):
-                follows_level = q.loaded and bool(self.layout.levels)
                 size = np.reshape(values[e.name][q.name], (-1, 1))
-                total[0 if follows_level else 1] += size * column.reshape(count, -1)
+                total[0 if q.loaded else -1] += size * column.reshape(count, -1)
         data = block.forward(force)
         return data + block.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
 
@@ -250,7 +284,7 @@ def search_parameters(
     """Search parameters by a global method; Ctrl-C ends the search with the best point so far.
 
     The friction levels of several runs are not searched: each has its least-squares value, held about one to within 3
-    %.
+    %, with mean one. What a model lacks counts as noise there.
     """
     layout = misfit.layout
     names = [layout.names[i] for i in misfit.searched]
@@ -279,7 +313,7 @@ def search_parameters(
         points[:, i] = levels[:, run]
     order = np.argsort(costs, kind="stable")
     return SearchedOptima(
-        np.array([normalise_levels(layout, canonical_form(layout, p)) for p in points[order]]),
+        np.array([canonical_form(layout, p) for p in points[order]]),
         costs[order],
         replace(result.convergence, parameters=tuple(names)),
         {

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.files import hash_file
 from frictrack.base.remote import RemoteFile, local_path
-from frictrack.base.version import __version__
 from frictrack.flow import store
 from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Displacement, Motion, Run, Track

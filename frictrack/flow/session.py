@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
-from frictrack.base.version import __version__
 from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
@@ -26,7 +26,7 @@ from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.results.model_names import plain_name
+from frictrack.results.names import plain_name
 from frictrack.results.verdicts import describe_no_run, describe_tests, describe_verdict
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS

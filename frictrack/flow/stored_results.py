@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import first_words, format_number, format_plus_minus
-from frictrack.base.version import __version__
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import RunPipeline, digest
@@ -32,7 +32,7 @@ from frictrack.measure.error_budget import budget
 from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
-from frictrack.results.model_names import plain_name
+from frictrack.results.names import plain_name
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
 

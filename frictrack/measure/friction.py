@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import white_noise
-from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, stretches
+from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
 MIN_SHARE_OF_NEIGHBOURS = 0.5  # of the speed around them, with which frames of uncertain velocity move too
@@ -87,7 +87,7 @@ def free_section(run: Run) -> tuple[Mask, str]:
     else:
         section = _section(run)
         reason = section.reason
-        mask = valid & moving & ~_events_at_ends(run) & _within(section.flights, len(valid))
+        mask = valid & moving & ~_events_at_ends(run) & mask_of_spans(section.flights, len(valid))
     if np.sum(mask) < MIN_FREE_FRAMES:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FREE_FRAMES} free frames but got {np.sum(mask)} ({reason}); '
@@ -330,14 +330,6 @@ def _flights_after_bounces(run: Run, stop: int, bounces: Sequence[_Bounce]) -> I
             yield first, last
 
 
-def _within(flights: Sequence[tuple[int, int]], n: int) -> Mask:
-    """Frames (n,) of some flights."""
-    out = np.zeros(n, dtype=bool)
-    for first, last in flights:
-        out[first : last + 1] = True
-    return out
-
-
 def _main_motion(run: Run) -> tuple[int, int]:
     """First and last valid frame of the motion to use: across reversals on an incline, else the fastest part."""
     valid, speed = run.displacement.valid, np.abs(run.motion.v)
@@ -423,7 +415,7 @@ def _events_at_ends(run: Run) -> Mask:
     """Frames (n,) of events at the ends of the record, where a push cannot be distinguished from a wrong sample."""
     reach, n = EVENT_REACH_FRAMES, len(run.motion)
     at_ends = [(first, last) for first, last in run.motion.events if first <= reach or last >= n - 1 - reach]
-    return _within([(max(first - reach, 0), last + reach) for first, last in at_ends], n)
+    return mask_of_spans([(max(first - reach, 0), last + reach) for first, last in at_ends], n)
 
 
 def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
@@ -646,7 +638,7 @@ def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, in
 
 def _rests(run: Run, motions: list[slice]) -> list[slice]:
     """Stretches between the motions that are long enough to show the noise."""
-    still = ~_within([(s.start, s.stop - 1) for s in motions], len(run.motion))
+    still = ~mask_of_spans([(s.start, s.stop - 1) for s in motions], len(run.motion))
     rests = [slice(s.start + EDGE_FRAMES, s.stop - EDGE_FRAMES) for s in stretches(still) if s.stop > 2 * EDGE_FRAMES]
     return [s for s in rests if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
 

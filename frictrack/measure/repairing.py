@@ -5,7 +5,7 @@ Frames are tracked again with the template of the whole film, bridged by the smo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from frictrack.base.distributions import MEDIAN_TO_SIGMA
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.recording import Recording, random_access
-from frictrack.records import INTERPOLATED, MEASURED, Array, Displacement, Mask, Track, stretches
+from frictrack.records import INTERPOLATED, MEASURED, Array, Displacement, Mask, Track, mask_of_spans, stretches
 from frictrack.settings.repairs import LEFT_OUT, MEANINGS, Repair, read_repairs, repair_codes
 from frictrack.tracking import Areas, TargetModel, relearn_target, track_frames
 from frictrack.tracking.checks import scores
@@ -265,9 +265,9 @@ def suspect_spans(track: Track, backward: Track | None = None) -> tuple[SuspectS
         return ()
     poor = scores(track)
     causes = {
-        "the target was lost": ~track.found & _spans_mask(len(track), [(at[0], at[-1])]),
-        "the match is poor": _spans_mask(len(track), poor.low if poor else ()),
-        "the position jumps off the smooth motion": _spans_mask(len(track), _jumps(track, at)),
+        "the target was lost": ~track.found & mask_of_spans([(at[0], at[-1])], len(track)),
+        "the match is poor": mask_of_spans(poor.low if poor else (), len(track)),
+        "the position jumps off the smooth motion": mask_of_spans(_jumps(track, at), len(track)),
     }
     if backward is not None:
         causes["tracking backward gives another position"] = _directions(track, backward)
@@ -280,14 +280,6 @@ def suspect_spans(track: Track, backward: Track | None = None) -> tuple[SuspectS
         SuspectSpan(part.start, part.stop - 1, "; ".join(why for why, mask in causes.items() if mask[part].any()))
         for part in stretches(marked & open_frames)
     )
-
-
-def _spans_mask(n: int, spans: Iterable[tuple[int, int]]) -> Mask:
-    """Frames (n,) from the first to the last one of any span."""
-    out = np.zeros(n, np.bool_)
-    for first, last in spans:
-        out[first : last + 1] = True
-    return out
 
 
 def _jumps(track: Track, at: Rows) -> Iterator[tuple[int, int]]:

@@ -26,6 +26,7 @@ from frictrack.records.frame_table import (
     Track,
     away_from_ends,
     column,
+    mask_of_spans,
     scalar,
     stretches,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -89,6 +90,21 @@ def stretches(mask: Mask) -> list[slice]:
     """
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def mask_of_spans(spans: Iterable[tuple[int, int]], n: int) -> Mask:
+    """Return a mask (n,) that is True from the first to the last frame of each span.
+
+    Examples
+    --------
+    >>> mask_of_spans([(0, 1), (3, 3)], 5).tolist()
+    [True, True, False, True, False]
+
+    """
+    mask = np.zeros(n, dtype=np.bool_)
+    for first, last in spans:
+        mask[first : last + 1] = True
+    return mask
 
 
 def away_from_ends(mask: Mask, guard: int) -> Mask:

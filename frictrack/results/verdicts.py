@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from frictrack.base.number_format import format_probability, join_words
-from frictrack.results.model_names import joined_name
+from frictrack.results.names import joined_name
 
 VERDICTS = {  # the words of every verdict, for all that people read
     "complete": "{model} is complete: no further effect is detectable in these runs",

@@ -11,6 +11,7 @@ measure             positions in every frame, without pixels that do not fit; fo
 pose_tracker        targets that rotate by any angle
 checks              self-checks of a track
 """
+# ruff: noqa: F401 - the imports are the interface
 
 from frictrack.tracking.areas import Areas, is_polygon
 from frictrack.tracking.detection import find_reference, find_target
@@ -25,21 +26,3 @@ from frictrack.tracking.driver import (
 )
 from frictrack.tracking.show import contact_sheet, overlay_video, target_line
 from frictrack.tracking.template import TargetModel
-
-__all__ = [
-    "Areas",
-    "TargetModel",
-    "align_track",
-    "contact_sheet",
-    "find_reference",
-    "find_target",
-    "is_polygon",
-    "learn_target",
-    "overlay_video",
-    "relearn_target",
-    "target_line",
-    "track",
-    "track_frames",
-    "track_in_parallel",
-    "track_same_target",
-]

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench import jobs
-from frictrack.workbench.errors import MissingError, OutdatedError
+from frictrack.workbench import MissingError, OutdatedError, jobs
 from frictrack.workbench.live_study import LiveStudy
 
 AUTHOR = "page"  # of changes, in the history of the study

@@ -14,7 +14,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from frictrack.base.errors import FrictrackError
-from frictrack.workbench.errors import MissingError
+from frictrack.workbench import MissingError
 
 if TYPE_CHECKING:
     from frictrack.recording import Frame, Recording

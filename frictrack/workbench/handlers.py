@@ -18,6 +18,7 @@ from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.workbench import MissingError, OutdatedError
 from frictrack.workbench.actions import (
     cancel,
     change,
@@ -28,7 +29,6 @@ from frictrack.workbench.actions import (
     take_in,
     try_effect,
 )
-from frictrack.workbench.errors import MissingError, OutdatedError
 from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
 
@@ -399,20 +399,13 @@ def _content(what: str, study: Study, results: Results, form: str) -> Content:
     from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
 
     if what == "figures.zip":
-        return zip_files((f"{name}.{form}", figure_bytes(draw(), form)) for name, draw in plots.study_figures(results))
+        return zip_files(
+            (f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in plots.study_figures(results)
+        )
     path = study.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
     return (report.print_pdf(path) if what == "report.pdf" else path).open("rb")
-
-
-def figure_bytes(made: Figure, form: str) -> bytes:
-    """Convert a figure to the content of a file."""
-    from frictrack.present import plots  # noqa: PLC0415
-
-    if form == "svg":
-        return plots.svg_file(made).encode()
-    return plots.png(made, dpi=200) if form == "png" else plots.pdf(made)
 
 
 def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
@@ -430,11 +423,13 @@ def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
 
 def page_figure(name: str, snapshot: Any) -> bytes:
     """Draw a figure that the page shows."""
+    from frictrack.present import plots  # noqa: PLC0415
+
     results = snapshot.results if snapshot else None
     made = _draw(name, results) if results is not None else None
     if made is None:
         raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
-    return figure_bytes(made, "svg")
+    return plots.file_content(made, "svg")
 
 
 # Kinds of figures of the page: name in the list of figures, and how the page draws it.

@@ -26,11 +26,16 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import INTERNAL_FOLDER, lock_folder, make_internal_folder, make_subfolder, replace_text
-from frictrack.workbench.errors import BusyError
+from frictrack.base.files import (
+    INTERNAL_FOLDER,
+    is_held,
+    lock_folder,
+    make_internal_folder,
+    make_subfolder,
+    replace_text,
+)
+from frictrack.workbench import BusyError
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
 MAX_CANCEL_SECONDS = 3.0  # until a cancelled process has ended
@@ -159,22 +164,11 @@ class Job:
             return FAILED if "error" in result else DONE
         # read before the lock: the process takes the lock first and creates this file after it
         began = (self.folder / "began").exists()
-        if self._is_locked() or (not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS):
+        if is_held(self.folder / "alive") or (not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS):
             return RUNNING
         if result := self.result:  # written after the first check
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
-
-    def _is_locked(self) -> bool:
-        if not (self.folder / "alive").exists():
-            return False
-        lock = FileLock(self.folder / "alive", timeout=0)
-        try:
-            lock.acquire()
-        except Timeout:
-            return True
-        lock.release()
-        return False
 
     def cancel(self) -> None:
         """End the job at once; finished steps are kept."""

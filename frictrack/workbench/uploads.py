@@ -14,7 +14,7 @@ from tornado.web import stream_request_body
 
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import atomic_write
-from frictrack.workbench.errors import OutdatedError
+from frictrack.workbench import OutdatedError
 from frictrack.workbench.handlers import Api
 
 MAX_UPLOAD_BYTES = 2_000_000_000  # larger recordings are to be copied into the folder

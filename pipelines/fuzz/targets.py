@@ -18,10 +18,10 @@ import seeds
 from seeds import CAMERAS, ROOT
 
 from frictrack import effects
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import PROTOCOLS, RemoteFile, cache_folder, locate, only_listed
 from frictrack.base.units import is_coherent, parse_quantity
-from frictrack.base.version import __version__
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.flow import open_study, run_pipeline, store
 from frictrack.flow.command_history import CommandHistory

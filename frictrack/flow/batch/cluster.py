@@ -15,8 +15,8 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 from uuid import uuid4
 
+from frictrack.base import __version__
 from frictrack.base.errors import DiskFullError, FrictrackError
-from frictrack.base.version import __version__
 from frictrack.base.workers import WorkerPool
 
 MAX_ATTEMPTS = 3  # of one task that is lost with the scheduler

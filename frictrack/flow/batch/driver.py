@@ -29,11 +29,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.base import __version__
 from frictrack.base.distributions import student_sf
 from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
-from frictrack.base.version import __version__
 from frictrack.base.workers import local_workers
 from frictrack.fit import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.flow.batch.cluster import cluster_workers

@@ -21,9 +21,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, os_errors_as
 from frictrack.base.remote import RemoteFile, local_path, locate
-from frictrack.base.version import __version__
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
 from frictrack.results import Results

@@ -29,7 +29,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from frictrack.base.version import __version__
+from frictrack.base import __version__
 from frictrack.flow.store import checksums
 from frictrack.flow.store.file_header import HEADER_BYTES, SCHEMA
 from frictrack.results import to_builtins

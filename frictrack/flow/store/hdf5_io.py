@@ -19,9 +19,9 @@ from typing import Any
 
 import h5py
 
+from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
-from frictrack.base.version import __version__
 from frictrack.flow.store import encoding, file_header
 from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
 from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, migrate, without_marks

@@ -230,7 +230,7 @@ def _write(results: Results, form: str) -> ExportedFiles:
         name, figure = NOT_IN_FILE_NAMES.sub("_", title), draw()
         data = plots.plotted_data(figure)
         has_pictures = has_pictures or any(ax.images for ax in figure.axes)
-        content = plots.svg_file(figure).encode() if form == "svg" else plots.pdf(figure)
+        content = plots.file_content(figure, form)
         for path, written in ((f"{name}.{form}", content), (f"{name}.csv", data.to_csv(index=False).encode())):
             with atomic_write(folder / path) as part:
                 part.write_bytes(written)

@@ -34,7 +34,7 @@ from frictrack.present.plots.model import (
 )
 from frictrack.present.plots.parameters import convergence, profiles
 from frictrack.present.plots.plan import next_experiments, pair_separation, remaining_pairs, trends
-from frictrack.present.plots.style import html, pdf, png, svg, svg_file
+from frictrack.present.plots.style import file_content, html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import passes
-from frictrack.results.model_names import numbered_name, plain_name
+from frictrack.results.names import numbered_name, plain_name

@@ -22,7 +22,7 @@ from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, a
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
-from frictrack.results.model_names import plain_name
+from frictrack.results.names import plain_name
 
 MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch

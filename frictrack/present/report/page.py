@@ -23,8 +23,8 @@ from frictrack.present.report import tables, texts
 from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
 from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows
-from frictrack.results.error_rows import held_out_error
-from frictrack.results.motion_axes import AXES
+from frictrack.results.names import AXES
+from frictrack.results.rows import held_out_error
 
 MAX_FILMS = 4  # films of which the first frame is shown
 

@@ -18,10 +18,15 @@ from frictrack.present.plots.style import axis_label
 from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
-from frictrack.results.error_rows import FAILING_HEADS, error_rows, failing_rows
-from frictrack.results.measurement_cells import measurement_cells
-from frictrack.results.model_names import plain_name
-from frictrack.results.parameter_rows import interval_with_unit, parameter_row
+from frictrack.results.names import plain_name
+from frictrack.results.rows import (
+    FAILING_HEADS,
+    error_rows,
+    failing_rows,
+    interval_with_unit,
+    measurement_cells,
+    parameter_row,
+)
 
 Cell = str | Markup
 

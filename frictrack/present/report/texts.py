@@ -20,9 +20,8 @@ from frictrack.present.report.markup import describe_evidence, mark_code, senten
 from frictrack.present.report.tables import Cell, TextTable, make_table
 from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import candidate_rows
-from frictrack.results.error_rows import held_out_error
-from frictrack.results.model_names import plain_name
-from frictrack.results.motion_axes import AXES
+from frictrack.results.names import AXES, plain_name
+from frictrack.results.rows import held_out_error
 
 EFFECT_NAMES = {
     "coulomb": "Coulomb friction",

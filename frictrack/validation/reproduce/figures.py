@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from frictrack.present.plots import style
-from frictrack.records import Array
-from frictrack.validation.reproduce.papers_method import AccelerationSeries, SyntheticRecording
+from frictrack.records import Array, Run
+from frictrack.validation.reproduce.papers_method import SyntheticRecording, time_speed_force
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)), (0, (9, 2)))
 COLOURS = (style.VERMILION, style.BLUE, style.GREEN)
@@ -44,27 +44,22 @@ def _panels(
 
 
 @style.styled
-def traces(
-    title: str,
-    panels: Mapping[str, tuple[AccelerationSeries, Sequence[tuple[str, Array]]]],
-    *,
-    as_force: bool = False,
-) -> Figure:
-    """Acceleration a over time, or the friction force -m a: measured in grey, laws over it, one panel per recording."""
+def traces(title: str, panels: Mapping[str, tuple[Run, Mapping[str, Array]]], *, as_force: bool = False) -> Figure:
+    """Acceleration a over time, or the friction force -m a: measured in grey, friction of laws over it."""
     drawn = {}
-    for name, (series, curves) in panels.items():
-        t, factor = 1e3 * series.t, -series.mass if as_force else 1.0
-        drawn[name] = (t, factor * series.a, [(label, t, factor * a) for label, a in curves])
+    for name, (run, modelled) in panels.items():
+        (t, _, force), factor = time_speed_force(run), 1.0 if as_force else -1 / (run.mass or 1.0)
+        curves = [(label, 1e3 * t, factor * own) for label, own in modelled.items()]
+        drawn[name] = 1e3 * t, factor * force, curves
     label = "friction force F / N" if as_force else "acceleration a / (m/s²)"
     return _panels(title, drawn, MEASURED_STYLE, xlabel="time t / ms", ylabel=label)
 
 
 @style.styled
-def forces(title: str, panels: Mapping[str, tuple[AccelerationSeries, Sequence[Curve]]]) -> Figure:
+def forces(title: str, panels: Mapping[str, tuple[Array, Array, Sequence[Curve]]]) -> Figure:
     """Friction force over speed: measured points, and laws as (label, v, F)."""
-    drawn = {name: (series.v, series.force, curves) for name, (series, curves) in panels.items()}
     dots = style.DOT_STYLE | {"color": "#999999"}
-    return _panels(title, drawn, dots, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
+    return _panels(title, panels, dots, xlabel="velocity v / (m/s)", ylabel="friction force F / N")
 
 
 @style.styled

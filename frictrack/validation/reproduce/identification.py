@@ -7,14 +7,16 @@ paper: the Stribeck model with and without the sine filter by SGA (Figs. 4-7, Ta
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.fit import fit
-from frictrack.records import Array
+from frictrack.fit import Fit, fit
+from frictrack.records import Array, Run
 from frictrack.validation.reproduce import figures, laws
 from frictrack.validation.reproduce import papers_method as method
 from frictrack.validation.reproduce.sections import (
@@ -83,27 +85,31 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0) -> Section:
         Table, figures and claims.
 
     """
-    rng, law = np.random.default_rng([seed, 31]), laws.tustin()
+    rng = np.random.default_rng([seed, 31])
     synthetic: dict[str, list[method.SyntheticRecording]] = {}
     results: dict[str, method.Identification] = {}
+    traced: dict[str, tuple[Run, dict[str, Array]]] = {}
     for group, speeds in SPEEDS.items():
         laid = laws.TM[group], laws.ATM1[group]
         synthetic[group] = [method.record_with_dither(*laid, DITHER_SHARE, v, rng) for v in speeds]
-        results[group] = method.identify(law, method.measure_series([r.run for r in synthetic[group]]), effort, rng)
+        filtered = [method.friction_run(one.run) for one in synthetic[group]]
+        results[group] = method.identify("tustin", method.as_points(filtered), effort)
+        law = laws.to_effects("tustin", results[group].parameters)
+        force = method.law_force(*law, method.time_speed_force(filtered[-1])[1])
+        traced[method.GROUPS[group]] = filtered[-1], {"Tustin, MGA": force}
     runs = [run for group, made in synthetic.items() for run in method.group_runs(made, group)]
     try:
         ours, reason = dict(fit("tustin", runs, per="group").fits), ""
     except FrictrackError as e:
         ours, reason = {}, str(e)
-    single = {g: method.measure_series([made[-1].run]) for g, made in synthetic.items()}
-    own = {g: method.Identification(law, single[g], (results[g].chosen,), results[g].chosen) for g in results}
     moved = {f"{group} speed": made for group, made in synthetic.items()}
-    traced = {method.GROUPS[g]: (single[g], [("Tustin, MGA", d.acceleration(d.chosen))]) for g, d in own.items()}
-    over_speed = {method.GROUPS[g]: (found.data, _force_curves(law, found, g)) for g, found in results.items()}
+    over_speed = {method.GROUPS[g]: (*found.data[1:], _force_curves(found, g)) for g, found in results.items()}
     rows = [
-        [g, name, said, found.chosen[i], method.range_over_seeds(found, i), method.estimate_text(ours.get(g), name)]
+        [g, name, said, p, method.range_over_seeds(found, i), method.estimate_text(ours.get(g), address)]
         for g, found in results.items()
-        for i, (name, said) in enumerate(zip(law.names, laws.TM[g].values, strict=True))
+        for i, (name, address, said, p) in enumerate(
+            zip(laws.STATIC, laws.STATIC.values(), laws.TM[g].values, found.parameters, strict=True)
+        )
     ]
     return section(
         "tustin_groups",
@@ -113,36 +119,38 @@ def tustin_groups(effort: Effort = FULL, seed: int = 0) -> Section:
             figure("fig06_07_tustin", figures.traces, traced),
             figure("tustin_over_speed", figures.forces, over_speed),
         ],
-        *_claims_tustin(law, results, ours, reason),
+        *_claims_tustin(results, ours, reason),
     )
 
 
-def _force_curves(law: laws.PaperLaw, found: method.Identification, group: str) -> list[tuple[str, Array, Array]]:
-    v = np.linspace(found.data.v.min(), found.data.v.max(), 200)
-    both = {"Tustin, MGA": found.chosen, "rendered, without sines": np.array(laws.TM[group].values)}
-    return [(label, v, law.force(p[None], v, v)[0]) for label, p in both.items()]
+def _force_curves(found: method.Identification, group: str) -> list[tuple[str, Array, Array]]:
+    v = np.linspace(found.data[1].min(), found.data[1].max(), 200)
+    both = {"Tustin, MGA": found.parameters, "rendered, without sines": np.array(laws.TM[group].values)}
+    return [(label, v, method.law_force(*laws.to_effects("tustin", p), v)) for label, p in both.items()]
 
 
-def straightness(law: laws.PaperLaw, p: Array, v: Array) -> float:
-    """Share of a law's variation over measured speeds that a straight line in v explains."""
-    force = law.force(p[None], v, v)[0]
+def straightness(p: Array, v: Array) -> float:
+    """Share of the variation of a Tustin model over measured speeds that a straight line in v explains."""
+    force = method.law_force(*laws.to_effects("tustin", p), v)
     rest = force - np.polyval(np.polyfit(v, force, 1), v)
     return float(1 - rest.var() / max(force.var(), 1e-30))
 
 
 def _claims_tustin(
-    law: laws.PaperLaw, results: Mapping[str, method.Identification], ours: Mapping[str, Any], reason: str
+    results: Mapping[str, method.Identification], ours: Mapping[str, Any], reason: str
 ) -> tuple[Claim, ...]:
-    straight = {g: straightness(law, d.chosen, d.data.v) for g, d in results.items()}
-    left = {g: d.lowest / float(np.sum((d.data.a - d.data.a.mean()) ** 2)) for g, d in results.items()}
+    straight = {g: straightness(d.parameters, d.data[1]) for g, d in results.items()}
+    left = {g: method.BEAM.mass**2 * d.lowest / (d.data[2].var() * len(d.data[2])) for g, d in results.items()}
     undetermined = [g for g in results if g in ours and ours[g].parameters["stribeck.v_s"].value is None]
     dithers = "; ".join(
         f"{100 * share:.0f} % of the acceleration's variance is left ({g})" for g, share in left.items()
     )
     lines = "; ".join(
-        f"{g}: {100 * s:.2f} % straight, slowest {results[g].data.v.min():.1f} m/s" for g, s in straight.items()
+        f"{g}: {100 * s:.2f} % straight, slowest {results[g].data[1].min():.1f} m/s" for g, s in straight.items()
     )
-    stated = ", ".join(f"{d.chosen[1]:.3g} N ({g}, rendered {laws.TM[g].values[1]:.3g})" for g, d in results.items())
+    stated = ", ".join(
+        f"{d.parameters[1]:.3g} N ({g}, rendered {laws.TM[g].values[1]:.3g})" for g, d in results.items()
+    )
     known = f"not determined in {' and '.join(undetermined)}" if undetermined else "determined"
     return (
         claim("tustin_unsuitable", verdict(min(left.values()) > 0.1), dithers),
@@ -183,7 +191,7 @@ def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
     """
     rng = np.random.default_rng([seed, 32])
     synthetic = {(g, w): r for g in method.GROUPS for w, r in method.simulate_sources(g, rng).items()}
-    results = _identify_all(synthetic, ("atm1:2", "atm2:2"), effort, rng)
+    results = _identify_all(synthetic, ("atm1:2", "atm2:2"), effort)
     bars = {
         f"{name.upper()}, {what}": [
             float(r.errors.min()) if what == "MGA" else r.lowest
@@ -199,7 +207,9 @@ def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
         [_table_errors("errors", results), *_tables_parameters(results, synthetic)],
         [
             *(
-                figure(name, figures.traces, {method.GROUPS[g]: _panel(results[g, source, law]) for g in method.GROUPS})
+                figure(
+                    name, figures.traces, {t: _curves(results[g, source, law].fits) for g, t in method.GROUPS.items()}
+                )
                 for name, source, law in (
                     ("fig09_10_atm1", "ATM1 tables", "atm1:2"),
                     ("fig11_12_atm2", "ATM2 tables", "atm2:2"),
@@ -227,12 +237,14 @@ def orders(effort: Effort = FULL, seed: int = 0) -> Section:
     """
     rng = np.random.default_rng([seed, 33])
     synthetic = {("low", w): r for w, r in method.simulate_sources("low", rng).items()}
-    results = _identify_all(synthetic, ORDERS, effort, rng)
+    results = _identify_all(synthetic, ORDERS, effort)
     return section(
         "orders",
         [_table_orders(results)],
         [
-            figure(name, figures.traces, {SOURCE_TITLES[w]: _panel(results["low", w, law]) for w in SOURCE_TITLES})
+            figure(
+                name, figures.traces, {SOURCE_TITLES[w]: _curves(results["low", w, law].fits) for w in SOURCE_TITLES}
+            )
             for name, law in (
                 ("fig13_atm1_2", "atm1:2"),
                 ("fig14_atm1_3", "atm1:3"),
@@ -261,11 +273,10 @@ def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
     rng = np.random.default_rng([seed, 4])
     synthetic = {}
     for group, source in laws.ATM2.items():
-        model, values = laws.to_effects(laws.atm2_printed(2), laws.read_as_printed(source))
-        speed = method.start_speed(source, method.BEAM)
-        synthetic[group, "as printed"] = method.record_law(model, values, method.BEAM, speed, rng)
+        law, speed = laws.to_effects("atm2_printed:2", laws.read_as_printed(source)), source.speed or 0.0
+        synthetic[group, "as printed"] = method.record_law(*law, method.BEAM, speed, rng)
         synthetic[group, "with t"] = method.record_printed(source, method.TIME_UNITS["ATM2"], method.BEAM, rng)
-    results = _identify_all(synthetic, ("atm2_printed:2", "atm2:2"), effort, rng)
+    results = _identify_all(synthetic, ("atm2_printed:2", "atm2:2"), effort)
     kept = {key: float(1 - r.truth.v[-1] / r.truth.v[0]) for key, r in synthetic.items()}
     rows, told = list[list[Any]](), []
     for group, source in laws.ATM2.items():
@@ -277,10 +288,10 @@ def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
             f"{group}: sums {sliding:.2f} and {viscous:.2f}, speed lost {braked[0]:.0f} % (with t {braked[1]:.0f} %)"
         )
     readings = {"as printed": "atm2_printed:2", "with t": "atm2:2"}
-    panels = {}
-    for group, title in method.GROUPS.items():
-        found = {label: results[group, "as printed", law] for label, law in readings.items()}
-        panels[title] = found["with t"].data, [(label, d.acceleration(d.chosen)) for label, d in found.items()]
+    panels = {
+        title: _curves({label: results[group, "as printed", law].chosen for label, law in readings.items()})
+        for group, title in method.GROUPS.items()
+    }
     return section(
         "equation_4",
         [table("equation_4", rows), _table_errors("equation_4_errors", results)],
@@ -290,23 +301,20 @@ def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
 
 
 def _identify_all(
-    synthetic: Mapping[tuple[str, str], method.SyntheticRecording],
-    names: tuple[str, ...],
-    effort: Effort,
-    rng: np.random.Generator,
+    synthetic: Mapping[tuple[str, str], method.SyntheticRecording], names: tuple[str, ...], effort: Effort
 ) -> dict[Key, method.Identification]:
     """Identify laws on recordings, each by the papers' method."""
     results = {}
     for (group, source), recording in synthetic.items():
-        data = method.measure_series([recording.run])
+        run = method.friction_run(replace(recording.run, name=laws.RUN))
         for name in names:
-            results[group, source, name] = method.identify(laws.law_by_name(name), data, effort, rng)
+            results[group, source, name] = method.identify(name, run, effort)
     return results
 
 
-def _panel(found: method.Identification) -> tuple[Any, list[tuple[str, Array]]]:
-    curves = [("MGA", found.acceleration(found.chosen)), ("lowest known", found.acceleration(found.best))]
-    return found.data, curves
+def _curves(fits: Mapping[str, Fit]) -> tuple[Run, dict[str, Array]]:
+    """The run of some fits, and the friction of each along it."""
+    return next(iter(fits.values())).runs[0], {label: one.curves[0].F_model for label, one in fits.items()}
 
 
 def _table_errors(name: str, results: Mapping[Key, method.Identification]) -> ResultTable:
@@ -315,7 +323,7 @@ def _table_errors(name: str, results: Mapping[Key, method.Identification]) -> Re
         said = (laws.ATM1 if law == "atm1:2" else laws.ATM2)[group].error
         errors = float(found.errors.min()), float(np.median(found.errors)), found.lowest
         model = {"atm1:2": "ATM1", "atm2:2": "ATM2"}.get(law, "ATM2 as printed")
-        rms = float(np.sqrt(found.lowest / len(found.data.t)))
+        rms = float(np.sqrt(found.lowest / len(found.data[0])))
         rows.append([group, SOURCE_TITLES.get(source, source), model, said, *errors, rms])
     return table(name, rows)
 
@@ -327,38 +335,25 @@ def _tables_parameters(
     out = []
     for name, kind, sources in (("atm1:2", "ATM1", laws.ATM1), ("atm2:2", "ATM2", laws.ATM2)):
         for group, source in sources.items():
-            found, unit = results[group, f"{kind} tables", name], method.TIME_UNITS[kind]
-            truth = laws.read_printed(source, unit)
-            ours = _own_estimates(name, synthetic[group, f"{kind} tables"], truth)
-            columns = found.law.names, source.values, truth, _match_sines(found.chosen, truth, name), ours
+            found = results[group, f"{kind} tables", name]
+            truth = laws.read_printed(source, method.TIME_UNITS[kind])
+            fitted = method.fit_with_frictrack(name, synthetic[group, f"{kind} tables"].run)
+            ours = np.full(len(truth), np.nan) if fitted is None else method.parameters_of(name, fitted)
+            addresses = np.array(list(laws.addresses(name).values()))[_order_of_sines(ours, truth, name)]
+            estimates = [method.estimate_text(fitted, str(address), ".4g") for address in addresses]
+            chosen = found.parameters[_order_of_sines(found.parameters, truth, name)]
+            columns = laws.addresses(name), source.values, truth, chosen, estimates
             out.append(table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
     return tuple(out)
 
 
-def _match_sines(p: Array, truth: Array, name: str) -> Array:
-    """Order the sines of an ATM1 law as in the truth; leave other laws unchanged."""
-    if not name.startswith("atm1"):
-        return p
-    lines, wanted = p[4:].reshape(-1, 3), truth[4:].reshape(-1, 3)
-    order = np.argsort(np.argsort(wanted[:, 1]))
-    return np.concatenate([p[:4], lines[np.argsort(lines[:, 1])][order].ravel()])
-
-
-def _own_estimates(name: str, recording: method.SyntheticRecording, truth: Array) -> list[str]:
-    """Estimates of frictrack in the order of the papers' parameters, as text with standard deviations."""
-    fitted = method.fit_with_frictrack(name, recording.run)
-    if fitted is None:
-        return ["no fit"] * len(truth)
+def _order_of_sines(p: Array, truth: Array, name: str) -> NDArray[np.intp]:
+    """Positions of an ATM1 law's parameters (d,) that put its sines in the order of the true frequencies."""
+    order: NDArray[np.intp] = np.arange(len(p))
     if name.startswith("atm1"):
-        lines = [e for e in fitted.model.names if e.startswith("vibration")]
-        lines.sort(key=lambda e: fitted.parameters[f"{e}.frequency"].value or 0.0)
-        order = np.argsort(np.argsort(truth[5::3]))
-        sines = [f"{lines[i]}.{part}" for i in order for part in ("amplitude", "frequency", "phase[r]")]
-        addresses = ["F_c", "F_s", "F_v", "v_s", *sines]
-    else:
-        effect = fitted.model.effects[0]
-        addresses = [f"{effect.name}.{p.name}{'[r]' if p.per_run else ''}" for p in effect.parameters]
-    return [method.estimate_text(fitted, address, ".4g") for address in addresses]
+        ranks = np.argsort(np.argsort(truth[5::3]))
+        order[4:] = order[4:].reshape(-1, 3)[np.argsort(p[5::3])][ranks].ravel()
+    return order
 
 
 def _claims_models(results: Mapping[Key, method.Identification], effort: Effort) -> tuple[Claim, ...]:
@@ -389,7 +384,7 @@ def _table_orders(results: Mapping[Key, method.Identification]) -> ResultTable:
         by_search = 100 * float(np.median(base.errors) / np.median(found.errors) - 1)
         said = {"atm1:3": 100 * laws.GAIN_ATM1, "atm2:3": 100 * laws.GAIN_ATM2}.get(name)
         gains = [None] * 3 if n == "2" else [said, gain, by_search]
-        size = float(n), float(len(found.law.names))
+        size = float(n), float(len(laws.addresses(name)))
         rows.append([SOURCE_TITLES[source], kind.upper(), *size, found.lowest, *gains])
     return table("orders", rows)
 
@@ -436,13 +431,14 @@ def sine_filter(effort: Effort = FULL, seed: int = 0) -> Section:
     rng = np.random.default_rng([seed, 2])
     truth = laws.read_printed(laws.WITH_FILTER, TIME_UNIT)
     recording = method.record_printed(laws.WITH_FILTER, TIME_UNIT, method.STRUCK, rng)
-    data = _sensor_series(recording, rng)
-    results = {name: method.identify(laws.law_by_name(name), data, effort, rng, "sga") for name in ("tustin", "atm1:2")}
-    rounded = _search_rounded_bounds(data, effort)
+    measured = recording.truth.a + method.SENSOR_NOISE * rng.standard_normal(len(recording.truth.t))
+    run = method.friction_run(replace(recording.run, name=laws.RUN), measured)
+    results = {name: method.identify(name, run, effort, "sga") for name in ("tustin", "atm1:2")}
+    bounded = laws.tustin_below(*np.array(laws.WITHOUT_FILTER.values)[[0, 2]])
+    rounded = method.identify("tustin", run, effort, "sga", bounded).over_seeds
     own = {name: method.fit_with_frictrack(name, recording.run) for name in results}
     traces = {
-        what: (data, [("SGA", found.acceleration(found.chosen))])
-        for what, found in zip(("without", "with"), results.values(), strict=True)
+        what: _curves({"SGA": found.chosen}) for what, found in zip(("without", "with"), results.values(), strict=True)
     }
     strong, weak = 1e6 * truth[4::3] / method.STRUCK.mass / (2 * np.pi * truth[5::3]) ** 2  # F/(m omega^2), um
     return section(
@@ -461,45 +457,27 @@ def sine_filter(effort: Effort = FULL, seed: int = 0) -> Section:
     )
 
 
-def _sensor_series(recording: method.SyntheticRecording, rng: np.random.Generator) -> method.AccelerationSeries:
-    """Velocity from the camera and acceleration from the sensor; no frames are left out at the ends."""
-    motion = recording.run.motion
-    a = recording.truth.a + method.SENSOR_NOISE * rng.standard_normal(len(motion.t))
-    return method.AccelerationSeries(motion.t, motion.v, a, method.STRUCK.mass)
-
-
-def _search_rounded_bounds(data: method.AccelerationSeries, effort: Effort) -> Array:
-    """Parameters by SGA without the sine filter within bounds at the round numbers of Table 1, (seeds, 4)."""
-    law = laws.tustin()
-    bounds = method.search_bounds(law)
-    bounds[[0, 2], 1] = np.array(laws.WITHOUT_FILTER.values)[[0, 2]]
-    options: dict[str, Any] = {"budget": effort.budget, "bounds": bounds}
-    seeds = range(effort.identified)
-    return np.array([method.search_parameters(law, data, "sga", seed=i, **options).x for i in seeds])
-
-
 def _table_static(
     results: dict[str, method.Identification], rounded: Array, own: dict[str, Any], truth: Array
 ) -> ResultTable:
     without, full = results["tustin"], results["atm1:2"]
     rows: list[list[Any]] = []
-    for i, name in enumerate(without.law.names):
-        left = float(without.chosen[i]), method.range_over_seeds(without, i), float(np.median(rounded[:, i]))
-        right = float(full.chosen[i]), method.range_over_seeds(full, i), method.estimate_text(own["atm1:2"], name)
-        ours = method.estimate_text(own["tustin"], name)
+    for i, (name, address) in enumerate(laws.STATIC.items()):
+        left = float(without.parameters[i]), method.range_over_seeds(without, i), float(np.median(rounded[:, i]))
+        right = (
+            float(full.parameters[i]),
+            method.range_over_seeds(full, i),
+            method.estimate_text(own["atm1:2"], address),
+        )
+        ours = method.estimate_text(own["tustin"], address)
         rows.append([name, laws.WITHOUT_FILTER.values[i], *left, ours, truth[i], *right])
     return table("second_tables_1_2", rows)
 
 
 def _table_sines(found: method.Identification, truth: Array) -> ResultTable:
-    rows: list[list[Any]] = [
-        [
-            found.law.names[i],
-            laws.WITH_FILTER.values[i],
-            truth[i],
-            float(found.chosen[i]),
-            method.range_over_seeds(found, i),
-        ]
+    names, printed = list(laws.addresses("atm1:2")), laws.WITH_FILTER.values
+    rows = [
+        [names[i], printed[i], truth[i], float(found.parameters[i]), method.range_over_seeds(found, i)]
         for i in range(4, len(truth))
     ]
     return table("second_table_2_sines", rows)
@@ -509,12 +487,14 @@ def _claims(
     results: dict[str, method.Identification], rounded: Array, own: dict[str, Any], truth: Array
 ) -> tuple[Claim, ...]:
     without, full = results["tustin"], results["atm1:2"]
-    floor = method.squared_error(full.law, truth, full.data)
-    far = {name: np.abs(np.array(result.found)[:, :4] / truth[:4] - 1) for name, result in results.items()}
+    t, v, force = full.data
+    rest = force - method.law_force(*laws.to_effects("atm1:2", truth), v, t)
+    floor = float(rest @ rest) / method.STRUCK.mass**2
+    far = {name: np.abs(result.over_seeds[:, :4] / truth[:4] - 1) for name, result in results.items()}
     median = {name: float(np.median(x.mean(axis=1))) for name, x in far.items()}
     at_edge = np.abs(rounded[:, [0, 2]] / np.array(laws.WITHOUT_FILTER.values)[[0, 2]] - 1) < 1e-3
     fitted = own["atm1:2"]
-    lost = [n for n, address in method.ADDRESSES.items() if fitted is None or fitted.parameters[address].value is None]
+    lost = [n for n, address in laws.STATIC.items() if fitted is None or fitted.parameters[address].value is None]
     missing = f" The recording does not hold {', '.join(lost)}: our fit says so, a search prints a number."
     better = median["atm1:2"] < median["tustin"]
     errors = f"lowest error {without.lowest:.3g} without, {full.lowest:.3g} with (m/s²)²"

@@ -1,10 +1,11 @@
 """Simulate recordings of the papers' kind; identify a law on them by the papers' method and by frictrack's own fit.
 
-The papers' method is a low-pass, two differences, F = -m a, and a search for all parameters. The error is the sum of
-squared acceleration residuals over the frames of the free section. The papers do not specify the low-pass (here
-Butterworth of order 4, forward and backward), its cut-off (here by residual analysis: Winter 2009, Biomechanics and
-Motor Control of Human Movement), the frames left out at the ends (here one period of the cut-off), and the bounds of
-the search. The lowest error that is known for a law separates what the law cannot do from what a search did not find.
+The papers' method is a low-pass, two differences, F = -m a, and a search for all parameters: a fit of measured friction
+with ``search="mga"``. The error is the sum of squared acceleration residuals over the frames of the free section. The
+papers do not specify the low-pass (here Butterworth of order 4, forward and backward), its cut-off (here by residual
+analysis: Winter 2009, Biomechanics and Motor Control of Human Movement), the frames left out at the ends (here one
+period of the cut-off), and the bounds of the search (here those of the fit, F_s no less than F_c). The lowest error
+that is known for a law separates what the law cannot do from what a search did not find.
 
 Neither paper publishes its recordings, the mass, the field of view or the camera noise. Chosen here are 2 kg and 0.5 m
 for the beam (the printed Tustin models then brake 5 and 8 m/s to rest in 0.26 and 0.29 s, and the fast mass leaves the
@@ -13,24 +14,24 @@ view while still fast), 0.35 kg for the struck slider (3.4 m/s from 2 J), and 10
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from frictrack.base.errors import FrictrackError
-from frictrack.effects import models
+from frictrack.effects import Path, models
 from frictrack.effects.models import Model, Values
 from frictrack.fit import Fit, fit
+from frictrack.fit.uncertainty import reported_by_address
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Array, Displacement, Run
-from frictrack.search import SearchResult, minimise
+from frictrack.search import search_method
 from frictrack.simulate import Conditions, Trajectory, simulate
 from frictrack.validation.reproduce import laws
-from frictrack.validation.reproduce.laws import PaperLaw, PrintedLaw, Real
+from frictrack.validation.reproduce.laws import PrintedLaw
 from frictrack.validation.reproduce.sections import Effort
 
 FPS = 4000.0
@@ -63,8 +64,8 @@ class SyntheticRecording:
 
 def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator) -> SyntheticRecording:
     """Simulate a recording of a printed law."""
-    law = laws.law_by_name(source.law)
-    return record_law(*laws.to_effects(law, laws.read_printed(source, unit)), bench, start_speed(source, bench), rng)
+    law = laws.to_effects(source.law, laws.read_printed(source, unit))
+    return record_law(*law, bench, start_speed(source, bench), rng)
 
 
 def start_speed(source: PrintedLaw, bench: TestRig) -> float:
@@ -79,7 +80,7 @@ def record_with_dither(
     p = laws.read_printed(sines, "sample")
     p[:4] = static.values
     p[4::3] *= share
-    return record_law(*laws.to_effects(laws.law_by_name(sines.law), p), BEAM, speed, rng)
+    return record_law(*laws.to_effects(sines.law, p), BEAM, speed, rng)
 
 
 def record_law(
@@ -123,11 +124,10 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
     Curves as the papers describe them have several cycles of a dither in a slide of 0.1 to 0.3 s that brakes the mass,
     and no sine above a tenth of the frame rate, which the low-pass would remove.
     """
-    law = laws.law_by_name(source.law)
     p = laws.read_printed(source, unit)
     speed = start_speed(source, bench)
-    trajectory = _simulate_in_view(*laws.to_effects(law, p), replace(bench, view=1e3), speed)
-    lines = np.array([x for x, name in zip(p, law.names, strict=True) if name.startswith("f") and name[-1].isdigit()])
+    trajectory = _simulate_in_view(*laws.to_effects(source.law, p), replace(bench, view=1e3), speed)
+    lines = p[[laws.is_frequency(name) for name in laws.addresses(source.law)]]
     duration = float(trajectory.t[-1])
     braked = float(1 - trajectory.v[-1] / speed)
     cycles = float(lines.max() * duration)
@@ -142,191 +142,139 @@ def describe_curve(source: PrintedLaw, unit: str, bench: TestRig) -> dict[str, f
     }
 
 
-N_SEARCHES = 3  # differential evolutions for the lowest error
-MIN_EVALUATIONS = 3000  # of each; with a smaller budget there is only one
-OPTIMA_REFINED, MAX_REFINEMENTS = 6, 60  # optima of each that are refined, and evaluations of a refinement
-BOUNDS = {
-    "F_c": (0.0, 80.0),
-    "F_s": (0.0, 120.0),
-    "F_v": (0.0, 40.0),
-    "v_s": (0.05, 3.0),
-    "F": (0.0, 300.0),
-    "f": (1.0, 490.0),
-    "phi": (-np.pi, np.pi),
-}  # N, N s/m, m/s, Hz, rad
+def friction_run(run: Run, a: Array | None = None) -> Run:
+    """The run as the papers see it: the friction -m a along its motion, without one period of the cut-off at each end.
 
-
-@dataclass(frozen=True, eq=False)
-class AccelerationSeries:
-    """Velocity and acceleration by the papers' method, runs end to end.
-
-    Attributes
-    ----------
-    t, v, a
-        Time since release (s), velocity (m/s) and acceleration (m/s^2), each (n,).
-    mass
-        Mass, kg.
-
+    `a` is the acceleration by a sensor (n,), of which the first and the last frame are left out. At most every fourth
+    frame is taken, and no fewer than 200 where possible: enough for all frequencies that pass the filter.
     """
-
-    t: Array
-    v: Array
-    a: Array
-    mass: float
-
-    @property
-    def force(self) -> Array:
-        """Friction F = -m a, N."""
-        return -self.mass * self.a
-
-    def thinned(self) -> AccelerationSeries:
-        """At most every fourth frame, and no fewer than 200 where possible; sufficient for all frequencies searched."""
-        step = int(np.clip(len(self.t) // 200, 1, 4))
-        return AccelerationSeries(self.t[::step], self.v[::step], self.a[::step], self.mass)
-
-    @cached_property
-    def single(self) -> tuple[Real, Real, Real]:
-        """t, v, a in single precision, which evaluates a population three times as fast."""
-        return self.t.astype(np.float32), self.v.astype(np.float32), self.a.astype(np.float32)
+    motion, mass = run.motion, run.mass or 1.0
+    guard = 1 if a is not None else round(1 / (motion.cutoff * float(np.median(np.diff(motion.t)))))
+    inside = float(motion.t[guard]), float(motion.t[len(motion.t) - 1 - guard])
+    kept = slice(None, None, int(np.clip(len(motion.t) // 200, 1, 4)))
+    friction = -mass * (motion.a if a is None else a)[kept]
+    seen = run.displacement.rows(kept), motion.rows(kept)
+    return replace(run, displacement=seen[0], motion=seen[1], friction_N=friction, free=inside)
 
 
-def measure_series(runs: Sequence[Run]) -> AccelerationSeries:
-    """Join the motion of runs of one mass end to end, without one period of the cut-off at each end."""
-    parts = []
-    for run in runs:
-        motion = run.motion
-        guard = round(1 / (motion.cutoff * float(np.median(np.diff(motion.t)))))
-        parts.append([column[guard:-guard] for column in (motion.t, motion.v, motion.a)])
-    t, v, a = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return AccelerationSeries(t, v, a, float(runs[0].mass or 1.0))
+def time_speed_force(run: Run) -> tuple[Array, Array, Array]:
+    """Time since release (s), velocity (m/s) and friction (N) of a run of `friction_run`, each (n,)."""
+    motion, (begin, end) = run.motion, run.free or (-np.inf, np.inf)
+    inside = (motion.t >= begin) & (motion.t <= end)
+    return motion.t[inside], motion.v[inside], np.asarray(run.friction_N)[inside]
 
 
-def search_bounds(law: PaperLaw) -> Array:
-    """Bounds of a search, (d, 2)."""
-    keys = {"f_c": "F_c", "f_s": "F_s", "f_v": "F_v", "F_c": "F_c", "F_s": "F_s", "F_v": "F_v", "v_s": "v_s"}
-    return np.array([BOUNDS[keys.get(name, name.partition("_")[0].rstrip("v"))] for name in law.names])
+def law_force(model: Model, values: Values, v: Array, t: Array | None = None) -> Array:
+    """Force of a law (n,), N, at speeds v (n,), m/s, and times, s."""
+    zero = np.zeros_like(v)
+    return model.force(Path(zero if t is None else t, zero, v, zero + 1), values)
 
 
-def misfit(law: PaperLaw, series: AccelerationSeries) -> Callable[[Array], Array]:
-    """Build the error function that the searches minimise, in single precision."""
-    t, v, a = series.single
-    weight = np.float32(1 / series.mass)
-
-    def cost(p: Array) -> Array:
-        residual = law.force(p.astype(np.float32), v, t)
-        residual *= weight
-        residual += a
-        return np.einsum("ij,ij->i", residual, residual).astype(np.float64)
-
-    return cost
+def as_points(runs: Sequence[Run]) -> Run:
+    """Runs of `friction_run` as one, for a law without time: points of speed and friction, all of one weight."""
+    _, v, force = (np.concatenate(column) for column in zip(*map(time_speed_force, runs), strict=True))
+    return Run.from_curve(v, force, sigma=1.0, mass=runs[0].mass, name=laws.RUN)
 
 
-def squared_error(law: PaperLaw, p: Array, series: AccelerationSeries) -> float:
-    """Compute the papers' error of one parameter set, in double precision."""
-    residual = series.a + law.force(p[None], series.v, series.t)[0] / series.mass
-    return float(residual @ residual)
-
-
-def search_parameters(
-    law: PaperLaw, series: AccelerationSeries, method: str, *, seed: int, budget: int, bounds: Array | None = None
-) -> SearchResult:
-    """Search all parameters by one method of the papers, without refinement."""
-    bounds_of_search = search_bounds(law) if bounds is None else bounds
-    rng = np.random.default_rng(seed)
-    return minimise(misfit(law, series), bounds_of_search, method=method, rng=rng, max_evaluations=budget)
-
-
-def lowest_error_parameters(
-    law: PaperLaw, series: AccelerationSeries, starts: Sequence[Array], rng: np.random.Generator, budget: int
-) -> Array:
-    """Find the lowest error that a law can reach, independently of the papers' searches.
-
-    Differential evolution searches all parameters; least squares refines its optima and `starts` within the bounds. For
-    ATM2 a lower error may exist.
-    """
-    thinned, box = series.thinned(), search_bounds(law)
-    times = N_SEARCHES if budget >= N_SEARCHES * MIN_EVALUATIONS else 1
-    options: dict[str, Any] = {"method": "de", "rng": rng, "max_evaluations": budget * len(box) * 2 // N_SEARCHES}
-    found = [minimise(misfit(law, thinned), box, **options) for _ in range(times)]
-    optima = [p for result in found for p in result.optima[:OPTIMA_REFINED]]
-    best = min((refine_parameters(law, thinned, p) for p in optima), key=lambda p: squared_error(law, p, thinned))
-    refined = [refine_parameters(law, series, p) for p in (best, *starts)]
-    return min((*starts, *refined), key=lambda p: squared_error(law, p, series))
-
-
-def refine_parameters(law: PaperLaw, series: AccelerationSeries, start: Array) -> Array:
-    """Refine parameters to the next minimum of the error within the bounds, by least squares."""
-    low, high = search_bounds(law).T
-    width = high - low
-    inside = np.clip(start, low + 1e-6 * width, high - 1e-6 * width)
-
-    def residual(p: Array) -> Array:
-        return np.asarray(series.a + law.force(p[None], series.v, series.t)[0] / series.mass)
-
-    found = least_squares(residual, inside, bounds=(low, high), x_scale=width, max_nfev=MAX_REFINEMENTS)
-    return np.asarray(found.x)
+def squared_error(found: Fit) -> float:
+    """The papers' error: the sum of squared acceleration residuals, m^2/s^4."""
+    rest = time_speed_force(found.runs[0])[2] - found.curves[0].F_model
+    return float(rest @ rest) / (found.runs[0].mass or 1.0) ** 2
 
 
 TIME_UNITS = {"ATM1": "sample", "ATM2": "millisecond"}  # of the printed frequencies, as `time_units` finds
-ADDRESSES = {"F_c": "coulomb.F_c", "F_s": "stribeck.F_s", "F_v": "viscous.F_v", "v_s": "stribeck.v_s"}
 GROUPS = {"low": "low speed, 5 m/s", "high": "high speed, 8 m/s"}
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Parameters of a law on one series: by the papers' search, and those of the lowest error known.
+    """A law fitted to one run by the papers' search, once for each seed, and the best fit known.
 
     Attributes
     ----------
-    law, data
-        The law and the series.
+    law
+        Name of the law.
     found
-        Parameters found with each seed, (d,) each.
+        Fit with each seed.
     best
-        Parameters of the lowest error known, (d,).
+        Fit of the lowest error known.
 
     """
 
-    law: PaperLaw
-    data: AccelerationSeries
-    found: tuple[Array, ...]
-    best: Array
+    law: str
+    found: tuple[Fit, ...]
+    best: Fit
 
     @cached_property
     def errors(self) -> Array:
         """Sum of squared acceleration residuals with each seed, m^2/s^4."""
-        return np.array([squared_error(self.law, p, self.data) for p in self.found])
+        return np.array([squared_error(one) for one in self.found])
 
-    @property
+    @cached_property
     def lowest(self) -> float:
         """Lowest error known, m^2/s^4."""
-        return squared_error(self.law, self.best, self.data)
+        return squared_error(self.best)
 
     @property
-    def chosen(self) -> Array:
-        """Best parameters that the search found, (d,)."""
+    def chosen(self) -> Fit:
+        """Best fit that the search found."""
         return self.found[int(np.argmin(self.errors))]
 
-    def acceleration(self, p: Array) -> Array:
-        """Acceleration of the law along the series."""
-        out: Array = -self.law.force(p[None], self.data.v, self.data.t)[0] / self.data.mass
-        return out
+    @property
+    def fits(self) -> dict[str, Fit]:
+        """Both fits that are drawn, with their labels."""
+        return {"MGA": self.chosen, "lowest known": self.best}
+
+    @property
+    def data(self) -> tuple[Array, Array, Array]:
+        """Time (s), velocity (m/s) and friction (N), each (n,)."""
+        return time_speed_force(self.best.runs[0])
+
+    @cached_property
+    def over_seeds(self) -> Array:
+        """Parameters found with each seed, in the papers' order, (seeds, d)."""
+        return np.array([parameters_of(self.law, one) for one in self.found])
+
+    @property
+    def parameters(self) -> Array:
+        """Parameters of `chosen`, in the papers' order, (d,)."""
+        found: Array = self.over_seeds[int(np.argmin(self.errors))]
+        return found
 
 
-def identify(
-    law: PaperLaw, data: AccelerationSeries, effort: Effort, rng: np.random.Generator, method: str = "mga"
-) -> Identification:
-    """Identify a law by the papers' search."""
-    found = tuple(
-        search_parameters(law, data, method, seed=i, budget=effort.budget).x for i in range(effort.identified)
-    )
-    best = min(found, key=lambda p: squared_error(law, p, data))
-    return Identification(law, data, found, lowest_error_parameters(law, data, [best], rng, effort.lowest))
+def parameters_of(law: str, found: Fit) -> Array:
+    """All numbers of a fit in the papers' order, also those that the run does not determine, (d,).
+
+    A fit counts the time of a sine from the first frame that is fitted, the papers from the release.
+    """
+    reported, own = reported_by_address(found.solution, found.solution.p), laws.addresses(law)
+    p = np.array([reported[address] for address in own.values()])
+    phases = np.array([name.startswith("phi") for name in own])
+    since_release = (
+        p[phases] - 2 * np.pi * p[np.roll(phases, -1)] * found.curves[0].t[0]
+    )  # a phase follows its frequency
+    p[phases] = (since_release + np.pi) % (2 * np.pi) - np.pi
+    return p
+
+
+def identify(law: str, run: Run, effort: Effort, method: str = "mga", model: Model | None = None) -> Identification:
+    """Identify a law on a run of `friction_run` by the papers' search of all parameters.
+
+    `model` is the law with other bounds. The lowest error comes from variable projection and from differential
+    evolution of the non-linear parameters. For ATM2 a lower error may exist.
+    """
+    own: Any = model or law
+    search, de = (search_method(name, {"generations": effort.generations}) for name in (method, "de"))
+    found = tuple(fit(own, [run], search=search, rng=seed) for seed in range(effort.identified))
+    others = [fit(own, [run], search=de, over="nonlinear")]
+    if effort.identified > 1:  # seconds for ATM2, which a quick run does without
+        others.append(fit(own, [run]))
+    return Identification(law, found, min((*found, *others), key=squared_error))
 
 
 def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
     """Build a mechanism of neither law: the beam's vibration modulates dry friction, and there is a collision."""
-    p = dict(zip(laws.tustin().names, laws.ATM1["low"].values[:4], strict=True))
+    p = dict(zip(laws.STATIC, laws.ATM1["low"].values[:4], strict=True))
     model = models.of(["coulomb", "stribeck", "viscous", "load_modulation", "collision"])
     return model, {
         "coulomb": {"F_c": p["F_c"]},
@@ -350,16 +298,16 @@ def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, Syntheti
 def fit_with_frictrack(law: str, run: Run) -> Fit | None:
     """Fit a law to one run in the displacement domain; None if the fit fails."""
     try:
-        return fit(law, [replace(run, name="r")])
+        return fit(law, [replace(run, name=laws.RUN)])
     except FrictrackError:
         return None
 
 
 def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:
-    """An estimate of frictrack as text, with its standard deviation; `address` may be F_c, F_s, F_v or v_s."""
+    """An estimate of frictrack as text, with its standard deviation."""
     if found is None:
         return "no fit"
-    estimate = found.parameters[ADDRESSES.get(address, address)]
+    estimate = found.parameters[address]
     if estimate.value is None:
         return "not determined"
     spread = "" if estimate.std is None else f" ± {estimate.std:{'.2g' if form.endswith('g') else form}}"
@@ -368,5 +316,5 @@ def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:
 
 def range_over_seeds(result: Identification, i: int) -> str:
     """Smallest and largest value of a parameter over the seeds, as text."""
-    seeds = np.array(result.found)[:, i]
+    seeds = result.over_seeds[:, i]
     return f"{seeds.min():.3g} to {seeds.max():.3g}"

@@ -10,14 +10,12 @@ from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from frictrack import search
 from frictrack.base.errors import os_errors_as
 from frictrack.base.number_format import format_number
 from frictrack.present import plots
@@ -87,7 +85,7 @@ class Section:
     tables
         Tables.
     figures
-        Caption and figure by file name; a figure that was drawn before is its SVG.
+        Caption and figure by file name.
     claims
         Claims that the section tests.
 
@@ -97,7 +95,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[ResultTable, ...] = ()
-    figures: dict[str, tuple[str, Figure | str]] = field(default_factory=dict)
+    figures: dict[str, tuple[str, Figure]] = field(default_factory=dict)
     claims: tuple[Claim, ...] = ()
 
     def summary(self) -> dict[str, Any]:
@@ -122,20 +120,22 @@ class Effort:
         Seeds of the statistics in Tables 5, 6 and 7.
     identified
         Seeds of each identification by a search of the papers.
-    budget
-        Evaluations of each search: 40 + 1000 generations of 36 children (40 individuals, gap 0.9).
-    lowest
-        Evaluations spent on finding the lowest error.
+    generations
+        Generations of each search.
 
     """
 
     seeds: int = 200
-    identified: int = 6
-    budget: int = 36_040
-    lowest: int = 20_000
+    identified: int = 5
+    generations: int = 1000
+
+    @property
+    def budget(self) -> int:
+        """Evaluations of each search: 40 individuals, and 36 children in every generation (gap 0.9)."""
+        return 40 + 36 * self.generations
 
 
-FULL, QUICK = Effort(), Effort(seeds=4, identified=1, budget=2000, lowest=450)
+FULL, QUICK = Effort(), Effort(seeds=4, identified=1, generations=55)
 
 
 @cache
@@ -158,7 +158,7 @@ def table(name: str, rows: Sequence[Sequence[Cell]], **values: Any) -> ResultTab
     return ResultTable(name, title, tuple(texts["heads"].split(" | ")), [list(row) for row in rows], note)
 
 
-def figure(name: str, draw: Callable[..., Figure], *arguments: Any) -> dict[str, tuple[str, Figure | str]]:
+def figure(name: str, draw: Callable[..., Figure], *arguments: Any) -> dict[str, tuple[str, Figure]]:
     """Draw a figure with the title from ``texts.toml``; return it with its caption, by its name."""
     texts = _texts()["figures"][name]
     return {name: (texts["caption"], draw(texts["title"], *arguments))}
@@ -220,56 +220,6 @@ class Reproduction:
         }
 
 
-class SectionStore:
-    """The sections that are done, in the folder of the reproduction.
-
-    Parameters
-    ----------
-    folder
-        The folder; created when something is written.
-    about
-        What the sections depend on besides the code of this package and of the searches.
-
-    """
-
-    def __init__(self, folder: Path, about: str) -> None:
-        sources = (
-            path for package in (Path(__file__).parent, Path(search.__file__).parent) for path in package.iterdir()
-        )
-        code = b"".join(path.read_bytes() for path in sorted(sources) if path.is_file())
-        self.folder, self.key = folder, sha256(about.encode() + code).hexdigest()
-
-    def read(self, name: str) -> tuple[Section, float] | None:
-        """Return a section and its processor time, s; None if it is not done, or was made in another way."""
-        try:
-            kept = json.loads((self.folder / "sections" / f"{name}.json").read_text(encoding="utf-8"))
-            if kept["key"] != self.key:
-                return None
-            found = kept["section"]
-            files = {figure: self.folder / "figures" / f"{figure}.svg" for figure in kept["captions"]}
-            figures: dict[str, Any] = {
-                n: (kept["captions"][n], f.read_text(encoding="utf-8")) for n, f in files.items()
-            }
-            tables = tuple(ResultTable(**table) for table in found["tables"])
-            claims = tuple(Claim(**one) for one in found["claims"])
-        except (OSError, ValueError, KeyError, TypeError):  # not there, or written by another version
-            return None
-        return Section(name, found["title"], tuple(found["text"]), tables, figures, claims), float(kept["seconds"])
-
-    def write(self, part: Section, seconds: float) -> None:
-        """Write the figures and tables of a section, and what `read` needs."""
-        for sub in ("figures", "tables", "sections"):
-            (self.folder / sub).mkdir(parents=True, exist_ok=True)
-        for name, (_, figure) in part.figures.items():
-            (self.folder / "figures" / f"{name}.svg").write_text(svg_text(figure), encoding="utf-8")
-        for table in part.tables:
-            with (self.folder / "tables" / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([table.heads, *table.rows])
-        captions = {name: caption for name, (caption, _) in part.figures.items()}
-        kept = {"key": self.key, "seconds": seconds, "captions": captions, "section": part.summary()}
-        _write_json(kept, self.folder / "sections" / f"{part.name}.json")
-
-
 def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, Any]:
     """Write page, figures, tables and JSON.
 
@@ -292,21 +242,23 @@ def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, An
 
     """
     with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):
-        folder.mkdir(parents=True, exist_ok=True)
+        for sub in ("figures", "tables"):
+            (folder / sub).mkdir(parents=True, exist_ok=True)
+        for part in reproduction.parts:
+            _write_figures_and_tables(part, folder)
         page = folder / "reproduce.html"
         page.write_text(render_page(reproduction), encoding="utf-8")
         result = reproduction.summary() | {"page": str(page), "output": str(folder)}
-        _write_json(result, folder / "reproduce.json")
+        (folder / "reproduce.json").write_text(json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
     return result
 
 
-def _write_json(content: dict[str, Any], path: Path) -> None:
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
-
-
-def svg_text(figure: Any) -> str:
-    """The SVG of a figure, or of one that was drawn before."""
-    return figure if isinstance(figure, str) else plots.svg(figure)
+def _write_figures_and_tables(part: Section, folder: Path) -> None:
+    for name, (_, figure) in part.figures.items():
+        (folder / "figures" / f"{name}.svg").write_text(plots.svg(figure), encoding="utf-8")
+    for table in part.tables:
+        with (folder / "tables" / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([table.heads, *table.rows])
 
 
 def render_page(reproduction: Reproduction) -> str:
@@ -319,7 +271,7 @@ def render_page(reproduction: Reproduction) -> str:
         quick=reproduction.quick,
         minutes=format_number(sum(reproduction.seconds.values()) / 60, 2),
         kinds=VERDICT_CLASSES,
-        draw=lambda figure: draw.embed(svg_text(figure)),
+        draw=draw,
         as_text=as_text,
     )
 

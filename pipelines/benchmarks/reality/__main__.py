@@ -36,8 +36,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from machine import described  # noqa: E402
 
+from frictrack.base import __version__  # noqa: E402
 from frictrack.base.files import replace_text  # noqa: E402
-from frictrack.base.version import __version__  # noqa: E402
 from frictrack.base.workers import processors, run_parallel  # noqa: E402
 from frictrack.results import to_builtins  # noqa: E402
 from reality.faults import FILMED, KINDS  # noqa: E402 - found only now

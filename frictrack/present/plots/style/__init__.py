@@ -420,6 +420,13 @@ def svg_file(figure: Figure) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + svg(figure)
 
 
+def file_content(figure: Figure, form: str) -> bytes:
+    """Convert a figure to the content of a file: "svg", "png" or "pdf"."""
+    if form == "svg":
+        return svg_file(figure).encode()
+    return png(figure, dpi=RASTER_DPI) if form == "png" else pdf(figure)
+
+
 class _SvgCanvas(FigureCanvasSVG):
     """Canvas of a figure whose sizes of texts are those of all figures: most texts stand in several of them."""
 

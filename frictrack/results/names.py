@@ -1,8 +1,9 @@
-"""Write the names of models as words."""
+"""Name models, and the axes over which a misfit or a force may repeat: time, place, speed, acceleration, phase."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
 _CAPITALISED = {
@@ -60,3 +61,32 @@ def numbered_name(group: str) -> str:
 
     """
     return f"{group.split('_', 1)[0]}. {plain_name(group)}"
+
+
+@dataclass(frozen=True)
+class MotionAxis:
+    """The texts of one axis.
+
+    Attributes
+    ----------
+    name : str
+        Name in a sentence.
+    label : str
+        Label of the axis in a figure.
+    unit : str
+        SI unit.
+
+    """
+
+    name: str
+    label: str
+    unit: str
+
+
+AXES = {
+    "t": MotionAxis("time since release", "time since release t", "s"),
+    "x": MotionAxis("place", "displacement x", "m"),
+    "v": MotionAxis("speed", "speed |v|", "m/s"),
+    "a": MotionAxis("acceleration", "acceleration along the motion", "m/s^2"),
+    "phase": MotionAxis("phase", "phase", "cycles"),
+}
