@@ -341,7 +341,7 @@ class Explanations:
     def pair_instead(self, best: Explanation) -> Explanation:
         """Return a set in which two effects, in place of one, explain decisively more than the best one, or that one.
 
-        An effect with another incline is one cause too, and only has to explain more.
+        An effect with another incline is one cause too, and only has to explain a little more.
         """
         decisive, near = best.criterion - MIN_CHI2_SEPARATED, best.criterion + MAX_BIC_EQUAL
 
@@ -353,7 +353,8 @@ class Explanations:
         for rest in self.subsets(best):
             self._propose_pairs(rest, limit)
         self.refine(size, below=lambda one: limit(one.effects))
-        better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), best.criterion)]
+        needed = best.criterion - MAX_BIC_BARE_MENTION * dispersion(best.law)
+        better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), needed)]
         return better[0] if better else best
 
     def refine(self, size: int, below: Callable[[Explanation], float] = lambda one: np.inf) -> None:

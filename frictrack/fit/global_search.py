@@ -120,10 +120,7 @@ class _SearchMisfit(ABC):
             mine = self.separable.run_of_datum == run
             own[:, i] = np.einsum("qm,qm->q", dry[:, mine], dry[:, mine])
             along[:, i] = np.einsum("qm,qm->q", dry[:, mine], residual[:, mine])
-        left, d = (
-            np.zeros_like(squares),
-            np.zeros_like(own),
-        )  # without a misfit first, so that levels that explain it stay
+        left = np.zeros_like(squares)  # without a misfit first, so that levels that explain it stay
         for _ in range(LEVEL_ROUNDS):
             weight = np.maximum(left / self.independent, 1.0) / self.tau**2
             per_level = 1 / (own + weight[:, None])
