@@ -209,7 +209,8 @@ def one_way_remarks(model: Solution, named: Sequence[Effect]) -> list[str]:
     """Return one remark if all runs move one way and forces of the place are named: these may turn round or not."""
     of_place = [e.title for e in named if e.varies_with == "x" and e.acts_on == "force" and not e.needs]
     pieces = model.problem.pieces
-    if not of_place or any(p.turns for p in pieces) or len({float(np.sign(p.path.s[0])) for p in pieces}) > 1:
+    ways = {way for p in pieces for way in np.sign(p.path.s).tolist() if way}
+    if not of_place or any(p.turns for p in pieces) or len(ways) > 1:
         return []
     return [
         f"all runs move one way, so that {' and '.join(of_place)} may be friction that changes along the course, or a "
