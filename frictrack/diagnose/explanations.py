@@ -328,7 +328,7 @@ class Explanations:
         """
         solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
         gain = fall + gain_by_smaller_scatter(law, trial)
-        gain += _beside_prior(problem.layout, solution.p) - _beside_prior(trial.layout, trial.p)
+        gain += _misfit_of_priors(problem.layout, solution.p) - _misfit_of_priors(trial.layout, trial.p)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
         new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
@@ -439,11 +439,11 @@ def _ratio_of_excess(solution: Solution, misfit: float) -> float:
     and one that takes a share of the excess takes that share of the other.
     """
     n = solution.problem.n_frames
-    simulated = solution.objective - _beside_prior(solution.problem.layout, solution.p)
+    simulated = solution.objective - _misfit_of_priors(solution.problem.layout, solution.p)
     return max(simulated - n, np.sqrt(2 * n)) / max(misfit - n, np.sqrt(2 * n))
 
 
-def _beside_prior(layout: ParameterLayout, p: Array) -> float:
+def _misfit_of_priors(layout: ParameterLayout, p: Array) -> float:
     """What unknowns add to the objective by their departure from their priors."""
     return float(np.sum(prior_residual(layout, p) ** 2))
 
