@@ -71,3 +71,16 @@ def shaking(scale=3.0):
         return picture
 
     return shake, shown(draw)
+
+
+def two_blocks():
+    """A film of two blocks that move towards each other, at (40, 20) and (200, 48) px in its first frame."""
+    scene, paste = pasted()
+
+    def draw(i):
+        picture = scene.copy()
+        paste(picture, SLIDE[i], 20, (26, 40), 1)
+        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
+        return picture
+
+    return shown(draw)

@@ -9,7 +9,7 @@ import cv2
 import film
 import numpy as np
 import pytest
-from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
+from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown, two_blocks
 from film import Film, block_film, expose, speckle
 
 from frictrack.base.errors import FrictrackError
@@ -68,16 +68,8 @@ def test_a_plain_body_is_found_by_its_outline():
 
 
 def test_two_that_move_apart_are_asked_about():
-    scene, paste = pasted()
-
-    def draw(i):
-        picture = scene.copy()
-        paste(picture, SLIDE[i], 20, (26, 40), 1)
-        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
-        return picture
-
     with pytest.raises(FrictrackError, match="expected one moving target but two move; give target") as failure:
-        find_target(shown(draw))
+        find_target(two_blocks())
     lines = re.findall(
         r"\[(\d+), (\d+), (\d+), (\d+)\](?: with template = (\d+))? \(moves (\d+) px\)", str(failure.value)
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown
+from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown, two_blocks
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Track
@@ -31,15 +31,7 @@ def test_a_click_on_the_moving_body(frame, dx, dy):
 
 
 def test_a_click_chooses_between_two():
-    scene, paste = pasted()
-
-    def draw(i):
-        picture = scene.copy()
-        paste(picture, SLIDE[i], 20, (26, 40), 1)
-        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
-        return picture
-
-    recording = shown(draw)
+    recording = two_blocks()
     assert holds(resolve_target(recording, [40, 20])[0], 40, 20, (26, 40))
     assert holds(resolve_target(recording, [200, 48])[0], 200, 48, (22, 36))
 
@@ -101,16 +93,8 @@ def test_what_moves_contradicts_a_track_that_is_not_of_the_body():
 
 
 def test_a_second_body_is_asked_about_after_tracking_too():
-    scene, paste = pasted()
-
-    def draw(i):
-        picture = scene.copy()
-        paste(picture, SLIDE[i], 20, (26, 40), 1)
-        paste(picture, 200 - 1.5 * i, 48, (22, 36), 2)
-        return picture
-
     one = replace(a_track(SLIDE, 20, (26, 40)), score=np.ones(N))
-    assert "expected one moving target but two move; give target = [" in target_fault(shown(draw), one)
+    assert "expected one moving target but two move; give target = [" in target_fault(two_blocks(), one)
 
 
 def test_a_film_none_of_whose_frames_fits_the_learnt_picture_is_refused(monkeypatch):

@@ -178,8 +178,7 @@ def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> t
     """Best match near the last place or in foreground: corner (x, y), score, and whether it is foreground.
 
     Of matches that are nearly as good, the one nearest to the last is used: a bar looks the same all along, and a
-    resting
-    body must not jump.
+    resting body must not jump.
     """
     part = _surrounding(foreground, patch.shape, last)
     scores = correlate(picture[part], patch)

@@ -353,8 +353,8 @@ def find_reference(recording: Recording, track: Track) -> Rectangle | None:
     """Find the patch that can be tracked best as a fixed reference.
 
     Nothing ever moves in it, and the target never covers it. Patches below the target's path, on the course, are
-    preferred
-    if they are nearly as good. The precision is the Cramer-Rao bound of a shift, from the gradients of the picture.
+    preferred if they are nearly as good. The precision is the Cramer-Rao bound of a shift, from the gradients of the
+    picture.
 
     Parameters
     ----------
