@@ -132,6 +132,27 @@ class Explanation:
         return self.evidence(before) + penalty - event_penalty(problem, own, effect)
 
 
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """A set to which single effects were added along the measured motion, where its own model leaves `misfit`."""
+
+    centre: Explanation
+    law: LinearisedModel
+    misfit: float
+    trials: Sequence[CandidateTrial]
+
+    def fall(self, left: float) -> float:
+        """Return the fall of the simulated misfit that a larger set promises, of which `left` is left along the motion.
+
+        Far from the data the two misfits differ. A set that leaves only noise along the measured motion does so in
+        simulation, and one that takes a share of the excess over noise takes that share of the other.
+        """
+        solution, n = self.law.solution, self.law.solution.problem.n_frames
+        simulated = solution.objective - _misfit_of_priors(solution.problem.layout, solution.p)
+        noise = np.sqrt(2 * n)
+        return max(simulated - n, noise) / max(self.misfit - n, noise) * (self.misfit - left)
+
+
 class Explanations:
     """All sets of effects that were added to one model, by the names of their effects.
 
@@ -150,7 +171,7 @@ class Explanations:
         self, start: Solution, own: Sequence[Effect] = (), handicap: Callable[[Effect], float] = lambda effect: 0.0
     ) -> None:
         self._own, self._handicap, self._budget = own, handicap, start.problem.budget
-        self._expanded: dict[Names, tuple[LinearisedModel, list[CandidateTrial]]] = {}
+        self._expanded: dict[Names, Expansion] = {}
         self._rebased: dict[Names, Explanation] = {}
         self._error = MIN_ERROR_OF_PROMISE
         self.known = {frozenset[str](): Explanation((), information_criterion(start), solution=start)}
@@ -281,13 +302,12 @@ class Explanations:
         self, centre: Explanation, law: LinearisedModel, scanned: Scanned, *, search_again: bool = True
     ) -> None:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
-        misfit, data = baseline_misfit(law), measured_series(law).coordinates[:, 0]
-        trials = try_effects(law, scanned, data)
+        trials = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
         trials = deepen_trials(law, trials) if search_again else trials
+        expansion = Expansion(centre, law, baseline_misfit(law), trials)
         for t in trials:
-            self._enter(centre, law, t, _ratio_of_excess(law.solution, misfit) * (misfit - t.misfit))
-        plausible = [t for t in trials if not physical_objection(t.layout, t.p, t.effect)]
-        self._expanded.setdefault(centre.names, (law, plausible))
+            self._enter(expansion, t)
+        self._expanded.setdefault(centre.names, expansion)
 
     def _propose_pairs(self, centre: Explanation, limit: Callable[[Sequence[Effect]], float]) -> None:
         """Try pairs of effects with a centre, those first that promise most, that may reach the limit of such a set.
@@ -296,38 +316,36 @@ class Explanations:
         """
         if centre.names not in self._expanded:
             return
-        law, plausible = self._expanded[centre.names]
-        centre = self._rebased.get(centre.names, centre)
-        trials = {t.effect.title: t for t in plausible if centre.names | {t.effect.title} not in self._expanded}
-        misfit, problem = baseline_misfit(law), law.solution.problem
-        scale, error = _ratio_of_excess(law.solution, misfit), MIN_ERROR_OF_PROMISE
-        by_scatter = most_by_smaller_scatter(law.solution)
+        expansion = self._expanded[centre.names]
+        centre, law, problem = expansion.centre, expansion.law, expansion.law.solution.problem
+        trials = {
+            t.effect.title: t
+            for t in expansion.trials
+            if not physical_objection(t.layout, t.p, t.effect) and centre.names | {t.effect.title} not in self._expanded
+        }
+        error, by_scatter = MIN_ERROR_OF_PROMISE, most_by_smaller_scatter(law.solution)
         penalty = {name: parameter_penalty(t.layout, problem) for name, t in trials.items()}
         own = parameter_penalty(problem.layout, problem)
-        promises = {
-            pair: (centre.criterion + sum(penalty[name] - own for name in pair) - scale * gain, misfit - gain)
-            for pair, gain in gains_of_pairs(law, list(trials.values())).items()
-        }
-        for (first, second), (criterion, left) in sorted(promises.items(), key=lambda own: own[1])[:N_PAIRS]:
+        promised: list[tuple[float, float, float, tuple[str, str]]] = []
+        for pair, gain in gains_of_pairs(law, list(trials.values())).items():
+            left, start = expansion.misfit - gain, centre.criterion + sum(penalty[name] - own for name in pair)
+            promised.append((start - expansion.fall(left), left, start, pair))
+        for _, left, start, (first, second) in sorted(promised)[:N_PAIRS]:
             excess = max(left - problem.n_frames, 0.0)
             effects = [*centre.effects, trials[first].effect, trials[second].effect]
-            if criterion - error * scale * excess - by_scatter > limit(effects):
+            if start - expansion.fall(left - error * excess) - by_scatter > limit(effects):
                 continue
             if self._budget.stops():
                 break
-            pair = try_pair(law, trials[first], trials[second])
-            self._enter(centre, law, pair, scale * (misfit - pair.misfit), trials[first].effect)
-            error = max(error, min((left - pair.misfit) / max(excess, 1e-300), 1.0))
+            both = try_pair(law, trials[first], trials[second])
+            self._enter(expansion, both, trials[first].effect)
+            error = max(error, min((left - both.misfit) / max(excess, 1e-300), 1.0))
 
-    def _enter(
-        self, centre: Explanation, law: LinearisedModel, trial: CandidateTrial, fall: float, *others: Effect
-    ) -> None:
-        """Enter the set that a trial of an effect, and others, makes of a centre, if it promises more than before.
-
-        `fall` is the fall of the simulated misfit that it promises.
-        """
-        solution, problem, added = law.solution, law.solution.problem, (*others, trial.effect)
-        gain = fall + gain_by_smaller_scatter(law, trial)
+    def _enter(self, expansion: Expansion, trial: CandidateTrial, *others: Effect) -> None:
+        """Enter the set that a trial of an effect, and others, makes of a centre, if it promises more than before."""
+        centre, law, added = expansion.centre, expansion.law, (*others, trial.effect)
+        solution, problem = law.solution, law.solution.problem
+        gain = expansion.fall(trial.misfit) + gain_by_smaller_scatter(law, trial)
         gain += _misfit_of_priors(problem.layout, solution.p) - _misfit_of_priors(trial.layout, trial.p)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
@@ -430,17 +448,6 @@ class Explanations:
                     continue
                 one = again if again.criterion < one.criterion else one
         return one
-
-
-def _ratio_of_excess(solution: Solution, misfit: float) -> float:
-    """Ratio of the simulated misfit above the noise to `misfit`, that along the measured motion, above it.
-
-    Far from the data the two differ. An effect that leaves only noise along the measured motion does so in simulation,
-    and one that takes a share of the excess takes that share of the other.
-    """
-    n = solution.problem.n_frames
-    simulated = solution.objective - _misfit_of_priors(solution.problem.layout, solution.p)
-    return max(simulated - n, np.sqrt(2 * n)) / max(misfit - n, np.sqrt(2 * n))
 
 
 def _misfit_of_priors(layout: ParameterLayout, p: Array) -> float:
