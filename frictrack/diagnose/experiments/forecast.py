@@ -186,14 +186,13 @@ def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
 
 
 def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -> Solution:
-    """Fit the model with a free curve over one axis, starting from the smooth force."""
+    """Fit the model with a free curve over one axis, on the knots that the smooth force spans."""
     knots = np.linspace(smooth.at[0], smooth.at[-1], N_HATS)
     effect = _free_curve_effect(AXES[smooth.axis.name].name, smooth.axis, knots, prior_std)
     old = solution.problem.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
-    first = dict(zip(old.names, solution.p, strict=True))
-    first |= {f"{effect.name}.h{k}": float(h) for k, h in enumerate(np.interp(knots, smooth.at, smooth.force))}
-    problem, p = solution.problem.rebuild(layout, solution.problem.pieces), np.array([first[n] for n in layout.names])
+    # from no curve: the smooth force itself holds parts that the model takes up, with other values of its parameters
+    problem, p = solution.problem.rebuild(layout), layout.unknowns(old.by_address(solution.p), np.zeros(len(layout.slots)))
     tau = solution.tau_of_other_runs
     return refine(problem, p, solution.starts, tau=tau, max_steps=MAX_STEPS_CURVE, min_fall=MIN_CHI2_FALL)
 
