@@ -26,6 +26,7 @@ from frictrack.diagnose.experiments.forecast import (
     FittedExplanation,
     ModelDiscrimination,
     PresentRun,
+    explain_by_axes,
     make_explanation,
 )
 from frictrack.diagnose.experiments.proposals import (
@@ -322,6 +323,11 @@ def test_what_no_effect_explains_gets_a_run_that_tells_its_axis():
     assert "place" in told[0]["separates"]
     assert told[0]["expected_if_true"]["place"] > 10
     assert "what depends on the place comes again at the same place" in told[0]["what"]
+    bare = fit(
+        LAW, study(models.of([*LAW, joint]), law, specs=(Spec(3.5, 1, 0.06), Spec(4.5, 1, 0.06)), sigma=SIGMA)[0]
+    )
+    left = {e.name: e.solution.objective for e in explain_by_axes(bare.solution)}
+    assert left["place"] < left["speed"] < bare.solution.objective  # neither curve repeats what the model has
 
 
 def test_candidates_speak_of_the_numbers_of_this_study():

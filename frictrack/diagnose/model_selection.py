@@ -22,6 +22,8 @@ CAMERA_EFFECTS = ("camera_shake", "lens", "out_of_plane", "rolling_shutter")  # 
 PRIOR_CAMERA = 0.3  # prior probability of an error of a camera where only tables are known, over that of a cause
 PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above
+EVIDENCE_PRECISION = 0.02  # of an expected difference of chi-squared: share of it below which a step is not taken
+MAX_STEPS = 12  # Gauss-Newton steps of such a fit
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
 MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
 
@@ -36,17 +38,24 @@ def expected_separation(best: Solution, rival: Solution) -> float:
     Hunter & Reiner (1965), Technometrics 7, 307-323; Atkinson & Fedorov (1975), Biometrika 62, 57-70.
 
     """
-    fitted = fitted_to_predictions(rival, best, 15, MIN_CHI2_FALL)
+    fitted = fitted_to_predictions(rival, best)
     held = penalty_residual(best.problem.layout, best.p, best.tau_of_other_runs)
     return fitted.objective - float(held @ held)
 
 
-def fitted_to_predictions(rival: Solution, truth: Solution, max_steps: int, min_fall: float) -> Solution:
+def fitted_to_predictions(rival: Solution, truth: Solution) -> Solution:
     """Fit a rival to what another fit predicts of the same runs, without noise."""
     true_y = {(r.piece.run, int(r.piece.frames[0])): r.model_y for r in truth.responses}
     pieces = [replace(p, y=true_y[p.run, int(p.frames[0])]) for p in rival.problem.pieces]
-    problem, tau = rival.problem.rebuild(rival.problem.layout, pieces), truth.tau_of_other_runs
-    return refine(problem, rival.p, rival.starts, tau=tau, max_steps=max_steps, min_fall=min_fall)
+    problem = rival.problem.rebuild(rival.problem.layout, pieces)
+    return fitted_without_noise(problem, rival.p, rival.starts, truth.tau_of_other_runs)
+
+
+def fitted_without_noise(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
+    """Fit data without noise: what is left of them is evidence, and needed no more exactly than evidence is judged."""
+    return refine(
+        problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL, min_share=EVIDENCE_PRECISION
+    )
 
 
 def information_criterion(solution: Solution) -> float:

@@ -38,7 +38,13 @@ from frictrack.diagnose.experiments.virtual_runs import (
     simulate_run,
 )
 from frictrack.diagnose.formula_terms import AXIS_SYMBOLS
-from frictrack.diagnose.model_selection import MIN_CHI2_FALL, fitted_to_predictions, information_criterion
+from frictrack.diagnose.model_selection import (
+    MAX_STEPS,
+    MIN_CHI2_FALL,
+    fitted_to_predictions,
+    fitted_without_noise,
+    information_criterion,
+)
 from frictrack.effects import PLANNED_SHARE, Effect, Nonlinear, Parameter, Path
 from frictrack.fit.least_squares import (
     LeastSquaresProblem,
@@ -66,9 +72,7 @@ INVARIANTS = {  # by axis: what a force over it keeps when a run is made differe
 N_HATS = 14  # knots of a free curve
 PRIOR_STD_RATIO = 0.5  # of friction: prior standard deviation of a height
 MAX_AXES = 2  # over which an unexplained force is compared
-MAX_STEPS_CURVE = 8  # Gauss-Newton steps
 START_TIMES = np.linspace(0.1, 0.9, 7)  # starting times of a rival's event, as shares of the planned run
-MAX_STEPS = 12  # Gauss-Newton steps of a rival
 QUANTILES_95 = (0.025, 0.975)
 N_DEVIATES = 10_000  # of every quantity that is uncertain
 
@@ -192,9 +196,9 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     old = solution.problem.layout
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     # from no curve: the smooth force itself holds parts that the model takes up, with other values of its parameters
-    problem, p = solution.problem.rebuild(layout), layout.unknowns(old.by_address(solution.p), np.zeros(len(layout.slots)))
-    tau = solution.tau_of_other_runs
-    return refine(problem, p, solution.starts, tau=tau, max_steps=MAX_STEPS_CURVE, min_fall=MIN_CHI2_FALL)
+    p, tau = layout.unknowns(old.by_address(solution.p), np.zeros(len(layout.slots))), solution.tau_of_other_runs
+    problem = solution.problem.rebuild(layout)
+    return refine(problem, p, solution.starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 
 
 def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) -> Effect:
@@ -280,7 +284,7 @@ class ModelDiscrimination:
     @cached_property
     def fitted_rival(self) -> Solution:
         """The rival fitted to what the truth predicts of the present runs, without noise."""
-        return fitted_to_predictions(self.rival.solution, self.truth.conservative, MAX_STEPS, MIN_CHI2_FALL)
+        return fitted_to_predictions(self.rival.solution, self.truth.conservative)
 
     @cached_property
     def _compressed(self) -> list[PieceResponse]:
@@ -311,7 +315,7 @@ class ModelDiscrimination:
         """The rival fitted to all runs from unknowns p (P,)."""
         problem = RivalOfAllRuns(self.fitted_rival, self._compressed, planned)
         starts = [*self.fitted_rival.starts, planned.first_start]
-        return refine(problem, p, starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
+        return fitted_without_noise(problem, p, starts, tau)
 
     def _bic(self, rival: Solution, layout: ParameterLayout, p: Array, tau: float) -> float:
         """Difference of BIC between a rival and a truth that explains everything but the penalties of its unknowns."""

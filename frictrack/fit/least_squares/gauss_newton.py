@@ -58,6 +58,7 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
     free: Mask | None = None,
     max_steps: int = 20,
     min_fall: float = MIN_CHI2_FALL,
+    min_share: float = 0.0,
 ) -> Solution:
     """Minimise chi-squared plus penalties by bounded Levenberg-Marquardt, at a given scatter of the friction levels.
 
@@ -77,6 +78,8 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
         Largest number of steps.
     min_fall : float
         A step is not taken if it is predicted to lower chi-squared by less.
+    min_share : float
+        The same as a share of the objective: for data without noise, which is all that the objective holds.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def refine(  # noqa: PLR0913 - one door to the solver, all settings named
 
     """
     refinement = _Refinement.of(problem, p, free)
-    return refinement.run(refinement.at(p, list(starts), tau), max_steps, min_fall)
+    return refinement.run(refinement.at(p, list(starts), tau), max_steps, min_fall, min_share)
 
 
 def hold(problem: LeastSquaresProblem, p: Array, starts: Sequence[Array], tau: float) -> Solution:
@@ -196,14 +199,15 @@ class _Refinement:
         random = len(problem.layout.levels) >= MIN_RUNS_FOR_SCATTER
         return cls(problem, (low, high), free is None, scatter and random)
 
-    def run(self, state: Solution, max_steps: int, min_fall: float) -> Solution:
+    def run(self, state: Solution, max_steps: int, min_fall: float, min_share: float = 0.0) -> Solution:
         """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
         region, reach, anchor, patience = TrustRegion(), np.inf, state, SCATTER_PATIENCE
         if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
         state, step, rise = self.next_step(anchor, region, reach)
         for _ in range(max_steps):
-            threshold = min_fall * max(1.0, anchor.objective / max(self.problem.n_frames, 1))
+            share = max(min_fall / max(self.problem.n_frames, 1), min_share)
+            threshold = max(min_fall, share * anchor.objective)
             ended = step.predicted_fall < threshold or self.problem.budget.stops()
             moved = False
             if not ended:
