@@ -60,3 +60,14 @@ def test_the_level_of_a_validation_run_is_that_of_the_law():
     assert row["level"] == 1.0
     assert row["errors"]["rms_displacement_um"] > 5 * rms_um(found, "r0")  # nothing but its start was fitted
     assert abs(levels[2] - 1) > 0.001
+
+
+def test_a_run_that_was_held_back_lies_in_its_band():
+    law, _ = with_hidden("texture")
+    values = BASE | {"texture": {"amplitude": 0.8, "period": 0.03, "phase": 1.0}}
+    runs = [seen(law, values, v, f"v{v}", seed=k) for k, v in enumerate((3.5, 4.0, 4.5))]
+    (told,) = fit(law, runs[:2]).predict(runs[2])
+    slide = simulate(law, values, Conditions(MASS), told.t, (told.x[0], told.v[0]))
+    assert (told.run, told.role) == ("v4.5", "validation")
+    assert np.max(np.abs(told.x - slide.x) / told.sigma_x) < 4
+    assert np.mean(np.abs(told.F + MASS * slide.a) < 2 * told.sigma_F) > 0.9

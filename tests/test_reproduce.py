@@ -255,6 +255,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     return folder, json.loads(answer.stdout)
 
 
+@pytest.mark.slow
 def test_every_table_and_figure_is_there(made: tuple[Path, dict]) -> None:
     folder, result = made
     tables = {f.stem for f in (folder / "tables").glob("*.csv")}
@@ -308,6 +309,7 @@ def test_claims_are_filled_in() -> None:
     assert told.why == "Plain GA with more mutation (0.02 per bit) ends there in 3 %."
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_else(made: tuple[Path, dict]) -> None:
     page = (made[0] / "reproduce.html").read_text()
     outside = re.findall(r'(?:src|href)="(?!#|data:)([^"]+)"', page)
@@ -317,6 +319,7 @@ def test_page_needs_nothing_else(made: tuple[Path, dict]) -> None:
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.slow
 def test_printed_values_stand_beside_ours(made: tuple[Path, dict]) -> None:
     _, result = made
     tables = {t["name"]: t for part in result["parts"] for t in part["tables"]}
@@ -327,6 +330,7 @@ def test_printed_values_stand_beside_ours(made: tuple[Path, dict]) -> None:
     assert tables["table7"]["rows"][2][1] == pytest.approx(6.0)
 
 
+@pytest.mark.slow
 def test_every_claim_has_a_verdict_and_a_reason(made: tuple[Path, dict]) -> None:
     _, result = made
     claims = [c for part in result["parts"] for c in part["claims"]]
@@ -340,6 +344,7 @@ def test_every_claim_has_a_verdict_and_a_reason(made: tuple[Path, dict]) -> None
     assert held["MGA needs fewer iterations than GA"] == OPEN  # four seeds decide nothing
 
 
+@pytest.mark.slow
 def test_equation_4_as_printed_brakes_the_mass(made: tuple[Path, dict]) -> None:
     """By hand, Table 4: sin 1.7931 + sin 3.0453 = 1.071, sin 0.3726 + sin 1.3736 = 1.345."""
     tables = {t["name"]: t for part in made[1]["parts"] for t in part["tables"]}
@@ -349,6 +354,7 @@ def test_equation_4_as_printed_brakes_the_mass(made: tuple[Path, dict]) -> None:
     assert low[6] < 10
 
 
+@pytest.mark.slow
 def test_ours_recovers_table_1(made: tuple[Path, dict]) -> None:
     """Displacement domain: the printed sines come back to a per mille where the papers' route guesses."""
     tables = {t["name"]: t for part in made[1]["parts"] for t in part["tables"]}

@@ -20,6 +20,7 @@ from frictrack.fit.cutting import noise_free_remark
 from frictrack.fit.modelled_motion import FreeRun, collisions, free_errors, law_branches
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
+from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
 from frictrack.fit.routes import FittedRuns, SearchedOptima
 from frictrack.fit.uncertainty import (
@@ -328,6 +329,39 @@ class Fit(FittedRuns, StorableFit):
         Empty where friction itself was measured.
         """
         return self.observation.motion(self, lambda: self.estimates.covariance)
+
+    def predict(self, *runs: Run) -> tuple[ModelledMotion, ...]:
+        """Predict runs that were not fitted, with bands.
+
+        What runs share is as fitted; the start, the level and the phases of a run are found in the run itself.
+
+        Parameters
+        ----------
+        *runs
+            Runs with a measured motion.
+
+        Returns
+        -------
+        tuple of ModelledMotion
+            The modelled x, v, a and F of every run; empty where friction itself was measured.
+
+        Raises
+        ------
+        FrictrackError
+            If a run has no part that can be fitted.
+
+        Examples
+        --------
+        >>> import frictrack as ft
+        >>> *fitted, other = ft.samples.runs()
+        >>> (seen,) = ft.fit(["coulomb", "viscous", "stribeck", "patch"], fitted).predict(other)
+        >>> seen.run == other.name and seen.role
+        'validation'
+
+        """
+        others = tuple(replace(run, role="validation") for run in runs)
+        predictions = tuple(predict_run(self.solution, run, self.reference) for run in others)
+        return replace(self, validation=others, predictions=predictions).motion[len(self.runs) :]
 
     @property
     def convergence(self) -> dict[str, Convergence]:

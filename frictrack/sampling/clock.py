@@ -91,8 +91,10 @@ def quantum(x: Array) -> float:
         return 0.0
     gaps = np.sort(gaps)
     gaps = gaps[gaps < MAX_GAP_STEPS * gaps[0]]  # the digits of a double do not count the steps of a longer one
-    for parts in range(1, _max_parts(len(gaps)) + 1):
-        if step := _refine_step(gaps, float(gaps[0]) / parts):
+    parts = np.arange(1, _max_parts(len(gaps)) + 1)
+    steps = np.outer(parts, gaps[:FIRST_GAPS] / gaps[0])
+    for part in parts[np.all(np.abs(steps - np.rint(steps)) <= MAX_STEP_ERROR, axis=1)].tolist():
+        if step := _refine_step(gaps, float(gaps[0]) / part):
             return 0.0 if _is_even_motion(gaps, step, len(values) < len(x)) else _with_few_digits(step, digits / step)
     return 0.0
 
@@ -116,12 +118,7 @@ def _max_parts(count: int) -> int:
 def _refine_step(gaps: Array, near: float) -> float:
     """Refine a step of which all rising gaps are whole multiples; 0 where they are not."""
     step = near
-    for some in (
-        gaps[:FIRST_GAPS],
-        gaps[: FIRST_GAPS**2],
-        gaps,
-        gaps,
-    ):  # the mean of many is known better than the smallest
+    for some in (gaps[:FIRST_GAPS], gaps[: FIRST_GAPS**2], gaps, gaps):  # the mean of many is better than the smallest
         counts = np.rint(some / step)
         if np.any(counts < 1) or np.max(np.abs(some - counts * step)) > MAX_STEP_ERROR * step:
             return 0.0
