@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from itertools import product
 from typing import Any
 
@@ -44,7 +43,6 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     model_without,
     refine_on_measured_motion,
-    reversed_ties,
     scan_effect,
     ties_are_resolved,
     try_effect,
@@ -99,22 +97,13 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     ways: list[Callable[[], Solution]] = [lambda: _by_variable_projection(model, *of)]
     if rest and all(ties_are_resolved(e, rest) for e in rest):  # the last may find what all together miss
         ways.append(lambda: _add_later(_by_variable_projection(Model(tuple(rest)), *of), model, [last]))
-    slow = any(e.relaxed or e.memory for e in model.effects)  # to add one by one: many parameters, or long motions
-    enough = len(ways)
-    ways += [partial(_by_growth, model, other, *of) for other in (model, *reversed_ties(model))]
     found: list[Solution] = []
-    for tried, fit in enumerate(ways):
-        if any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found) or (
-            found and slow and tried >= enough
-        ):
-            break
-        try:
+    for fit in ways:
+        with suppress(FrictrackError):  # its motion cannot be integrated; another way may work
             found.append(fit())
-        except FrictrackError as error:  # its motion cannot be integrated; another way may work
-            failure = error
-    if not found:
-        raise failure
-    return refit_until_stop(min(found, key=lambda s: s.objective))
+        if any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found):
+            break
+    return refit_until_stop(min(found, key=lambda s: s.objective) if found else _by_growth(model, *of))
 
 
 def _problem_of(effects: list[Effect], pieces: list[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
@@ -170,34 +159,16 @@ def _with_free_amplitudes(solution: Solution) -> Solution:
     return solution
 
 
-def _by_growth(model: Model, tied: Model, *of: Any) -> Solution:
-    """The fit to which effects are added one after the other, with the ties of `tied` until all are there."""
-    first, later = entry_order(tied)
+def _by_growth(model: Model, *of: Any) -> Solution:
+    """The fit to which effects are added one after the other."""
+    first, later = entry_order(model)
     problem = _problem_of(first, *of)
-    return _with_ties_of(_one_after_the_other(problem, _linear_guess(problem), tied, later), model)
+    return _one_after_the_other(problem, _linear_guess(problem), model, later)
 
 
 def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, later: list[Effect]) -> Solution:
     """The fit of a first problem from p (P,), and then of the later effects of a model."""
     return _add_later(fit_with_scatter(problem, p, problem.first_starts()), model, later)
-
-
-def _with_ties_of(solution: Solution, model: Model) -> Solution:
-    """The fit under the ties of `model`, refined from values found under other ties."""
-    old = solution.problem.layout
-    changes = {e.name: _changed_ties(old.effect(e.name), e) for e in model.effects}
-    if not any(changes.values()):
-        return solution
-    layout = replace(old, model=Model(tuple(old.effect(name).adjusted(**own) for name, own in changes.items())))
-    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
-    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
-    return fit_with_scatter(solution.problem.rebuild(layout), np.array(p), solution.starts, solution.tau or 0.03)
-
-
-def _changed_ties(fitted: Effect, wanted: Effect) -> dict[str, dict[str, Any]]:
-    """Tie and fixed value of the parameters of an effect whose tie is to be another one."""
-    changed = [p for p in wanted.parameters if p.tie != fitted.parameter(p.name).tie]
-    return {p.name: {"tie": p.tie, "fixed": p.fixed} for p in changed}
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
