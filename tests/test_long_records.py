@@ -64,10 +64,12 @@ def test_a_long_record_is_parted_as_a_short_one_is():
 
 @pytest.mark.release
 @pytest.mark.slow
-def test_forty_thousand_samples_take_seconds():
+def test_the_time_of_a_long_record_grows_with_its_length():
     begin = time.process_time()
+    judged(10_000)
+    short = time.process_time()
     filtered, error, ratio = judged(40_000)
-    assert time.process_time() - begin < 60
+    assert time.process_time() - short < 12 * (short - begin)  # 9 measured: one more search adds lines
     assert filtered.lines == pytest.approx([LINE], abs=0.003)
     assert len(filtered.events) == len(blows(40_000))
     assert error < 0.1

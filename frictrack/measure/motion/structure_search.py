@@ -271,7 +271,6 @@ class StructureSearch:
 
 MAX_WHOLE_FRAMES = 4000  # longer records are treated in windows
 WINDOW_FRAMES, OVERLAP_FRAMES = 2500, 200  # frames of a window, and on either side of it
-MAX_WINDOW_WORK = 1_500_000  # frames in all likelihoods of one window
 MIN_MEASURED_FRAMES = 100  # from which a window's structure can be found
 KNOTS_PER_WINDOW = 5  # of the stiffness
 POINTS_PER_CYCLE = 128  # per record, at which the residual of a line is largest
@@ -308,9 +307,7 @@ def _windows(data: SmootherData) -> Iterator[RecordWindow]:
         first, stop = max(core - OVERLAP_FRAMES, 0), min(core_stop + OVERLAP_FRAMES, n)
         part = window_data(data, first, stop)
         if part is not None:
-            search = StructureSearch(part)
-            search.remaining_work = MAX_WINDOW_WORK
-            last = search.search()
+            last = StructureSearch(part).search()
         yield RecordWindow(first, stop, core, core_stop, last or StructureSearch(data).stiff)
 
 
