@@ -6,7 +6,7 @@ that leaves more than noise, effects are added one by one, each where its scan g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -93,17 +93,22 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     if any(p.turns for p in pieces):
         return _through_reversals(model, pieces, names, fps)
     of = pieces, names, fps
-    *rest, last = model.effects
-    ways: list[Callable[[], Solution]] = [lambda: _by_variable_projection(model, *of)]
-    if rest and all(ties_are_resolved(e, rest) for e in rest):  # the last may find what all together miss
-        ways.append(lambda: _add_later(_by_variable_projection(Model(tuple(rest)), *of), model, [last]))
     found: list[Solution] = []
-    for fit in ways:
-        with suppress(FrictrackError):  # its motion cannot be integrated; another way may work
-            found.append(fit())
-        if any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found):
-            break
-    return refit_until_stop(min(found, key=lambda s: s.objective) if found else _by_growth(model, *of))
+    with suppress(FrictrackError):  # its motion cannot be integrated; another way may work
+        found.append(_by_variable_projection(model, *of))
+    *rest, last = model.effects
+    reached = any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found)
+    if rest and not reached and not _is_found_in_simulation(last) and all(ties_are_resolved(e, rest) for e in rest):
+        with suppress(FrictrackError):  # the last may find what all together miss
+            apart = _added(_by_variable_projection(Model(tuple(rest)), *of), [last])
+            if all(apart.objective < s.objective for s in found):
+                found = [refine_to_end(reorder_effects(apart, model))]
+    return refit_until_stop(found[0] if found else _by_growth(model, *of))
+
+
+def _is_found_in_simulation(effect: Effect) -> bool:
+    """Whether an effect cannot be scanned, or is a clock error, which few runs have."""
+    return effect.clock is not None or not is_scannable(effect)
 
 
 def _problem_of(effects: list[Effect], pieces: list[Piece], names: tuple[str, ...], fps: float) -> LeastSquaresProblem:
@@ -115,8 +120,7 @@ def _problem_of(effects: list[Effect], pieces: list[Piece], names: tuple[str, ..
 
 def _by_variable_projection(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
     """The fit that variable projection starts; effects that it cannot scan are added afterwards."""
-    # clock errors are found in simulation, for few runs
-    later = [e for e in entry_order(model)[1] if not is_scannable(e) or e.clock is not None]
+    later = [e for e in entry_order(model)[1] if _is_found_in_simulation(e)]
     problem = _problem_of([e for e in model.effects if e not in later], pieces, names, fps)
     blocks = problem.blocks
     separable = SeparableModel(problem.layout, blocks)
@@ -188,11 +192,14 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
     """Add the later effects of a model to the fit of the others, and refine to convergence."""
-    if not later:
-        return solution
+    return refine_to_end(reorder_effects(_added(solution, later), model)) if later else solution
+
+
+def _added(solution: Solution, later: list[Effect]) -> Solution:
+    """Add effects to a fit, each refined as far as a trial needs."""
     for effect in later:  # also with one that it would replace: the model names both
         solution = add_effect(solution, replace(effect, replaces=frozenset()))
-    return refine_to_end(reorder_effects(solution, model))
+    return solution
 
 
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
