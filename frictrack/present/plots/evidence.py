@@ -261,6 +261,8 @@ MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the s
 MAX_RUNS = 12  # drawn one by one; of more runs, those with the largest missing force
 MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
 FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
+Rows = Mapping[str, Array]  # columns (n,) of the samples of all runs; `run` is the index of the run
+Looks = Mapping[float, Mapping[str, Any]]  # how the line of a run is drawn, by its index
 
 
 @styled
@@ -293,27 +295,21 @@ def missing_force(
         If the diagnosis has no missing force; see `has_missing_force`.
 
     """
-    whole = at_reference_load(figures["residual_force"])
-    shown = [name for name in AXES if name in whole]
-    drawn, styles = _strongest_runs(whole, styles)
+    whole, names = at_reference_load(figures["residual_force"]), list(styles)
+    shown, kept = [name for name in AXES if name in whole], worst_runs(whole, "F", "sigma_F", MAX_RUNS)
+    looks = {k: {"lw": 1.0, "alpha": 0.9, "label": names[int(k)], **styles[names[int(k)]]} for k in kept}
     n = len(np.unique(whole["run"]))
-    figure = new_figure(5.4, _title(repeats) + (f" ({len(styles)} runs of {n})" if len(styles) < n else ""))
+    figure = new_figure(5.4, force_title(repeats) + (f" ({len(kept)} runs of {n})" if len(kept) < n else ""))
     panels = figure.subplots(2, 3)
-    factor, unit = style.axis_scale(whole["F"], "N")
-    low, high = force_limits(whole)
-    shares = {r["axis"]: r for r in repeats}
+    shares = {r["axis"]: f"other runs predict {100 * r['share']:.0f} % of the misfit" for r in repeats}
+    foot = FOOT_HEIGHT + MARK_HEIGHT * len(looks) if spans else 0.0
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        draw_runs(ax, drawn, name, factor, [{**look, "label": run} for run, look in styles.items()])
-        draw_common(ax, figures.get(f"common_{name}"), factor)
-        _mark_spans(ax, drawn, name, spans, styles)
-        ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-        foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
-        ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
+        label = draw_missing_force(ax, whole, name, figures.get(f"common_{name}"), looks, foot=foot)
+        if name != "phase":
+            _mark_spans(ax, whole, name, spans, looks)
         ax.locator_params(axis="x", nbins=6)
-        ax.set_xlabel(_label(name, whole))
-        ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
-    for ax in panels[:, 0]:
-        ax.set_ylabel(axis_label(force_label(whole), unit))
+        ax.set_title(shares.get(name, ""), fontweight="normal", fontsize=9.5)
+        ax.set_ylabel(label if ax in panels[:, 0] else "")
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
     handles = style.labelled(figure)
@@ -321,44 +317,18 @@ def missing_force(
     return figure
 
 
-def _strongest_runs(
-    whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
-) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
-    """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
-    run = whole["run"]
-    known, mean = mean_per_run(run, (whole["F"] / whole["sigma_F"]) ** 2)
-    kept = np.sort(known[np.argsort(-mean, kind="stable")[:MAX_RUNS]])
-    rows = np.isin(run, kept)
-    drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
-    names = list(styles)
-    looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
-    return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
+def worst_runs(rows: Rows, values: str, sigma: str, most: int) -> Array:
+    """Select the runs to draw one by one: of many, those with the largest values over their error."""
+    names, row = np.unique(rows["run"], return_inverse=True)
+    mean = np.bincount(row, (rows[values] / rows[sigma]) ** 2) / np.bincount(row)
+    return np.sort(names[np.argsort(-mean, kind="stable")[:most]])
 
 
-def mean_per_run(run: Array, values: Array) -> tuple[Array, Array]:
-    """Runs (R,) of some rows, and the mean of a column (R,) over the rows of each."""
-    names, row = np.unique(run, return_inverse=True)
-    return names, np.bincount(row, values) / np.bincount(row)
-
-
-def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
+def force_title(repeats: Sequence[Mapping[str, Any]]) -> str:
+    """Title of the missing force: the axis over which it repeats."""
     if not repeats or not repeats[0]["holds"]:
-        return "The force that the model misses"
-    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].name}"
-
-
-def _repeat_note(found: Mapping[str, Any] | None) -> str:
-    """How much of a run's misfit the other runs predict over this axis."""
-    if found is None:
-        return ""
-    return f"other runs predict {100 * found['share']:.0f} % of the misfit"
-
-
-def _label(name: str, whole: Mapping[str, Array]) -> str:
-    axis = AXES[name]
-    if name == "phase" and "frequency" in whole:
-        return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
-    return axis_label(axis.label, axis.unit)
+        return "The missing force"
+    return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
 
 
 def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
@@ -367,13 +337,33 @@ def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
     return dict(whole) | {name: whole[name] / load for name in ("F", "sigma_F")}
 
 
-def force_label(whole: Mapping[str, Array]) -> str:
-    """Name of the missing force on an axis."""
-    return "missing force\nat reference load" if "load" in whole else "missing force"
+def draw_missing_force(
+    ax: Axes, whole: Rows, axis: str, common: Mapping[str, Array] | None, looks: Looks, *, foot: float = 0.0
+) -> str:
+    """Draw the missing force of some runs and of all together over an axis, with bands; return the label of the force.
+
+    `foot` is the share of the panel's height that is left free below.
+    """
+    factor, unit = style.axis_scale(whole["F"], "N")
+    scaled = dict(whole) | {key: factor * whole[key] for key in ("F", "sigma_F")}
+    draw_runs(ax, scaled, axis, "F", looks, sigma="sigma_F")
+    if common is not None:
+        known = np.isfinite(common["F"])
+        at, force, sigma = (np.asarray(common[key])[known] for key in ("at", "F", "sigma_F"))
+        draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+        ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4, label=f"all runs, {style.BAND_LABEL}")
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    low, high = _force_limits(scaled)
+    ax.set_ylim(low - 1.3 * foot * (high - low), high)
+    label = style.motion_label(axis)
+    if axis == "phase" and "frequency" in whole:
+        label = label.replace(" / ", f" at {format_number(float(whole['frequency'][0]))} Hz / ")
+    ax.set_xlabel(label)
+    return axis_label("missing force\nat reference load" if "load" in whole else "missing force", unit)
 
 
-def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
-    """Limits of the force axis, N; a band wider than the force itself does not set them."""
+def _force_limits(whole: Rows) -> tuple[float, float]:
+    """Limits of the force axis; a band wider than the force itself does not set them."""
     usual = float(np.median(whole["sigma_F"]))
     room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
     low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
@@ -381,51 +371,30 @@ def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
     return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
-def draw_runs(
-    ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]
-) -> None:
-    """Draw one thin line with its band per run, with gaps where the axis jumps."""
-    for k in np.unique(whole["run"]).astype(int):
-        mine = whole["run"] == k
-        x, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+def draw_runs(ax: Axes, rows: Rows, axis: str, values: str, looks: Looks, *, sigma: str = "") -> None:
+    """Draw a column over an axis, one line for each of some runs, with a band and with gaps where the axis jumps."""
+    for k, look in looks.items():
+        mine = rows["run"] == k
+        x = rows[axis][mine]
         steps = np.abs(np.diff(x, prepend=x[0]))
-        usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
-        force = style.masked(force, steps <= usual)
-        look = styles[k]
-        draw_band(ax, x, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
-        ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
+        usual = 0.5 if axis == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
+        shown = style.masked(rows[values][mine], steps <= usual)
+        if sigma:
+            draw_band(ax, x, shown, rows[sigma][mine], color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(x, shown, **{"zorder": 2, **look})
 
 
-def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
-    """Draw the part that is common to all runs as a black line with its band."""
-    if curve is None:
-        return
-    known = np.isfinite(curve["F"])
-    at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
-    draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
-    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4, label=f"all runs, {style.BAND_LABEL}")
-
-
-def _mark_spans(
-    ax: Axes,
-    whole: Mapping[str, Array],
-    name: str,
-    spans: Sequence[Mapping[str, Any]],
-    styles: Mapping[str, Mapping[str, Any]],
-) -> None:
+def _mark_spans(ax: Axes, whole: Rows, name: str, spans: Sequence[Mapping[str, Any]], looks: Looks) -> None:
     """Draw a bar for every span at the foot of the panel, in its run's colour."""
-    if name == "phase":
-        return
-    foot = ax.get_xaxis_transform()
-    names = list(styles)
-    for s in (s for s in spans if s["run"] in styles):
-        k = names.index(s["run"])
+    places = {look["label"]: (k, i) for i, (k, look) in enumerate(looks.items())}
+    for s in (s for s in spans if s["run"] in places):
+        k, i = places[s["run"]]
         inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
         if inside.any():
-            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
-            ends = [float(reach.min()), float(reach.max())]
-            look: dict[str, Any] = {"color": styles[s["run"]]["color"], "lw": 3.0, "solid_capstyle": "butt"}
-            ax.plot(ends, [y, y], transform=foot, zorder=5, label="fails here (bars below)", **look)
+            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * i
+            bar: dict[str, Any] = {"color": looks[k]["color"], "lw": 3.0, "solid_capstyle": "butt", "zorder": 5}
+            bar |= {"transform": ax.get_xaxis_transform(), "label": "fails here (bars below)"}
+            ax.plot([reach.min(), reach.max()], [y, y], **bar)
 
 
 def _within(values: Array, reach: Sequence[float]) -> Mask:
@@ -448,20 +417,14 @@ def unexplained(found: Mapping[str, Any]) -> Figure:
         standard deviation of the force.
 
     """
-    motion_axis = AXES[found["axis"]]
-    curve = np.asarray(found["curve"], dtype=float)
-    figure = new_figure(3.4, f"Unexplained force over {motion_axis.name}, {SIDES[found.get('factor', '')]}")
+    curve, axis = np.asarray(found["curve"], dtype=float), found["axis"]
+    figure = new_figure(3.4, f"Unexplained force over {AXES[axis].name}, {SIDES[found.get('factor', '')]}")
     ax = figure.subplots()
     ax.axhline(0, color="#666666", lw=0.7)
     if found.get("band"):
-        band = 2 * np.asarray(found["band"], dtype=float)
-        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILION, alpha=0.2, lw=0)
-    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILION, lw=1.8)
-    label = (
-        axis_label("phase of the motion", "rad")
-        if found["axis"] == "phase"
-        else axis_label(motion_axis.label, motion_axis.unit)
-    )
+        draw_band(ax, curve[:, 0], curve[:, 1], np.asarray(found["band"]), color=style.VERMILION, alpha=0.2)
+    ax.plot(*curve.T, color=style.VERMILION, lw=1.8)
+    label = axis_label("phase of the motion", "rad") if axis == "phase" else style.motion_label(axis)
     ax.set(xlabel=label, ylabel="unexplained force / N")
     ax.margins(x=0)
     return figure
@@ -486,7 +449,6 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
     ax.axhline(0, color="#666666", lw=0.7)
     ax.plot(curve["t"], factor * curve["left"], color="#777777", lw=1.0, label="residual")
     ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
-    ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
+    ax.set(xlabel=style.motion_label("t"), ylabel=axis_label("displacement", unit))
     ax.margins(x=0)
-    style.legend_below(figure)
     return figure

@@ -14,7 +14,7 @@ from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.present.plots.model import modelled_force, worst_runs
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
-from frictrack.records import Array, Curve, Mask
+from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.names import plain_name
 
@@ -125,9 +125,8 @@ def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[
 
 def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     """Show the axis from zero to the law and the bulk of the points; a few wild points set no limit."""
-    points = np.concatenate(
-        [np.asarray(line.get_ydata(), float) for line in ax.lines if line.get_linestyle() == "None"]
-    )
+    dots = (line for line in ax.lines if line.get_linestyle() == "None")
+    points = np.concatenate([np.asarray(line.get_ydata(), float) for line in dots])
     bulk = np.percentile(points, [1, 99]) if len(points) else points
     values = np.concatenate([np.ravel([branch["F"] for branch in branches]), bulk, [0.0]])
     style.set_y_limits(ax, [values])
@@ -136,16 +135,14 @@ def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
 def _name_wide_band(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     """Say in the legend where the band fills the panel from edge to edge: these runs do not determine the law."""
     low, high = ax.get_ylim()
-    ends = [
-        np.array(b["F"]) + k * np.array(b["sigma_F"]) for b in branches for k in (-style.BAND_SIGMAS, style.BAND_SIGMAS)
-    ]
-    if np.median(np.concatenate(ends[::2])) < low and np.median(np.concatenate(ends[1::2])) > high:
+    force, sigma = (np.concatenate([b[key] for b in branches]) for key in ("F", "sigma_F"))
+    room = style.BAND_SIGMAS * sigma
+    if np.median(force - room) < low and np.median(force + room) > high:
         for band in ax.collections:
             band.set_label(f"{band.get_label()}, beyond this panel")
 
 
 MAX_PANELS = 4  # runs drawn; of more runs, those that fit worst
-MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 
 
 @styled
@@ -176,7 +173,6 @@ def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         _loops((left, right), [c for c in model.curves if c.run == name], by_name[name])
         left.set_title(name, fontweight="normal")
         left.set_ylabel("friction force F / N")
-    style.legend_below(figure)
     return figure
 
 
@@ -192,19 +188,13 @@ def _loops(pair: tuple[Axes, Axes], curves: Sequence[Curve], run: RunResults) ->
     ):
         factor, written = style.axis_scale(np.concatenate([of(c) for c in curves]), unit)
         for c in curves:
-            at, unbroken = factor * of(c), _unbroken(c.t)
-            measured = style.masked(np.interp(c.t, f.t, f.F), unbroken)
+            at, shown = factor * of(c), style.unbroken(c.t)
+            measured = style.masked(np.interp(c.t, f.t, f.F), shown)
             ax.plot(at, measured, color=style.MEASURED_COLOUR, lw=0.9, label="measured")
-            ax.plot(at, style.masked(c.F_model, unbroken), lw=1.8, **style.MODEL_STYLE)
+            ax.plot(at, style.masked(c.F_model, shown), lw=1.8, **style.MODEL_STYLE)
         ax.axhline(0, **style.ZERO_STYLE)
         ax.set_xlabel(axis_label(words, written))
     pair[1].axvline(0, **style.ZERO_STYLE)
-
-
-def _unbroken(t: Array) -> Mask:
-    """(n,) False at the first frame after a gap in time."""
-    steps = np.diff(t, prepend=t[0])
-    return np.asarray(steps <= MAX_GAP_STEPS * np.median(steps))
 
 
 def _title(model: ModelResults) -> str:

@@ -13,7 +13,7 @@ from frictrack.base.number_format import format_number, format_range, format_uni
 from frictrack.measure.motion import FilteredMotion, compare_filters
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run
-from frictrack.present.plots.measured import SHORT_LABELS
+from frictrack.present.plots.measured import SHORT_LABELS, TIME_LABEL
 from frictrack.present.plots.style import RUN_STYLES, axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff
 from frictrack.results import RunResults
@@ -53,9 +53,10 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
         for k, (name, one) in enumerate(found.items()):
-            known = _marks(ax, one["rows"], key, sources, _mark(k) | {"label": name})
+            look = _mark(k) | {"label": name if len(found) <= len(RUN_STYLES) else ""}
+            known = _marks(ax, one["rows"], key, sources, look)
             for value, place in known if len(found) == 1 else ():
-                ax.annotate(format_number(value, 2), (value, place), (7, 3), textcoords="offset points", fontsize=8.5)
+                style.note(ax, format_number(value, 2), (value, place), (7, 3), fontsize=8.5)
         style.log_axis(ax, "x")
         _say_what_is_absent(ax, found, key, sources)
         ax.grid(axis="y", color="#E4E7EA", lw=0.8)
@@ -63,8 +64,6 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left.set_yticks(range(len(sources)), sources)
     left.set_ylim(len(sources) - 0.5, -0.5)
     left.tick_params(axis="y", length=0)
-    if len(found) <= len(RUN_STYLES):
-        style.legend_below(figure)
     return figure
 
 
@@ -82,11 +81,9 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
         rows = [row for one in found.values() for row in one["rows"] if row["source"] == source]
         if not any(row[key] for row in rows):
             words = "not known" if any(row[key] is None for row in rows) else "none"
-            ax.annotate(
-                words, (0.0, place), xycoords=("axes fraction", "data"), xytext=(6, 0),
-                textcoords="offset points", va="center", fontsize=8.5, style="italic", color="#666666",
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
-            )  # fmt: skip
+            look: dict[str, Any] = {"va": "center", "fontsize": 8.5, "style": "italic", "color": "#666666"}
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
+            style.note(ax, words, (0.0, place), (6, 0), xycoords=("axes fraction", "data"), bbox=box, **look)
 
 
 def _marks(
@@ -146,10 +143,8 @@ def cutoff(name: str, found: CutoffTradeOff, mass: float | None = None) -> Figur
     above.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
     for ax in (above, below):
         ax.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)  # a curve may run anywhere inside
-    above.annotate(
-        f"{format_number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
-        xytext=(3, -10), textcoords="offset points", fontsize=8,
-    )  # fmt: skip
+    chosen = f"{format_number(found.chosen)} Hz"
+    style.note(above, chosen, (found.chosen, 1.0), (3, -10), xycoords=("data", "axes fraction"), fontsize=8)
     return figure
 
 
@@ -176,7 +171,6 @@ def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
         ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
         limits += ax.get_ylim()
     cells[0][0].set_ylim(min(limits), max(limits))  # shared by all panels
-    style.legend_below(figure)
     return figure
 
 
@@ -238,9 +232,8 @@ def filters(run: AnyRun) -> Figure:
         shown = row if k == 0 else row[1:]  # differences of what was measured would hide the others
         style.set_y_limits(ax, [v[inside] + n * s[inside] for v, s in shown for n in (-2.0, 2.0)])
         ax.set_ylabel(quantity)
-    panels[-1].set_xlabel(axis_label("time t", "ms"))
+    panels[-1].set_xlabel(TIME_LABEL)
     figure.align_ylabels(panels)
-    style.legend_below(figure)
     return figure
 
 

@@ -24,7 +24,6 @@ from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.names import plain_name
 
-MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
 MAX_PANELS = 8  # runs drawn; of more runs, those that fit worst
 BETTER_MODEL_STYLE: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
@@ -77,7 +76,6 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
         _draw_residual(left, residuals(model, by_name[name]))
         above.set_title(_panel_title(model, name), fontweight="normal")
     _share_y([left for _, left in cells])
-    style.legend_below(figure)
     return figure
 
 
@@ -116,7 +114,6 @@ def failing(
         _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3, label=plain_name(model.name))
         ax.set_title(_panel_title(model, name), fontweight="normal")
         _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name], "v" if _of_points(runs) else "t")
-    style.legend_below(figure)
     return figure
 
 
@@ -139,7 +136,6 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
     _draw_modelled_force(ax, default, run, label="displacement domain")
     _draw_modelled_force(ax, papers, run, label="papers' route", color=style.BLUE, linestyle=(0, (1, 1)))
     ax.set(xlabel=_axis_words([run]), ylabel="friction force F / N")
-    style.legend_below(figure)
     return figure
 
 
@@ -313,8 +309,7 @@ def modelled_force(model: ModelResults, curve: Curve, run: RunResults | None = N
         to be resolved: only its impulse is known.
 
     """
-    steps = np.diff(curve.t, prepend=curve.t[0])
-    known = steps <= MAX_GAP_STEPS * np.median(steps)
+    known = style.unbroken(curve.t)
     own = next((motion for motion in model.motion if motion.run == curve.run), None)
     if curve.F_filtered is None and own is not None:
         known &= ~np.isin(curve.t, own.t[own.blow])
@@ -441,14 +436,14 @@ def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None,
         colour = style.VERMILION if k == 0 and len(errors) > 1 else style.BLUE
         ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
         if is_named or k in (0, len(errors) - 1):
-            ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
-                        fontweight="bold", bbox={"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85})  # fmt: skip
+            box = {"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85}
+            number: dict[str, Any] = {"ha": "center", "fontsize": 10, "fontweight": "bold", "bbox": box}
+            style.note(ax, format_number(one.value), (k, one.value), (0, 9), **number)
     known = values
     if noise is not None and noise > MIN_NOISE_SHOWN * values.min(initial=np.inf):
         known = np.append(values, noise)
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2, zorder=0.5)
-        ax.annotate("noise", (0, noise), (4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
-                    fontsize=9)  # fmt: skip
+        style.note(ax, "noise", (0, noise), (4, 3), xycoords=("axes fraction", "data"))
     low, top = known.min(initial=np.inf), known.max(initial=0.0)
     if top > ERROR_LOG_AXIS_RATIO * low > 0:
         style.log_axis(ax, "y")
@@ -506,7 +501,6 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
     for cell, name in zip(cells, shown, strict=True):
         _draw_modelled_run(cell, own[name], by_name[name], _impulses(model, name))
-    style.legend_below(figure)
     return figure
 
 

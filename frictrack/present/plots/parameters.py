@@ -119,7 +119,6 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     figure, cells = panel_grid(len(found), (2.3, 0.8), _profiles_title(found), labels, sharey=True)
     for (ax,), (name, profile) in zip(cells, found.items(), strict=True):
         _panel(ax, name, profile, summary["parameters"].get(name, {}))
-    style.legend_below(figure)
     return figure
 
 

@@ -34,16 +34,14 @@ from matplotlib.textpath import text_to_path
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.base.number_format import format_unit
-from frictrack.present.plots.style.tick_rows import collection_paused, ticks_in_rows
+from frictrack.present.plots.style.tick_rows import ticks_in_rows
 from frictrack.records import Array, Friction, Mask, Motion, away_from_ends
+from frictrack.results.names import AXES
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
-REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
-REPAIRED_STYLE: Any = {
-    "color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "label": "repaired by the user"
-}  # fmt: skip
+REPAIRED_STYLE: Any = {"color": PURPLE, "marker": "|", "ms": 6, "ls": "none", "label": "repaired by the user"}
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
@@ -107,6 +105,7 @@ BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 BAND_LABEL = f"± {BAND_SIGMAS:g} std"
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
+MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MAX_FINE_RATIO = 200.0  # of the ends of a logarithmic axis with ticks at 1, 2 and 5
 PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
 
@@ -142,6 +141,11 @@ def draw_band(ax: Axes, x: Array, middle: Array, sigma: Array, **style: Any) -> 
     ax.fill_between(x, middle - sigma, middle + sigma, linewidth=0, **style)
 
 
+def note(ax: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **look: Any) -> None:
+    """Write a text beside a point of a panel, shifted by some points (1/72 inch)."""
+    ax.annotate(text, at, shift, textcoords="offset points", **({"fontsize": 9} | look))
+
+
 def masked(values: Array, mask: Mask) -> Array:
     """Replace the values outside a mask by NaN, so that a line has gaps there.
 
@@ -152,6 +156,12 @@ def masked(values: Array, mask: Mask) -> Array:
 
     """
     return np.where(mask, values, np.nan)
+
+
+def unbroken(t: Array) -> Mask:
+    """Find the frames (n,) that follow the one before: a line has a gap where the step is longer than usual."""
+    steps = np.diff(t, prepend=t[0])
+    return np.asarray(steps <= MAX_GAP_STEPS * np.median(steps))
 
 
 def unsmeared_frames(friction: Friction, guard: int) -> Mask:
@@ -178,19 +188,6 @@ def unsmeared(motion: Motion) -> Mask:
     return away_from_ends(np.ones(len(motion), dtype=bool), motion.guard)
 
 
-def panel_columns(n: int) -> int:
-    """Columns of a grid of n panels: at most four, in rows as even as possible.
-
-    Examples
-    --------
-    >>> [panel_columns(n) for n in (1, 2, 3, 4, 5, 6, 8)]
-    [1, 2, 3, 4, 3, 3, 4]
-
-    """
-    rows = -(-n // MAX_COLUMNS)
-    return -(-n // rows) if n else 1
-
-
 def log_axis(ax: Axes, which: str) -> None:
     """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks; over many decades only at powers."""
     low, high = getattr(ax.dataLim, f"interval{which}")
@@ -200,6 +197,11 @@ def log_axis(ax: Axes, which: str) -> None:
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
+
+
+def motion_label(axis: str) -> str:
+    """Label one of the axes over which a misfit or a force may repeat."""
+    return axis_label(AXES[axis].label, AXES[axis].unit)
 
 
 def axis_scale(values: Array, unit: str) -> tuple[float, str]:
@@ -271,12 +273,18 @@ _RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were."""
+    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were.
+
+    What has a label is explained below the panels, unless the function drew a legend itself.
+    """
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused():
-            return draw(*args, **kwargs)
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+            figure = draw(*args, **kwargs)
+            if not (figure.legends or any(ax.get_legend() for ax in figure.axes)):
+                legend_below(figure)
+            return figure
 
     return drawn
 
@@ -373,8 +381,8 @@ def panel_grid(
 
     """
     x_label, *y_labels = labels
-    columns, each = panel_columns(n), len(y_labels)
-    rows = -(-n // columns)
+    rows, each = -(-n // MAX_COLUMNS), len(y_labels)
+    columns = -(-n // rows)
     if "height_ratios" in subplots:
         subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
     in_cells = subplots.get("sharex") == "cell" and subplots.pop("sharex")
@@ -465,7 +473,7 @@ def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused(), ticks_in_rows(figure):
+    with _RC_LOCK, mpl.rc_context(RC_PARAMS), ticks_in_rows(figure):
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
