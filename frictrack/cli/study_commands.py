@@ -20,7 +20,6 @@ from frictrack.cli.common import (
     Search,
     Seed,
     Study,
-    VerdictPrinter,
     after_diagnosis,
     after_edit,
     after_fit,
@@ -28,6 +27,7 @@ from frictrack.cli.common import (
     command,
     look_at,
     open_session,
+    print_first,
     print_result,
     progress_bars,
 )
@@ -75,12 +75,11 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
+    parts = ["run_verdict", "run_rest"] if details else ["run_brief"]
     with open_session(path, workers) as session:
-        printer = VerdictPrinter(session, as_json, "run_verdict" if details else "run_brief")
-        result = session.run(seed, on_verdict=printer)
-    rest, whole = ("run_rest", "run") if details else ("", "run_brief")
-    show, look = rest if printer.has_printed else whole, after_run(result["diagnose"], path)
-    print_result(result, as_json, show, session.study.output / "report.html", look)
+        result = session.run(seed, on_verdict=print_first(session, as_json, parts))
+    page, look = session.study.output / "report.html", after_run(result["diagnose"], path)
+    print_result(result, as_json, " ".join(parts), page, look)
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
@@ -314,11 +313,11 @@ def diagnose(
     frictrack diagnose study.toml --quick
 
     """
+    parts = ["verdict", "diagnosis_rest"]
     with open_session(study) as session:
-        printer = VerdictPrinter(session, as_json, "verdict")
-        result = session.diagnose(seed, quick=quick, on_verdict=None if quick else printer)
-    show = "diagnosis_rest" if printer.has_printed else "diagnose"
-    print_result(result, as_json, show, session.path, after_diagnosis(result, study))
+        early = None if quick else print_first(session, as_json, parts)
+        result = session.diagnose(seed, quick=quick, on_verdict=early)
+    print_result(result, as_json, " ".join(parts), session.path, after_diagnosis(result, study))
 
 
 def _edit(how: Callable[[Session, str], Mapping[str, Any]], study: Path, effect: str | None, as_json: bool) -> None:

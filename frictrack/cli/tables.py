@@ -13,7 +13,14 @@ from rich.table import Table
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_plain, format_plus_minus
-from frictrack.results.rows import FAILING_HEADS, error_rows, failing_rows, measurement_cells, parameter_row
+from frictrack.results.rows import (
+    FAILING_HEADS,
+    MEASUREMENT_HEADS,
+    error_rows,
+    failing_rows,
+    measurement_cells,
+    parameter_row,
+)
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
@@ -91,8 +98,7 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
-             "blur / px", "exposure / µs")  # fmt: skip
+    heads = ("run", "found", *MEASUREMENT_HEADS)
     rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
     filled = [i for i in range(len(heads)) if any(row[i] != DASH for row in rows)]
     out.print(table(*(heads[i] for i in filled), rows=([row[i] for i in filled] for row in rows)))

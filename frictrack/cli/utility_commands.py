@@ -7,12 +7,12 @@ import sys
 import webbrowser
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.cli.common import Json, Seed, Workers, app, command, look_at, print_result, progress_bars, watch_batch
+from frictrack.cli.common import BatchPrinter, Json, Seed, Workers, app, command, look_at, print_result, progress_bars
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -41,7 +41,11 @@ def effects(
     from frictrack.effects import catalogue, get  # noqa: PLC0415
 
     studies = [name for name in given or () if name.endswith(".toml") or (Path(name) / "study.toml").exists()]
-    own = [effect for study in studies for effect in _own_effects(Path(study))]
+    own = []
+    for study in studies:
+        from frictrack.flow import open_study, user_effects  # noqa: PLC0415 - slow to load
+
+        own += user_effects(open_study(Path(study)).effects)
     named = [get(name, own) for name in given or () if name not in studies]
     names = {name for effect in named for name in (effect.name, effect.name.partition(":")[0])}
     found = [e for e in catalogue(own) if not names or names & {e["name"], e["name"].partition(":")[0]}]
@@ -74,13 +78,6 @@ def explain(
         advice = f"did you mean {', '.join(near)}?" if near else "`frictrack docs` has the glossary"
         raise FrictrackError(f'expected a word of the glossary or an effect but got "{word}"; {advice}')
     print_result({"terms": found, "effects": same}, as_json, "explain")
-
-
-def _own_effects(study: Path) -> list[Any]:
-    """Return the effects that a study file defines."""
-    from frictrack.flow import open_study, user_effects  # noqa: PLC0415
-
-    return user_effects(open_study(study).effects)
 
 
 @command()
@@ -187,7 +184,8 @@ def batch(
     """
     from frictrack.flow.batch import batch as run_all  # noqa: PLC0415
 
-    with watch_batch() as watch:
+    with progress_bars() as progress:
+        watch = BatchPrinter(progress)
         result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
     print_result(result, as_json, "batch", result["output"], look_at("batch"))
     if result["failed"]:

@@ -182,9 +182,8 @@ class Results:
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be computed
-    implausible: tuple[
-        dict[str, Any], ...
-    ] = ()  # numbers of the study: JSON of `frictrack.measure.plausibility.Finding`
+    # numbers of the study: JSON of `frictrack.measure.plausibility.Finding`
+    implausible: tuple[dict[str, Any], ...] = ()
     outdated_parts: tuple[OutdatedPart, ...] = ()  # results that do not belong to the study file of now
 
     @property

@@ -24,6 +24,7 @@ STANDINGS = {  # the words of every kind of candidate, for all that people read
     "implausible": "not plausible: {}",
 }
 MAIN_KINDS = ("named", "rival", "lead")
+ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class CandidateRow:
     share : str
         Share of the misfit that it explains alone; "" if it is not known.
     source : mapping
-        The candidate in the JSON of the diagnosis.
+        The candidate in the JSON of the diagnosis; its `words` say what it is, what it looks like, where it shows here,
+        and how to confirm it.
 
     """
 
@@ -78,6 +80,28 @@ class CandidateRow:
     def evidence(self) -> str:
         """The p-value and delta BIC in words."""
         return f"p {self.p}, delta BIC {format_change(self.delta_bic)}"
+
+    @property
+    def numbers(self) -> list[str]:
+        """The evidence, and the held-out error."""
+        how = "whole runs" if self.source.get("heldout") == "run" else "every other frame"
+        error = [f"held-out error {self.held_out} ({how})"] if self.held_out else []
+        return [self.evidence, *error]
+
+    @property
+    def line(self) -> str:
+        """Its parameters and numbers in one line."""
+        return "; ".join(filter(None, (", ".join(self.parameters), *self.numbers)))
+
+    @property
+    def rivals(self) -> list[str]:
+        """Effects that these runs cannot distinguish from it."""
+        return list(self.source["indistinguishable_from"]) if self.passes else []
+
+    @property
+    def acts_on(self) -> str:
+        """Whether it is a force or an error of the measurement."""
+        return ACTS_ON.get(self.source["acts_on"], "")
 
     @property
     def held_out(self) -> str:

@@ -9,6 +9,7 @@ import re
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from io import BytesIO
+from mimetypes import guess_type
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, TYPE_CHECKING, Any
@@ -33,8 +34,6 @@ from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from frictrack.results import Results
     from frictrack.study import Study
 
@@ -85,9 +84,9 @@ class PageFiles(StaticFileHandler):
 class Api(RequestHandler):
     """A request with an answer in JSON; an error is one sentence under `error`."""
 
-    def initialize(self, live: LiveStudy, act: Act | None = None) -> None:
-        """Store the study, and what answers."""
-        self.live, self.act = live, act
+    def initialize(self, live: LiveStudy) -> None:
+        """Store the study."""
+        self.live = live
 
     def set_default_headers(self) -> None:
         """Set the headers of every answer."""
@@ -161,22 +160,20 @@ class UnknownHandler(Api):
         raise HTTPError(404)
 
 
-class GetHandler(Api):
-    """A request that changes nothing."""
+class AnswerHandler(Api):
+    """A request that a function answers: GET changes nothing, POST has a JSON object."""
+
+    def initialize(self, live: LiveStudy, method: str, act: Act) -> None:  # type: ignore[override]
+        """Store what the table of addresses holds: the study, the method of the request, and what answers."""
+        super().initialize(live)
+        self.SUPPORTED_METHODS = (method,)
+        self.act = act
 
     async def get(self) -> None:
         """Answer."""
-        assert self.act is not None
         await self.act(self)
 
-
-class PostHandler(Api):
-    """A request with a JSON object."""
-
-    async def post(self) -> None:
-        """Answer."""
-        assert self.act is not None
-        await self.act(self)
+    post = get
 
 
 class EventsHandler(WebSocketHandler):
@@ -364,12 +361,6 @@ async def _candidate(api: Api) -> None:
 DOWNLOADS = ("report.html", "report.pdf", "tables.zip", "hdf5.zip", "repeat.py", "figures.zip")
 FIGURE_FORMATS = ("svg", "png", "pdf")
 MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
-CONTENT_TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".pdf": "application/pdf",
-    ".zip": "application/zip",
-    ".py": "text/x-python; charset=utf-8",
-}
 Content = IO[bytes]
 
 
@@ -421,17 +412,6 @@ def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
     return sheet
 
 
-def page_figure(name: str, snapshot: Any) -> bytes:
-    """Draw a figure that the page shows."""
-    from frictrack.present import plots  # noqa: PLC0415
-
-    results = snapshot.results if snapshot else None
-    made = _draw(name, results) if results is not None else None
-    if made is None:
-        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
-    return plots.file_content(made, "svg")
-
-
 # Kinds of figures of the page: name in the list of figures, and how the page draws it.
 PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
     "law": ("law", {"title": False, "width": 4.8}),
@@ -441,16 +421,19 @@ PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def _draw(name: str, results: Results) -> Figure | None:
+def page_figure(name: str, snapshot: Any) -> bytes:
+    """Draw a figure that the page shows."""
     from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    if kind == "scan":  # of any candidate; the list has that of the best
-        curves = results.figures.get(which, {})
-        return plots.scan(which, curves, width=5.0) if plots.has_scan(curves) else None
     listed, options = PAGE_FIGURES.get(kind, ("", {}))
-    draw = dict(plots.study_figures(results)).get(f"{listed} {which}")
-    return None if draw is None else draw(**options)
+    results = snapshot.results if snapshot else None
+    draw = dict(plots.study_figures(results)).get(f"{listed} {which}") if results else None
+    if results and kind == "scan" and plots.has_scan(curves := results.figures.get(which, {})):
+        draw, options = plots.scan, {"effect": which, "curves": curves, "width": 5.0}  # the list has the best only
+    if draw is None:
+        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
+    return plots.file_content(draw(**options), "svg")
 
 
 async def _sheet(api: Api) -> None:
@@ -476,7 +459,7 @@ async def _download(api: Api) -> None:
     reason = None if api.asked("anyway") else api.live.state["report"]["outdated"]
     file = await api.live.draw(make_download, what, snapshot, api.asked("format", "svg"), reason)
     try:
-        api.set_header("Content-Type", CONTENT_TYPES[Path(what).suffix])
+        api.set_header("Content-Type", guess_type(what)[0] or "application/octet-stream")
         api.set_header("Content-Disposition", f'attachment; filename="{what}"')
         while part := await asyncio.to_thread(file.read, PART_BYTES):
             api.write(part)
@@ -485,21 +468,21 @@ async def _download(api: Api) -> None:
         file.close()
 
 
-ANSWERS: dict[str, tuple[type[Api], Act]] = {
-    "state": (GetHandler, _state),
-    "effects": (GetHandler, _effects),
-    "glossary": (GetHandler, _glossary),
-    "film": (GetHandler, _film),
-    "frame": (GetHandler, _frame),
-    "plots": (GetHandler, _plots),
-    "candidate": (GetHandler, _candidate),
-    "sheet": (GetHandler, _sheet),
-    "figure": (GetHandler, _figure),
-    "download": (GetHandler, _download),
-    "check": (PostHandler, _check),
-    "study": (PostHandler, _action(take_in, "recordings", "fields")),
-    "sample": (PostHandler, _action(copy_sample)),
-    "do": (PostHandler, _action(change, "do", "arguments", "seen")),
-    "job": (PostHandler, _action(start_job, "do", "arguments", "seen")),
-    "cancel": (PostHandler, _action(cancel)),
+ANSWERS: dict[str, tuple[str, Act]] = {
+    "state": ("GET", _state),
+    "effects": ("GET", _effects),
+    "glossary": ("GET", _glossary),
+    "film": ("GET", _film),
+    "frame": ("GET", _frame),
+    "plots": ("GET", _plots),
+    "candidate": ("GET", _candidate),
+    "sheet": ("GET", _sheet),
+    "figure": ("GET", _figure),
+    "download": ("GET", _download),
+    "check": ("POST", _check),
+    "study": ("POST", _action(take_in, "recordings", "fields")),
+    "sample": ("POST", _action(copy_sample)),
+    "do": ("POST", _action(change, "do", "arguments", "seen")),
+    "job": ("POST", _action(start_job, "do", "arguments", "seen")),
+    "cancel": ("POST", _action(cancel)),
 }  # by address, below /api

@@ -26,15 +26,8 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
+from frictrack.base import files
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import (
-    INTERNAL_FOLDER,
-    is_held,
-    lock_folder,
-    make_internal_folder,
-    make_subfolder,
-    replace_text,
-)
 from frictrack.workbench import BusyError
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
@@ -164,7 +157,9 @@ class Job:
             return FAILED if "error" in result else DONE
         # read before the lock: the process takes the lock first and creates this file after it
         began = (self.folder / "began").exists()
-        if is_held(self.folder / "alive") or (not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS):
+        if files.is_held(self.folder / "alive") or (
+            not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS
+        ):
             return RUNNING
         if result := self.result:  # written after the first check
             return FAILED if "error" in result else DONE
@@ -233,8 +228,8 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
     """
     from frictrack.flow import CommandHistory  # noqa: PLC0415 - loads the science
 
-    with lock_folder(output):
-        folder = make_subfolder(make_internal_folder(output), "jobs")
+    with files.lock_folder(output):
+        folder = files.make_subfolder(files.make_internal_folder(output), "jobs")
         earlier, busy = list_jobs(output), running_job(output)
         if busy is not None:
             if not is_superseded(busy, spec.do, CommandHistory(output).revision):
@@ -245,15 +240,8 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
         number = max(taken, default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
-        content = {
-            "do": spec.do,
-            "told": dict(spec.arguments),
-            "study": str(path.resolve()),
-            "seen": spec.expected_revision,
-            "who": spec.author,
-            "at": time.time(),
-        }
-        replace_text(made / "spec.json", json.dumps(content))
+        told = {"do": spec.do, "told": dict(spec.arguments), "seen": spec.expected_revision, "who": spec.author}
+        files.replace_text(made / "spec.json", json.dumps(told | {"study": str(path.resolve()), "at": time.time()}))
     (launch or launch_process)(made)
     _remove_old(earlier)
     return Job(made)
@@ -285,7 +273,7 @@ def list_jobs(output: Path) -> list[Job]:
         The jobs, oldest first.
 
     """
-    homes = (output / "jobs", output / INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
+    homes = (output / "jobs", output / files.INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
     folders = (one for home in homes for one in sorted(home.glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 
@@ -364,23 +352,21 @@ class JobFollower:
 
 # --- the processes
 
-MODULE = "frictrack.workbench.job_process"
 PREPARE_S = 1.0  # from one job to the next process that waits
-COMMAND = (sys.executable, "-P", "-m", MODULE)  # -P: import nothing from this folder
+COMMAND = (sys.executable, "-P", "-m", "frictrack.workbench.job_process")  # -P: import nothing from this folder
 
 
 def launch_process(folder: Path) -> None:
     """Start a new process for a job."""
     with (folder / "output.txt").open("wb") as output:
-        process = subprocess.Popen(
-            [*COMMAND, str(folder)], stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-        )
-    _collect(process)
+        _start_process(str(folder), subprocess.DEVNULL, output)
 
 
-def _collect(process: subprocess.Popen[bytes]) -> None:
-    """Collect the exit status in a thread, so that no zombie process remains."""
+def _start_process(argument: str, source: int, output: Any) -> subprocess.Popen[bytes]:
+    """Start a process; its exit status is collected in a thread, so that no zombie process remains."""
+    process = subprocess.Popen([*COMMAND, argument], stdin=source, stdout=output, stderr=output, start_new_session=True)
     Thread(target=process.wait, daemon=True).start()
+    return process
 
 
 class WarmLauncher:
@@ -406,14 +392,7 @@ class WarmLauncher:
                 return
             if self._spare is not None and self._spare.stdin is not None:
                 self._spare.stdin.close()
-            self._spare = subprocess.Popen(
-                [*COMMAND, "--wait"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-            _collect(self._spare)
+            self._spare = _start_process("--wait", subprocess.PIPE, subprocess.DEVNULL)
 
     def launch(self, folder: Path) -> None:
         """Give a job to the process that waits; without one, start a new process."""

@@ -15,7 +15,7 @@ from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, implausible_entries
 from frictrack.results.verdicts import CHECK_FIRST
 from frictrack.study import RunTable, needs_film, read_frame_rate, to_si
-from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
+from frictrack.workbench.summaries.snapshot import Snapshot, source_version, surveyed_source
 
 KEYS = ("mass", "fps", "scale")
 NAMES = {"mass": "Mass", "fps": "Frame rate", "scale": "Scale"}
@@ -205,7 +205,7 @@ def _is_missing(run: RunTable, key: str) -> bool:
 
 def _table_needs_mass(run: RunTable) -> bool:
     """Return whether the table of a run needs a mass; its headers are read once for each version of the file."""
-    place = (str(run.table), file_version(run.table), run.columns.get("friction"), run.sensor is None)
+    place = (str(run.table), source_version(run.table), run.columns.get("friction"), run.sensor is None)
     if place not in _MASS_NEEDED:
         try:
             _MASS_NEEDED[place] = table_needs_mass(run.model_copy(update={"mass": None}))
@@ -247,9 +247,8 @@ def _read_mass(value: Any) -> tuple[str, dict[str, Any]]:
     if value == "fit":
         return "fitted from the measured drive", {}
     mass, std = to_si(value, "kg", "mass", above=0.0)
-    return f"{format_plus_minus(mass, std) if std else max(f'{mass:g}', format_number(mass), key=len)} kg", {
-        "mass": mass
-    }
+    number = format_plus_minus(mass, std) if std else max(f"{mass:g}", format_number(mass), key=len)
+    return f"{number} kg", {"mass": mass}
 
 
 def _read_rate(value: Any) -> tuple[str, dict[str, Any]]:

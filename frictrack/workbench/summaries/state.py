@@ -28,17 +28,11 @@ from frictrack.workbench.summaries.models import (
     report_state,
     summarise_diagnosis,
 )
-from frictrack.workbench.summaries.snapshot import Snapshot, file_version, list_recordings, surveyed_source
+from frictrack.workbench.summaries.snapshot import Snapshot, list_recordings, source_version, surveyed_source
 
 AUTHORS = {"cli": "command line", "page": "page", "python": "Python"}
-KEY_NAMES = {
-    "fps": "frame rate",
-    "free": "free section",
-    "cutoff": "cut-off",
-    "causal": "forward only",
-    "repair": "repairs",
-    "fix": "fixed values",
-}
+KEY_NAMES = {"fps": "frame rate", "free": "free section", "cutoff": "cut-off", "causal": "forward only",
+             "repair": "repairs", "fix": "fixed values"}  # fmt: skip
 ALL_RUNS = ("study", "camera", "motion")  # tables whose keys hold for all runs
 MAX_VALUE_TEXT = 60  # characters
 
@@ -239,7 +233,7 @@ def _film(run: RunTable, results: RunResults | None) -> dict[str, Any] | None:
         "width": seen.shape[1] if seen else 0,
         "height": seen.shape[0] if seen else 0,
         "fps": fps,
-        "version": file_version(run.video),
+        "version": source_version(run.video),
     }
 
 
@@ -291,9 +285,7 @@ def suspect_frames(run: RunResults) -> list[dict[str, int | str]]:
         "from" and "to", numbers of frames in the film, both included, and "words"; at most `MAX_SUSPECT_SPANS`.
 
     """
-    if run.track is None:
-        return []
-    spans = suspect_spans(run.track, run.tracks.get("backward"))[:MAX_SUSPECT_SPANS]
+    spans = suspect_spans(run.track, run.tracks.get("backward"))[:MAX_SUSPECT_SPANS] if run.track else ()
     return [{"from": span.first, "to": span.last, "words": span.words} for span in spans]
 
 
@@ -341,10 +333,8 @@ def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
 def readiness(snapshot: Snapshot, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Say whether Run can be pressed: can_run, the missing fields by name, and what to do, as a sentence (words)."""
     missing, words = _what_is_missing(snapshot, runs)
-    if words is None:
-        done = "Run measures the films, fits the model and names what it lacks."
-        return {"can_run": True, "missing": [], "words": done}
-    return {"can_run": False, "missing": missing, "words": words}
+    done = "Run measures the films, fits the model and names what it lacks."
+    return {"can_run": words is None, "missing": missing, "words": words or done}
 
 
 def _what_is_missing(snapshot: Snapshot, runs: Sequence[Mapping[str, Any]]) -> tuple[list[str], str | None]:
