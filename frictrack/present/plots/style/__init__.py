@@ -11,12 +11,13 @@ M. Okabe, K. Ito (2008): Color Universal Design, https://jfly.uni-koeln.de/color
 
 from __future__ import annotations
 
+import gc
 import io
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache, wraps
+from functools import wraps
 from html import escape
 from threading import RLock
 from typing import Any, ParamSpec
@@ -25,12 +26,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_mixed import MixedModeRenderer
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import text_to_path
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.base.number_format import format_unit
@@ -267,9 +265,23 @@ def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> Non
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
 SVG_DPI = 72  # of matplotlib's SVG; laid out at the same, so that texts are measured once
-RASTER_DPI = 200  # of what is drawn as a bitmap in an SVG
+RASTER_DPI = 200  # of a PNG file, and of what is drawn as a bitmap in an SVG
+_MEASURING = RendererSVG(1, 1, io.StringIO(), image_dpi=SVG_DPI)  # measures texts once for the layout of all figures
 P = ParamSpec("P")
 _RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
+
+
+@contextmanager
+def _common_style() -> Iterator[None]:
+    """Set up matplotlib for all figures; collecting garbage would take a sixth of the time, and a figure makes none."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+            yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -280,7 +292,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+        with _common_style():
             figure = draw(*args, **kwargs)
             if not (figure.legends or any(ax.get_legend() for ax in figure.axes)):
                 legend_below(figure)
@@ -414,10 +426,13 @@ def svg(figure: Figure) -> str:
         same text.
 
     """
-    canvas = _SvgCanvas(figure)
+    buffer, canvas = io.StringIO(), FigureCanvasSVG(figure)
+    vars(canvas)["get_renderer"] = lambda: _MEASURING
     figure.set_dpi(SVG_DPI)
     with _laid_out(figure):
-        text = canvas.to_svg()
+        figure.set_dpi(RASTER_DPI)  # of what is drawn as a bitmap in it
+        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
@@ -435,45 +450,10 @@ def file_content(figure: Figure, form: str) -> bytes:
     return png(figure, dpi=RASTER_DPI) if form == "png" else pdf(figure)
 
 
-class _SvgCanvas(FigureCanvasSVG):
-    """Canvas of a figure whose sizes of texts are those of all figures: most texts stand in several of them."""
-
-    def get_renderer(self) -> RendererSVG:
-        """Return a renderer that measures texts for the layout."""
-        return self._renderer(io.StringIO())
-
-    def to_svg(self) -> str:
-        """Draw the figure; return its SVG file."""
-        buffer = io.StringIO()
-        width, height = self.figure.get_size_inches()
-        renderer: Any = MixedModeRenderer(self.figure, width, height, RASTER_DPI, self._renderer(buffer))
-        self.figure.draw(renderer)
-        renderer.finalize()
-        return buffer.getvalue()
-
-    def _renderer(self, buffer: io.StringIO) -> RendererSVG:
-        width, height = (SVG_DPI * length for length in self.figure.get_size_inches())
-        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        return _SvgRenderer(width, height, buffer, image_dpi=RASTER_DPI, metadata=nothing)
-
-
-class _SvgRenderer(RendererSVG):
-    """SVG renderer that measures every text once, whatever figure it stands in."""
-
-    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
-        """Return width, height and descent of a text, px."""
-        return _text_size(s, prop.copy(), ismath)
-
-
-@lru_cache(4096)
-def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
-    return text_to_path.get_text_width_height_descent(text, font, ismath)
-
-
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS), ticks_in_rows(figure):
+    with _common_style(), ticks_in_rows(figure):
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)

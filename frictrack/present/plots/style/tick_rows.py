@@ -28,7 +28,7 @@ class _Row:
 
     def __init__(self, axis: Axis, tick: Tick, places: Array, labels: Sequence[str]) -> None:
         self.axis, self.tick, self.places, self.labels = axis, tick, places, labels
-        self._sizes: list[Array] | None = None  # of the labels about their anchors, px
+        self._sizes: Array | None = None  # corners of the labels about their anchors, (k, 2, 2), px
 
     def draw(self, renderer: Any) -> None:
         """Draw grid lines, marks and labels."""
@@ -50,17 +50,20 @@ class _Row:
         mark.draw(renderer)
 
     def boxes(self, renderer: Any) -> tuple[list[Bbox], list[Bbox]]:
-        """Boxes of the labels on either side of the axes, px."""
+        """Box around the labels on either side of the axes, px; none without labels."""
         return self._boxes(self.tick.label1, renderer), self._boxes(self.tick.label2, renderer)
 
     def _boxes(self, text: Any, renderer: Any) -> list[Bbox]:
         if not (text.get_visible() and text.get_in_layout()):
             return []
-        anchors = [text.get_transform().transform(text.get_unitless_position()) for _ in self._moved(text)]
+        places = np.array([text.get_unitless_position() for _ in self._moved(text)])
+        if not len(places):
+            return []
+        anchors = text.get_transform().transform(places)[:, None]
         if self._sizes is None:
-            boxes = [text.get_window_extent(renderer) for _ in self._moved(text)]
-            self._sizes = [box.get_points() - at for box, at in zip(boxes, anchors, strict=True)]
-        return [Bbox(size + at) for size, at in zip(self._sizes, anchors, strict=True)]
+            self._sizes = np.array([text.get_window_extent(renderer).get_points() for _ in self._moved(text)]) - anchors
+        corners = self._sizes + anchors
+        return [Bbox([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])]
 
     def _moved(self, text: Any) -> Iterator[None]:
         """Move a label to every place that has one, if it is visible at all."""
