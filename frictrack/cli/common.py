@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -53,11 +54,26 @@ EffectOrFormula = Annotated[
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 
+OPTION = re.compile(r"^(?P<name>\w+)(?P<flags>(?: -\S+)*)(?: (?P<metavar>\S.*?))? : (?P<help>.+(?:\n .+)*)", re.M)
+
+
 def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes a function a command; the examples of its docstring end the help."""
+    """Return a decorator that makes a function a command; its docstring has the help, the options and the examples.
+
+    A line of the section Options is `parameter --flag METAVAR : help`; flags and metavar may be left out.
+    """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         said, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples\n--------\n")
+        said, _, options = said.partition("\n\nOptions\n-------\n")
+        hints, parameters = get_type_hints(function, include_extras=True), inspect.signature(function).parameters
+        for found in OPTION.finditer(options):
+            option, flags = found["name"], found["flags"].split()
+            if parameters[option].default is False and not flags:
+                flags = [f"--{option.replace('_', '-')}"]  # and no flag for the opposite
+            how = typer.Option(*flags, metavar=found["metavar"], help=" ".join(found["help"].split()))
+            hints[option] = Annotated[hints[option], how]
+        function.__annotations__ = hints
         epilog = "\n  ".join(("\b\nExamples:", *examples.splitlines()))  # after \b, the line ends stay
         return group.command(name, help=said, epilog=epilog)(function)
 

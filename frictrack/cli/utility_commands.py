@@ -109,24 +109,25 @@ def render(
 @command("app")
 def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
-    host: Annotated[
-        str, typer.Option(help="address of the server; 0.0.0.0 makes it reachable from other machines")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port of the server")] = 5006,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(help=f"file with the password of the page (default: ${TOKEN_VARIABLE}, else a new one each time)"),
-    ] = None,
+    host: str = "127.0.0.1",
+    port: int = 5006,
+    token_file: Path | None = None,
     token: Annotated[str | None, typer.Option(hidden=True)] = None,  # of earlier versions
-    name: Annotated[
-        list[str] | None, typer.Option(help="additional host name of the page, for example behind a proxy")
-    ] = None,
-    browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
+    name: list[str] | None = None,
+    browser: bool = True,
 ) -> None:
     """Open the workbench: the whole analysis on a local web page.
 
     Reads and writes the study file and its results. Without a study file, it makes one from the recordings in the
     folder.
+
+    Options
+    -------
+    host : address of the server; 0.0.0.0 makes it reachable from other machines
+    port : port of the server
+    token_file : file with the password of the page (default: $FRICTRACK_TOKEN, else a new one each time)
+    name : additional host name of the page, for example behind a proxy
+    browser : open the page in the browser
 
     Examples
     --------
@@ -162,12 +163,8 @@ def _page_token(written: str | None, file: Path | None) -> str | None:
 def batch(
     paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
     workers: Workers = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="address of a Dask scheduler whose workers are used")
-    ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="path of the output files, without suffix")] = Path(
-        "frictrack_batch"
-    ),
+    scheduler: str | None = None,
+    output: Path = Path("frictrack_batch"),
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -175,6 +172,11 @@ def batch(
 
     Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv and .html
     with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
+
+    Options
+    -------
+    scheduler ADDRESS : address of a Dask scheduler whose workers are used
+    output -o --output : path of the output files, without suffix
 
     Examples
     --------
@@ -239,13 +241,14 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
 
 
 @command()
-def docs(
-    where: Annotated[bool, typer.Option("--path", help="print the place of the pages, open no browser")] = False,
-    as_json: Json = False,
-) -> None:
+def docs(where: bool = False, as_json: Json = False) -> None:
     """Open the documentation in the browser.
 
     Looks for the pages in the installed package, then in docs/_build/html of a checkout. Writes nothing.
+
+    Options
+    -------
+    where --path : print the place of the pages, open no browser
 
     Examples
     --------
@@ -278,20 +281,11 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     crate: Annotated[
         Path | None, typer.Argument(metavar="CRATE", help="crate of a study, from `frictrack export --to crate`")
     ] = None,
-    recordings: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="where the recordings are that the crate does not contain")
-    ] = None,
-    allow_addresses: Annotated[
-        bool,
-        typer.Option("--allow-addresses", help="of a crate: fetch missing recordings from where its author had them"),
-    ] = False,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="papers: use few seeds, a test run without statistics")
-    ] = False,
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder of what is computed; of a crate, a new one")] = Path(
-        "frictrack_reproduce"
-    ),
-    seed: Annotated[int, typer.Option(help="papers: seed of all random numbers")] = 0,
+    recordings: Path | None = None,
+    allow_addresses: bool = False,
+    quick: bool = False,
+    out: Path = Path("frictrack_reproduce"),
+    seed: int = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the results of a crate again and compare every number; without a crate, reproduce both papers.
@@ -301,6 +295,14 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     uncertainties, misfits and detection limits to the digits that they have. Of the papers: compares the printed values
     with those computed here and checks every claim, in about five minutes of processor time. Writes a page, figures,
     tables and JSON.
+
+    Options
+    -------
+    recordings FOLDER : where the recordings are that the crate does not contain
+    allow_addresses : of a crate: fetch missing recordings from where its author had them
+    quick : papers: use few seeds, a test run without statistics
+    out -o --out : folder of what is computed; of a crate, a new one
+    seed : papers: seed of all random numbers
 
     Examples
     --------
@@ -347,12 +349,9 @@ Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studie
 @command(group=blind)
 def make(  # noqa: PLR0913, PLR0917 - the options of the command
     out: Blind,
-    n: Annotated[int | None, typer.Option("--n", help="number of studies (default: 420, or 40 with --film)")] = None,
-    film: Annotated[bool, typer.Option("--film", help="write rendered films, which are tracked")] = False,
-    kind: Annotated[
-        Literal["one", "none", "two", "three", "foreign", "fault"] | None,
-        typer.Option(help="only studies of this kind"),
-    ] = None,
+    n: int | None = None,
+    film: bool = False,
+    kind: Literal["one", "none", "two", "three", "foreign", "fault"] | None = None,
     workers: Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -361,6 +360,12 @@ def make(  # noqa: PLR0913, PLR0917 - the options of the command
 
     A study hides one effect, none, two, or one that the library does not have (of 420: 200, 100, 60 and 60). Of 40
     films, 20 hide one effect, 10 none, and 10 a fault of the measurement. Writes the studies and the sealed truth.
+
+    Options
+    -------
+    n --n : number of studies (default: 420, or 40 with --film)
+    film : write rendered films, which are tracked
+    kind : only studies of this kind
 
     Examples
     --------
