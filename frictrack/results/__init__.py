@@ -108,6 +108,11 @@ class RunResults:
         return "v" in (self.settings.get("columns") or {})
 
     @property
+    def all_tracks(self) -> dict[str, Track]:
+        """All tracks of a film by name, that of the target first; none for a table."""
+        return {} if self.track is None else {self.track.name: self.track, **self.tracks}
+
+    @property
     def mass(self) -> float | None:
         """Mass, kg, if it was weighed."""
         written = self.settings.get("mass")

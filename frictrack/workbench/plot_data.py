@@ -13,7 +13,7 @@ from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
 from frictrack.present.plots.style import BAND_SIGMAS, axis_label, masked, unsmeared_frames
 from frictrack.records import Array, Friction, Track
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import BACKWARD, ModelResults, Results, RunResults
 
 HEADER_BYTES = 4  # the length of the scene, uint32
 ALIGNMENT = 4  # bytes of a Float32
@@ -157,7 +157,7 @@ def track_plots(run: RunResults, index: int = 0) -> PlotData:
 
 def all_tracks(run: RunResults) -> dict[str, Track]:
     """Select the tracks of a run."""
-    others = {name: track for name, track in run.tracks.items() if name != "backward"}
+    others = {name: track for name, track in run.tracks.items() if name != BACKWARD}
     return {TARGET: run.track, **others} if run.track is not None else {}
 
 

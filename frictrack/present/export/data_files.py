@@ -21,13 +21,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import atomic_write, make_subfolder
-from frictrack.present.export.formats import ExportedFiles
+from frictrack.base.files import make_subfolder
+from frictrack.present.export.formats import ExportedFiles, write_files
 from frictrack.present.export.tables import (
     SIGMA,
     Column,
@@ -43,12 +46,10 @@ from frictrack.present.export.tables import (
     study_attributes,
     summary_tables,
     track_columns,
-    tracks_of,
 )
 from frictrack.results import ModelResults, Results, RunResults
 
 if TYPE_CHECKING:
-    import pandas as pd
     import pyarrow as pa
     import xarray as xr
 
@@ -68,18 +69,17 @@ def write_mat(results: Results) -> ExportedFiles:
         "runs": _array_of([_run(run, own.get(run.name)) for run in results.runs]),
         "models": _array_of([_model(model) for model in results.models]),
     }
-    path = results.output / f"{results.path.stem}.mat"
+    how: dict[str, Any] = {"long_field_names": True, "do_compression": True, "oned_as": "column"}
+    writer = partial(savemat, mdict={"study": study}, **how)
     try:
-        with atomic_write(path) as part:
-            savemat(part, {"study": study}, long_field_names=True, do_compression=True, oned_as="column")
+        return ExportedFiles(write_files(results.output, {f"{results.path.stem}.mat": writer}))
     except MatWriteError as e:
         raise FrictrackError(f"MATLAB's format cannot hold these results ({e}); export --to netcdf") from e
-    return ExportedFiles((path,))
 
 
 def _run(run: RunResults, own: Any) -> dict[str, Any]:
     """Return the struct of a run: its columns, their units, its description and its tracks."""
-    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in tracks_of(run).items()]
+    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in run.all_tracks.items()]
     return {
         "name": run.name,
         **_columns(all_columns(run, own)),
@@ -141,11 +141,8 @@ def write_netcdf(results: Results) -> ExportedFiles:
         import xarray as xr  # noqa: PLC0415
     except ImportError as e:
         raise FrictrackError(f"writing netCDF needs {e.name}; pip install frictrack[xarray]") from e
-    tree = xr.DataTree.from_dict(_groups(results))
-    path = results.output / f"{results.path.stem}.nc"
-    with atomic_write(path) as part:
-        tree.to_netcdf(part, engine="h5netcdf")
-    return ExportedFiles((path,))
+    writer = partial(xr.DataTree.from_dict(_groups(results)).to_netcdf, engine="h5netcdf")
+    return ExportedFiles(write_files(results.output, {f"{results.path.stem}.nc": writer}))
 
 
 def _groups(results: Results) -> dict[str, xr.Dataset]:
@@ -166,14 +163,12 @@ def _dataset(columns: Iterable[Column]) -> xr.Dataset:
     """Return columns over the time, each with its unit, its meaning, and the name of its standard deviation."""
     import xarray as xr  # noqa: PLC0415
 
-    columns = list(columns)
-    names = {column.name for column in columns}
+    values = {column.name: column for column in columns}
     variables = {}
-    for column in columns:
-        about = {"long_name": column.meaning} | ({"units": column.unit} if column.unit else {})
-        if SIGMA + column.name in names:
-            about["ancillary_variables"] = SIGMA + column.name
-        variables[column.name] = ("t", column.values, about)
+    for name, column in values.items():
+        sigma = SIGMA + name if SIGMA + name in values else ""
+        about = {"long_name": column.meaning, "units": column.unit, "ancillary_variables": sigma}
+        variables[name] = ("t", column.values, {key: text for key, text in about.items() if text})
     return xr.Dataset(variables).set_coords("t")
 
 
@@ -213,13 +208,8 @@ def _values(cells: pd.Series[Any]) -> Any:
 
 def write_csv(results: Results) -> ExportedFiles:
     """Write CSV files into the folder `csv`."""
-    folder = make_subfolder(results.output, "csv")
-    paths = []
-    for name, table in plain_tables(results).items():
-        paths.append(folder / f"{name}.csv")
-        with atomic_write(paths[-1]) as part:
-            table.to_csv(part, index=False)
-    return ExportedFiles(tuple(paths))
+    writers = {f"{name}.csv": partial(table.to_csv, index=False) for name, table in plain_tables(results).items()}
+    return ExportedFiles(write_files(make_subfolder(results.output, "csv"), writers))
 
 
 MAX_SHEET_NAME, MAX_ROWS = 31, 1 << 20  # of Excel
@@ -227,24 +217,26 @@ MAX_SHEET_NAME, MAX_ROWS = 31, 1 << 20  # of Excel
 
 def write_xlsx(results: Results) -> ExportedFiles:
     """Write the workbook."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
-    tables, path = plain_tables(results), results.output / f"{results.path.stem}.xlsx"
+    tables = plain_tables(results)
+    sheets = sheet_names(tables)
     long = [name for name, table in tables.items() if len(table) >= MAX_ROWS]
     if long:
         raise FrictrackError(
             f'expected tables of less than {MAX_ROWS} rows but "{long[0]}" has {len(tables[long[0]])}, which Excel '
             "cannot hold; export --to parquet"
         )
-    sheets = sheet_names(tables)
-    try:
-        with atomic_write(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
+
+    def write_book(part: Path) -> None:
+        with pd.ExcelWriter(part, engine="openpyxl") as book:
             for name, table in tables.items():
                 table.to_excel(book, sheet_name=sheets[name], index=False)
+
+    try:
+        paths = write_files(results.output, {f"{results.path.stem}.xlsx": write_book})
     except ImportError as e:
         raise FrictrackError("writing Excel needs openpyxl; pip install frictrack[xlsx]") from e
     shortened = tuple(f'name of the sheet "{name}", shortened to "{s}"' for name, s in sheets.items() if s != name)
-    return ExportedFiles((path,), shortened)
+    return ExportedFiles(paths, shortened)
 
 
 def sheet_names(names: Iterable[str]) -> dict[str, str]:
@@ -284,35 +276,26 @@ def write_parquet(results: Results) -> ExportedFiles:
         parts[{"runs": "curves", "models": "motion"}.get(kind, kind)].append((names, columns))
     made = {name: _joined(rows) for name, rows in parts.items()}
     made |= {name: pa.Table.from_pandas(t, preserve_index=False) for name, t in summary_tables(results).items()}
-    folder = make_subfolder(results.output, "parquet")
     about = {"frictrack_version": results.version, "study": results.name}
-    paths = []
+    writers = {}
     for name, table in made.items():
         if table.num_rows:
-            paths.append(folder / f"{name}.parquet")
-            with atomic_write(paths[-1]) as part:
-                pq.write_table(table.replace_schema_metadata({**(table.schema.metadata or {}), **about}), part)
-    return ExportedFiles(tuple(paths))
+            described = table.replace_schema_metadata({**(table.schema.metadata or {}), **about})
+            writers[f"{name}.parquet"] = partial(pq.write_table, described)
+    return ExportedFiles(write_files(make_subfolder(results.output, "parquet"), writers))
 
 
 def _joined(parts: list[Rows]) -> pa.Table:
-    """Return one table of all parts; what a part lacks is null."""
+    """Return one table of all parts; what a part lacks is null. Unit and meaning are in the metadata of the fields."""
     import pyarrow as pa  # noqa: PLC0415
 
-    tables = [_part(constants, columns) for constants, columns in parts]
+    tables = [
+        pa.table({name: pa.repeat(value, len(columns[0].values)) for name, value in constants.items()}
+                 | {column.name: pa.array(column.values) for column in columns})
+        for constants, columns in parts
+    ]  # fmt: skip
     joined = pa.concat_tables(tables, promote_options="permissive") if tables else pa.table({})
-    units = {f.name: f.metadata[b"unit"].decode() for f in joined.schema if f.metadata}
-    return joined.replace_schema_metadata({"PANDAS_ATTRS": json.dumps({"units": units})})
-
-
-def _part(constants: Mapping[str, str], columns: list[Column]) -> pa.Table:
-    """Return one part of a table; unit and meaning stand in the metadata of the fields."""
-    import pyarrow as pa  # noqa: PLC0415
-
-    n = len(columns[0].values)
-    arrays: list[Any] = [pa.repeat(value, n) for value in constants.values()]
-    arrays += [pa.array(column.values) for column in columns]
-    described = [(c.name, {"unit": c.unit, "description": c.meaning}) for c in columns]
-    names = [*((name, None) for name in constants), *described]
-    schema = pa.schema([pa.field(name, a.type, metadata=about) for (name, about), a in zip(names, arrays, strict=True)])
-    return pa.Table.from_arrays(arrays, schema=schema)
+    about = {c.name: {"unit": c.unit, "description": c.meaning} for _, columns in parts for c in columns}
+    fields = [f.with_metadata(about[f.name]) if f.name in about else f for f in joined.schema]
+    units = {f.name: about[f.name]["unit"] for f in fields if f.name in about}
+    return joined.cast(pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps({"units": units})}))

@@ -163,15 +163,14 @@ def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
 
     """
     model, runs = as_model(model), as_runs(runs)
-    by_name = {run.name: run for run in runs}
-    shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MAX_PANELS]
+    shown = [run for run in worst_runs(model, runs) if run.friction is not None][:MAX_PANELS]
     if not shown:
         raise ValueError("expected a run with a friction force but got none")
     figure = new_figure(3.1 * len(shown) + 0.6, _title(model))
     panels = figure.subplots(len(shown), 2, squeeze=False, sharey="row")
-    for (left, right), name in zip(panels, shown, strict=True):
-        _loops((left, right), [c for c in model.curves if c.run == name], by_name[name])
-        left.set_title(name, fontweight="normal")
+    for (left, right), run in zip(panels, shown, strict=True):
+        _loops((left, right), [c for c in model.curves if c.run == run.name], run)
+        left.set_title(run.name, fontweight="normal")
         left.set_ylabel("friction force F / N")
     return figure
 

@@ -135,12 +135,10 @@ def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
 
 def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
     """Mark every event by a line, with its name in the first panel."""
-    named: list[tuple[float, str]] = []
-    for kind, begins, ends in run.events.events:
-        at = 1e3 * 0.5 * (begins + ends)
-        for ax in panels:
+    named = [(1e3 * 0.5 * (begins + ends), kind) for kind, begins, ends in run.events.events]
+    for ax in panels:
+        for at, _ in named:
             ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)
-        named.append((at, kind))
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
     for k, (at, kind) in enumerate(named[:MAX_NAMED_EVENTS]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach

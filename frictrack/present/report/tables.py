@@ -160,8 +160,7 @@ def run_table(model: ModelResults) -> TextTable:
     """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs."""
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
-        m = PER_RUN_NAME.match(name)
-        if m:
+        if m := PER_RUN_NAME.match(name):
             per_run.setdefault(m["name"], {})[m["run"]] = parameter_row(p).value
     rows = []
     for row in model.summary["per_run"]:
@@ -212,13 +211,11 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
     for run in runs:
         if run.film is None or run.track is None:
             continue
-        t, found = run.track, run.track.found
-        at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
-        pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
-        rows.append(
-            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", code_cell(at),
-             format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
-        )  # fmt: skip
+        t, pitch, error = run.track, run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
+        at = "" if t.target is None else f"[{', '.join(f'{v:.0f}' for v in t.target)}]"
+        scale = (format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
+        found = f"{int(t.found.sum())} of {len(t)}"
+        rows.append((run.name, run.source, f"{run.film.fps:g}", found, code_cell(at), *scale))
     heads = ("run", "film", "frames per s", "frames with target", "target", "µm/px", "scale error / %")
     return make_table(heads, rows, (2, 3, 5, 6))
 
