@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
+from frictrack import flow
 from frictrack.base.number_format import describe_change
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from frictrack.flow import Session
     from frictrack.flow.batch import BatchState
 
 app = typer.Typer(
@@ -98,21 +98,20 @@ def options(
 
 
 @contextmanager
-def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
+def open_session(study: Path, workers: int = 1) -> Iterator[flow.Session]:
     """Open a study for work; its progress is a `ProgressDisplay` on stderr, long films are shared by `workers`."""
     with progress_bars() as progress, ExitStack() as processes:
         progress(0, 0, f"reading {study}")
-        from frictrack.base.workers import local_workers  # noqa: PLC0415 - the first bar does not wait for these
-        from frictrack.flow import Session, open_study  # noqa: PLC0415
+        from frictrack.base.workers import local_workers  # noqa: PLC0415 - the first bar does not wait for it
 
-        opened = open_study(study)
+        opened = flow.open_study(study)
         count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
         progress(0, 0, f"study {opened.name}, {count}")
         pool = processes.enter_context(local_workers(workers)) if workers > 1 else None
-        yield Session(opened, progress, author="cli", pool=pool)
+        yield flow.Session(opened, progress, author="cli", pool=pool)
 
 
-def print_first(session: Session, as_json: bool, parts: list[str]) -> Callable[[Mapping[str, Any]], None]:
+def print_first(session: flow.Session, as_json: bool, parts: list[str]) -> Callable[[Mapping[str, Any]], None]:
     """Return a function that prints the first part of a result early and removes it; not for JSON, one document."""
     progress: Any = session.progress
 

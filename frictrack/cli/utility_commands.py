@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.cli.common import BatchPrinter, Json, Seed, Workers, app, command, look_at, print_result, progress_bars
 
@@ -41,11 +42,7 @@ def effects(
     from frictrack.effects import catalogue, get  # noqa: PLC0415
 
     studies = [name for name in given or () if name.endswith(".toml") or (Path(name) / "study.toml").exists()]
-    own = []
-    for study in studies:
-        from frictrack.flow import open_study, user_effects  # noqa: PLC0415 - slow to load
-
-        own += user_effects(open_study(Path(study)).effects)
+    own = [effect for study in studies for effect in flow.user_effects(flow.open_study(Path(study)).effects)]
     named = [get(name, own) for name in given or () if name not in studies]
     names = {name for effect in named for name in (effect.name, effect.name.partition(":")[0])}
     found = [e for e in catalogue(own) if not names or names & {e["name"], e["name"].partition(":")[0]}]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
-_NAMES_OF_PEOPLE = {name.lower(): name for name in ("Tustin", "Coulomb", "Stribeck")}
+_CAPITALISED = {"tustin": "Tustin", "coulomb": "Coulomb", "stribeck": "Stribeck", "stribeck-model": "Stribeck model"}
 
 
 def plain_name(group: str) -> str:
@@ -43,7 +43,7 @@ def joined_name(effects: Sequence[str]) -> str:
     parts = list(effects)
     if set(TUSTIN) <= set(parts):
         parts = ["tustin", *(part for part in parts if part not in TUSTIN)]
-    return " + ".join(_NAMES_OF_PEOPLE.get(part, part.upper() if part.startswith("atm") else part) for part in parts)
+    return " + ".join(_CAPITALISED.get(part, part.upper() if part.startswith("atm") else part) for part in parts)
 
 
 def numbered_name(group: str) -> str:

@@ -19,17 +19,7 @@ from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench import MissingError, OutdatedError
-from frictrack.workbench.actions import (
-    cancel,
-    change,
-    check,
-    copy_sample,
-    need_plain_name,
-    start_job,
-    take_in,
-    try_effect,
-)
+from frictrack.workbench import MissingError, OutdatedError, actions
 from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
 
@@ -138,18 +128,12 @@ def describe_error(error: Any, status: int) -> tuple[int, str]:
     if isinstance(error, FrictrackError):
         return 404 if isinstance(error, MissingError) else 400, str(error)
     if isinstance(error, HTTPError):
-        return status, _describe_status(status)
+        reasons = {404: "there is none of this name", 405: "it does not answer this method"}
+        reason = reasons.get(status, f"the request is not valid ({status})")
+        return status, f"expected an address of the page but {reason}; reload it"
     if isinstance(error, OSError):
         return 400, f"a file cannot be read or written: {error.strerror or error}; check the disk, then repeat"
     return status, f"the server met an unexpected error ({type(error).__name__}: {error}); reload the page"
-
-
-def _describe_status(status: int) -> str:
-    """What is wrong with a request itself."""
-    reasons = {404: "there is none of this name", 405: "it does not answer this method"}
-    return (
-        f"expected an address of the page but {reasons.get(status, f'the request is not valid ({status})')}; reload it"
-    )
 
 
 class UnknownHandler(Api):
@@ -241,7 +225,7 @@ async def _glossary(api: Api) -> None:
 async def _check(api: Api) -> None:
     """How numbers are read as they are being typed; nothing is written."""
     given = api.body()
-    api.answer({"fields": await api.live.read(check, api.live.snapshot, given.get("fields"), given.get("run"))})
+    api.answer({"fields": await api.live.read(actions.check, api.live.snapshot, given.get("fields"), given.get("run"))})
 
 
 def _action(act: Callable[..., Any], *keys: str) -> Act:
@@ -280,7 +264,7 @@ def _find_film(api: Api) -> FilmFile:
     live, run, file = api.live, api.asked("run"), api.asked("file")
     study = live.snapshot.study if live.snapshot else None
     if not run:
-        return film_file(live.path.parent / need_plain_name(file))
+        return film_file(live.path.parent / actions.need_plain_name(file))
     table = next((one for one in study.runs if one.name == run), None) if study else None
     if table is None or table.video is None:
         raise MissingError(f'expected a run with a film but got "{run}"; reload the page')
@@ -351,7 +335,7 @@ async def _candidate(api: Api) -> None:
     if curves is not None:
         api.send(curves.pack())
         return
-    await api.live.write(try_effect, name)
+    await api.live.write(actions.try_effect, name)
     api.set_status(202)
     api.answer({"pending": True})
 
@@ -390,9 +374,8 @@ def _content(what: str, study: Study, results: Results, form: str) -> Content:
     from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
 
     if what == "figures.zip":
-        return zip_files(
-            (f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in plots.study_figures(results)
-        )
+        figures = plots.study_figures(results)
+        return zip_files((f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in figures)
     path = study.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
@@ -480,9 +463,9 @@ ANSWERS: dict[str, tuple[str, Act]] = {
     "figure": ("GET", _figure),
     "download": ("GET", _download),
     "check": ("POST", _check),
-    "study": ("POST", _action(take_in, "recordings", "fields")),
-    "sample": ("POST", _action(copy_sample)),
-    "do": ("POST", _action(change, "do", "arguments", "seen")),
-    "job": ("POST", _action(start_job, "do", "arguments", "seen")),
-    "cancel": ("POST", _action(cancel)),
+    "study": ("POST", _action(actions.take_in, "recordings", "fields")),
+    "sample": ("POST", _action(actions.copy_sample)),
+    "do": ("POST", _action(actions.change, "do", "arguments", "seen")),
+    "job": ("POST", _action(actions.start_job, "do", "arguments", "seen")),
+    "cancel": ("POST", _action(actions.cancel)),
 }  # by address, below /api

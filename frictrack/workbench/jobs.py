@@ -37,15 +37,8 @@ LAST_LINE_BYTES = 4096  # of the file of progress
 CHAINED = ("add_and_diagnose", "remove_and_diagnose", "add", "remove")
 REPEATED = ("run", "measure", "diagnose", "report")  # the later one does all that the earlier one would do
 MODEL_CHANGES = (*CHAINED, "fit", "run", "measure")
-WORDS = {
-    "run": "Run",
+WORDS = {  # of the others, the first part of their name
     "measure": "Measure the runs",
-    "fit": "Fit",
-    "add": "Add",
-    "remove": "Remove",
-    "add_and_diagnose": "Add",
-    "remove_and_diagnose": "Remove",
-    "diagnose": "Diagnose",
     "attempt": "Try",
     "report": "Write the report",
     "background": "Complete the diagnosis and the report",
@@ -118,7 +111,8 @@ class Job:
         """What the job does, in a few words."""
         spec = self.spec
         more = [spec["told"].get(key) for key in ("effect", "model")]
-        return " ".join((WORDS.get(spec["do"], spec["do"]), *(str(one) for one in more if one)))
+        what = WORDS.get(spec["do"], spec["do"].partition("_")[0].capitalize())
+        return " ".join((what, *(str(one) for one in more if one)))
 
     @property
     def summary(self) -> dict[str, Any]:

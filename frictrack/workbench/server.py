@@ -20,7 +20,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, protect
+from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, GuardedApplication, RequestGuard, address_of
 from frictrack.workbench.handlers import ANSWERS, STATIC, AnswerHandler, EventsHandler, PageFiles, UnknownHandler
 from frictrack.workbench.live_study import LiveStudy
 from frictrack.workbench.uploads import UploadHandler
@@ -126,6 +126,4 @@ def application(live: LiveStudy, guard: RequestGuard) -> Application:
         (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
         (r".*", UnknownHandler, more),
     ]
-    made = Application(addresses, websocket_ping_interval=PING_INTERVAL_S)
-    protect(made, guard)
-    return made
+    return GuardedApplication(guard, addresses, websocket_ping_interval=PING_INTERVAL_S)

@@ -80,13 +80,9 @@ def write_mat(results: Results) -> ExportedFiles:
 def _run(run: RunResults, own: Any) -> dict[str, Any]:
     """Return the struct of a run: its columns, their units, its description and its tracks."""
     tracks = [{"name": name, **_columns(track_columns(track))} for name, track in run.all_tracks.items()]
-    return {
-        "name": run.name,
-        **_columns(all_columns(run, own)),
-        "attributes": run_attributes(run),
-        "tracks": _array_of(tracks),
-        "budget": _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY,
-    }
+    budget = _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY
+    about = {"attributes": run_attributes(run), "tracks": _array_of(tracks), "budget": budget}
+    return {"name": run.name, **_columns(all_columns(run, own)), **about}
 
 
 def _model(model: ModelResults) -> dict[str, Any]:

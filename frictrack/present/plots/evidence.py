@@ -108,14 +108,20 @@ def has_scan(curves: Mapping[str, Array]) -> str | None:
         Name of the scanned setting with the most values; None if there is nothing to draw.
 
     """
-    name = _widest_setting(curves) if "rise" in curves else ""
-    return name if name and len(np.unique(curves[name])) >= MIN_SETTINGS else None
+    name, at, _ = _over_setting(curves, "rise")
+    return name if len(at) >= MIN_SETTINGS else None
 
 
-def _widest_setting(curves: Mapping[str, Array]) -> str:
-    """The setting with the most values; "" if there is none."""
-    settings = [name for name in curves if name not in RESULT_CURVES]
-    return max(settings, key=lambda name: len(np.unique(curves[name])), default="")
+def _over_setting(curves: Mapping[str, Array], result: str) -> tuple[str, Array, Array]:
+    """Setting with the most values, these values (k,), and the largest result (k,) at each of them; else all empty."""
+    settings = [name for name in curves if name not in RESULT_CURVES and result in curves]
+    if not settings:
+        return "", np.zeros(0), np.zeros(0)
+    name = max(settings, key=lambda setting: len(np.unique(curves[setting])))
+    at, which = np.unique(curves[name], return_inverse=True)
+    largest = np.full(len(at), -np.inf)
+    np.maximum.at(largest, which, curves[result])
+    return name, at, largest
 
 
 @styled
@@ -139,10 +145,9 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
         If no setting of the effect was scanned.
 
     """
-    name = has_scan(curves)
-    if name is None:
+    name, at, rise = _over_setting(curves, "rise")
+    if len(at) < MIN_SETTINGS:
         raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
-    at, rise = _largest(curves[name], curves["rise"])
     best = float(at[np.argmax(rise)])
     written = _unit(effect, name)
     factor, shown = style.axis_scale(at, written)
@@ -156,14 +161,6 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     _set_x_axis(ax, name, shown)
     ax.set(ylabel="fall of chi-squared", ylim=(0, None))
     return figure
-
-
-def _largest(at: Array, values: Array) -> tuple[Array, Array]:
-    """Distinct settings (k,), sorted, and the largest of the values (n,) at each of them."""
-    places, which = np.unique(at, return_inverse=True)
-    out = np.full(len(places), -np.inf)
-    np.maximum.at(out, which, values)
-    return places, out
 
 
 def _setting_name(name: str) -> str:
@@ -209,8 +206,7 @@ def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
 
     Values at which no size is detectable are left out.
     """
-    name = _widest_setting(curves)
-    at, limit = _largest(curves[name], curves["limit"]) if name else np.empty((2, 0))
+    name, at, limit = _over_setting(curves, "limit")
     good = np.isfinite(limit) & (limit > 0)
     return name, at[good], limit[good]
 

@@ -103,16 +103,15 @@ def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: f
 
 def _measured_points(model: ModelResults, runs: Sequence[RunResults], branch: Mapping[str, Any]) -> Array:
     """Speed and force (2, n) of all fitted runs of a branch, in its direction."""
-    of_group = [run for run in runs if branch.get("group", run.group) == run.group]
-    parts = [_points(model, c, run, branch) for run in of_group for c in model.curves if c.run == run.name]
+    own = {run.name: run for run in runs if branch.get("group", run.group) == run.group and run.friction is not None}
+    parts = [_points(model, c, own[c.run], branch) for c in model.curves if c.role == "fit" and c.run in own]
     return np.concatenate([np.zeros((2, 0)), *parts], axis=1)
 
 
 def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[str, Any]) -> Array:
     """Speed and law plus residual force (2, n) of one segment, in the direction of a branch."""
-    if curve.role != "fit" or run.friction is None:
-        return np.zeros((2, 0))
     f, direction = run.friction, branch["direction"]
+    assert f is not None
     measured = np.interp(curve.t, f.t, style.masked(f.F, style.unsmeared_frames(f, run.motion.guard)))
     left = direction * (measured - modelled_force(model, curve))
     sigma = np.interp(curve.t, f.t, f.sigma_F)

@@ -53,10 +53,13 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
         for k, (name, one) in enumerate(found.items()):
-            look = _mark(k) | {"label": name if len(found) <= len(RUN_STYLES) else ""}
-            known = _marks(ax, one["rows"], key, sources, look)
-            for value, place in known if len(found) == 1 else ():
-                style.note(ax, format_number(value, 2), (value, place), (7, 3), fontsize=8.5)
+            sizes = [(row[key] or 0.0, sources.index(row["source"])) for row in one["rows"]]
+            least = NEGLIGIBLE_SHARE * max(sizes)[0]  # what is not known or negligible has no mark
+            known = [(size, place) for size, place in sizes if size > 0 and size >= least]
+            named = {"label": name if len(found) <= len(RUN_STYLES) else ""}
+            ax.plot([size for size, _ in known], [place for _, place in known], **(_mark(k) | named))
+            for mark in known if len(found) == 1 else ():
+                style.note(ax, format_number(mark[0], 2), mark, (7, 3), fontsize=8.5)
         style.log_axis(ax, "x")
         _say_what_is_absent(ax, found, key, sources)
         ax.grid(axis="y", color="#E4E7EA", lw=0.8)
@@ -84,17 +87,6 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
             look: dict[str, Any] = {"va": "center", "fontsize": 8.5, "style": "italic", "color": "#666666"}
             box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
             style.note(ax, words, (0.0, place), (6, 0), xycoords=("axes fraction", "data"), bbox=box, **look)
-
-
-def _marks(
-    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], look: dict[str, Any]
-) -> list[tuple[float, int]]:
-    """Draw one run and return its marks; a source that is not known or negligible has none."""
-    least = NEGLIGIBLE_SHARE * max((row[key] or 0.0 for row in rows), default=0.0)
-    known = [(row[key], sources.index(row["source"])) for row in rows if row[key] and row[key] >= least]
-    if known:
-        ax.plot(*zip(*known, strict=True), **look)
-    return known
 
 
 def _mark(k: int) -> dict[str, Any]:

@@ -15,16 +15,18 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from frictrack.base import glossary
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
-from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
-from frictrack.present.report import tables, texts
-from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
-from frictrack.results import ModelResults, Results, RunResults, candidates, verdicts
-from frictrack.results.names import AXES
-from frictrack.results.rows import held_out_error
+from frictrack.present.report import markup, tables, texts
+from frictrack.present.report.markup import SvgEmbedder, explain_words, now, page_template
+from frictrack.results import ModelResults, Results, RunResults, candidates, names, rows, verdicts
 
+MODULES = {  # whose functions the template calls
+    module.__name__.rpartition(".")[2]: module
+    for module in (glossary, plots, markup, tables, texts, candidates, names, verdicts)
+}
 MAX_FILMS = 4  # films of which the first frame is shown
 
 
@@ -79,26 +81,19 @@ def render(results: Results, key: str = "") -> str:
     judged, earlier = _judged_models(results)
     filmed = [run for run in results.runs if run.film is not None and run.track is not None]
     html = page_template("page.html.j2").render(
-        plots=plots,
-        tables=tables,
-        texts=texts,
+        **MODULES,
+        result_rows=rows,
         results=results,
         model=results.current,
         key=key,
         written=now(),
         figure=figure,
         figures=figures,
-        mark_equation=mark_equation,
-        symbols_in=symbols_in,
         verdict=texts.study_verdict(results),
         judged=judged,
         earlier=earlier,
         failed=plots.failed_model(results),
         headline=lambda model: verdicts.describe_verdict(model.diagnosis, plots.plain_name(model.name)),
-        verdicts=verdicts,
-        candidates=candidates,
-        axes=AXES,
-        held_out_error=held_out_error,
         filmed=filmed,
         films=[_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]],
         budgets={run.name: run.budget for run in results.runs if run.budget},

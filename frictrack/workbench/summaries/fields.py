@@ -46,7 +46,7 @@ def study_fields(snapshot: Snapshot, run: RunTable | None = None) -> dict[str, F
         error (sentences; a value with an error cannot be used), needed (nothing can be measured before it is given).
 
     """
-    return {key: _field_of(snapshot, key, run) for key in KEYS}
+    return {key: _questioned(snapshot, _field_of(snapshot, key, run), run) for key in KEYS}
 
 
 def check_fields(
@@ -140,12 +140,12 @@ def _field_of(snapshot: Snapshot, key: str, run: RunTable | None = None) -> Fiel
         reading = _read(key, written)
         if runs and all(one.plausible for one in runs):  # marked as checked in the study file
             reading["warning"] = None
-        return _questioned(snapshot, _field(key, written, source, reading, text="" if own is None else None), run)
+        return _field(key, written, source, reading, text="" if own is None else None)
     rates = {_stated_rate(one) for one in runs if one.video}
     rate = rates.pop() if len(rates) == 1 else None
     if key == "fps" and rate:
-        return _questioned(snapshot, _field(key, "", "film", _read("fps", rate)), run)
-    return _questioned(snapshot, _field(key, needed=any(_is_missing(one, key) for one in runs)), run)
+        return _field(key, "", "film", _read("fps", rate))
+    return _field(key, needed=any(_is_missing(one, key) for one in runs))
 
 
 def _questioned(snapshot: Snapshot, field: Field, run: RunTable | None) -> Field:
@@ -160,18 +160,13 @@ def _questioned(snapshot: Snapshot, field: Field, run: RunTable | None) -> Field
 
 
 def _typed_field(key: str, typed: Any, run: str | None, snapshot: Snapshot | None) -> Field:
-    if typed is None or not str(typed).strip():
-        known = snapshot is not None and snapshot.study is not None
-        return _field(key, needed=not known or _is_needed_without(snapshot, key, run))
-    return _field(key, typed, "run" if run else "study", _read_typed(key, typed))
-
-
-def _is_needed_without(snapshot: Snapshot | None, key: str, run: str | None) -> bool:
-    """Return whether a value must be given if the field is left empty."""
-    assert snapshot is not None
-    assert snapshot.study is not None
+    if typed is not None and str(typed).strip():
+        return _field(key, typed, "run" if run else "study", _read_typed(key, typed))
+    if snapshot is None or snapshot.study is None:
+        return _field(key, needed=True)
     common = snapshot.raw.get(TABLE_OF_KEY[key], {}).get(key) if run else None
-    return common is None and any(_needs(one, key) for one in snapshot.study.runs if run in (None, one.name))
+    runs = [one for one in snapshot.study.runs if run in (None, one.name)]
+    return _field(key, needed=common is None and any(_needs(one, key) for one in runs))
 
 
 def _field(

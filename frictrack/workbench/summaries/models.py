@@ -101,14 +101,9 @@ def list_models(snapshot: Snapshot) -> list[dict[str, Any]]:
 def model_errors(model: ModelResults) -> dict[str, Any]:
     """Select the errors of a model that the page shows: of the residual, and of predicted frames or runs."""
     errors, unit = model.summary["errors"], residual_unit(model)
-    heldout, heldout_unit = held_out_error(errors)
-    return {
-        "reduced_chi2": errors.get("reduced_chi2"),
-        "rms": errors.get("rms_displacement_um" if unit == "µm" else "rms_N"),
-        "rms_unit": unit,
-        "heldout": heldout,
-        "heldout_unit": heldout_unit,
-    }
+    rms = errors.get("rms_displacement_um" if unit == "µm" else "rms_N")
+    held_out = dict(zip(("heldout", "heldout_unit"), held_out_error(errors), strict=True))
+    return {"reduced_chi2": errors.get("reduced_chi2"), "rms": rms, "rms_unit": unit, **held_out}
 
 
 # --- the current model

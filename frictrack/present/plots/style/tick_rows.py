@@ -130,19 +130,15 @@ class _AxisInRows:
 
 def _rows(axis: Axis) -> Iterator[_Row]:
     """Rows of major and minor ticks that lie in the view."""
-    kinds: tuple[Any, ...] = (
-        (axis.get_major_locator(), axis.get_majorticklocs, axis.get_major_formatter(), axis.get_major_ticks),
-        (axis.get_minor_locator(), axis.get_minorticklocs, axis.get_minor_formatter(), axis.get_minor_ticks),
-    )
-    for locator, places, formatter, ticks in kinds:
-        if isinstance(locator, NullLocator):
+    for kind in ("major", "minor"):
+        if isinstance(getattr(axis, f"get_{kind}_locator")(), NullLocator):
             continue
-        found = np.atleast_1d(np.asarray(places(), dtype=np.float64))
-        labels = formatter.format_ticks(found)
+        found = np.atleast_1d(np.asarray(getattr(axis, f"get_{kind}ticklocs")(), dtype=np.float64))
+        labels = getattr(axis, f"get_{kind}_formatter")().format_ticks(found)
         shown = _in_view(axis, found)
         if np.any(shown):
             kept = [text for text, show in zip(labels, shown, strict=True) if show]
-            yield _Row(axis, ticks(1)[0], found[shown], kept)
+            yield _Row(axis, getattr(axis, f"get_{kind}_ticks")(1)[0], found[shown], kept)
 
 
 def _in_view(axis: Axis, places: Array) -> Array:
