@@ -457,27 +457,25 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     frictrack export study.toml --to crate --license CC-BY-4.0
 
     """
-    if to == CRATE:
-        from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
-
-        with open_session(study) as session:
-            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
-        print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
-        return
-    if recordings or author or licence is not None:
+    if to != CRATE and (recordings or author or licence is not None):
         raise UsageError(f"expected --include-recordings, --author and --license only with --to {CRATE}")
-    if to == PRIOR:
-        with open_session(study) as session:
-            result = session.export_prior(output)
-        print_result(result, as_json, "prior", result["file"], look_at("prior"))
-        return
-    if output is not None:
+    if to not in (CRATE, PRIOR) and output is not None:
         raise UsageError(
             f"expected -o only with --to {PRIOR} or {CRATE}; other files go into the folder of the results"
         )
     with open_session(study) as session:
-        written = export_results(session.results(), to)
-    files = written.files
-    where = files[0].parent if len(files) > 1 else files[0]
-    result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
-    print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
+        if to == CRATE:
+            from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
+            where, look = result["crate"], look_at("crate", crate=result["crate"])
+        elif to == PRIOR:
+            result = session.export_prior(output)
+            where, look = result["file"], look_at("prior")
+        else:
+            written = export_results(session.results(), to)
+            files, lost = written.files, list(written.lost)
+            result = {"files": [str(f) for f in files], "lost": lost, "output": str(session.study.output)}
+            where = files[0].parent if len(files) > 1 else files[0]
+            look = look_at("export", opened_by=FORMATS[to].opened_by)
+    print_result(result, as_json, to if to in (CRATE, PRIOR) else "export", where, look)

@@ -38,6 +38,12 @@ def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
     return new
 
 
+def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table without its empty columns."""
+    filled = [k for k in range(len(heads)) if any(row[k] not in ("", DASH) for row in rows)]
+    return table(*(heads[k] for k in filled), rows=([row[k] for k in filled] for row in rows))
+
+
 def cell(value: Any) -> str:
     """Format a value of a dictionary for a table."""
     if isinstance(value, float):
@@ -98,10 +104,8 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    heads = ("run", "found", *MEASUREMENT_HEADS)
     rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
-    filled = [i for i in range(len(heads)) if any(row[i] != DASH for row in rows)]
-    out.print(table(*(heads[i] for i in filled), rows=([row[i] for i in filled] for row in rows)))
+    out.print(filled_table(("run", "found", *MEASUREMENT_HEADS), rows))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
         "fixed: noise of the fixed reference",
@@ -181,10 +185,9 @@ def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
     if brief:
         rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
         return table("parameter", "value ± std", "", rows=rows)
-    extra = {"misfit": "† ± with misfit", "interval": "95 % interval", "from_prior": "from the prior"}
-    shown = [key for key in extra if any(getattr(row, key) for row in found.values())]
-    cells = ((n, r.value, *(getattr(r, key) for key in shown), escape(r.remark)) for n, r in found.items())
-    return table("parameter", "value ± std", *(extra[key] for key in shown), "", rows=cells)
+    heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
+    cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
+    return filled_table(heads, cells)
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
@@ -217,11 +220,10 @@ def history(out: Console, result: dict[str, Any]) -> None:
 def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
     """Return a table with one row per model; `write` formats its name."""
     found = [row for row in error_rows(model["errors"] for model in models) if row.short]
-    rows = table("model", *(f"{row.short} / {row.unit}" if row.unit else row.short for row in found))
-    for k, model in enumerate(models):
-        name = "\n  ".join([write(model["name"]), *model.get("settings", [])])
-        rows.add_row(escape(name), *(format_plain(row.values[k]) for row in found))
-    return rows
+    heads = (f"{row.short} / {row.unit}" if row.unit else row.short for row in found)
+    names = (escape("\n  ".join([write(model["name"]), *model.get("settings", [])])) for model in models)
+    rows = ((name, *(format_plain(row.values[k]) for row in found)) for k, name in enumerate(names))
+    return table("model", *heads, rows=rows)
 
 
 def break_name(name: str) -> str:

@@ -134,7 +134,6 @@ class Job:
             "state": state,
             "error": result.get("error"),
             "warnings": [one["words"] if isinstance(one, dict) else str(one) for one in warnings],
-            "started": spec["at"],
         }
 
     @property

@@ -147,13 +147,9 @@ def _project(run: RunResults, study: Path, folder: Path) -> tuple[str, list[str]
     pitch = run.displacement.pixel_pitch
     targets = {name: one for name, one in run.all_tracks.items() if name != BACKWARD}
     height, width = film.picture.shape
+    loader = PackageLoader("frictrack", "present/export")
+    pages = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
     # Tracker reads its files line by line: a text with characters of XML is marked as such
-    pages = Environment(
-        loader=PackageLoader("frictrack", "present/export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
     pages.filters["text"] = lambda text: f"<![CDATA[{text}]]>" if set(text) & set("<>&") else text
     project = pages.get_template("tracker.trk.j2").render(
         width=width,
@@ -187,19 +183,16 @@ def _lost(
     """Return what a project of Tracker cannot hold of this run."""
     expected = film.t[0] + np.arange(len(film.t)) / film.fps
     unevenness = float(np.max(np.abs(film.t - expected)))
+    is_uneven = unevenness * film.fps > MAX_UNEVENNESS_FRAMES
     interpolated = sum(int(np.count_nonzero(np.isfinite(t.x_px) & ~t.found)) for t in targets.values())
     pitch = run.displacement.pixel_pitch or np.inf
-    away = axes.difference if axes else 0.0
+    away, is_mirrored = (axes.difference, axes.is_mirrored) if axes else (0.0, False)
     facts = {
         f"film of {run.name}: Tracker does not open {run.source}": no_video,
-        f"uneven times of the frames of {run.name}, up to {MS * unevenness:.3g} ms from one frame rate": (
-            unevenness * film.fps > MAX_UNEVENNESS_FRAMES
-        ),
+        f"uneven times of the frames of {run.name}, up to {MS * unevenness:.3g} ms from one frame rate": is_uneven,
         f"{interpolated} interpolated positions of {run.name}, which are left out": interpolated,
         f"direction and origin of the course in {run.name}, because the target does not move": axes is None,
-        f"sign of y in {run.name}: it is the opposite in Tracker, whose y lies to the left of x": (
-            axes is not None and axes.is_mirrored
-        ),
+        f"sign of y in {run.name}: it is the opposite in Tracker, whose y lies to the left of x": is_mirrored,
         f"corrections of lens, perspective, shake or rotation in {run.name}: positions differ by up to "
         f"{1e6 * away:.3g} µm": away > MAX_DIFFERENCE_PX * pitch,
         f"mass of {run.name}, which is unknown; Tracker shows {DEFAULT_MASS:g} kg": run.mass is None,

@@ -14,17 +14,10 @@ from frictrack.flow import ResultsReader, effect_of_formula, user_effects
 from frictrack.present import plots
 from frictrack.present.plots import has_law, residual_unit
 from frictrack.present.report import mark_code, study_verdict
-from frictrack.results import ModelResults, Results, to_builtins
+from frictrack.results import ModelResults, Results, to_builtins, verdicts
 from frictrack.results.candidates import CandidateRow, candidate_rows
 from frictrack.results.names import numbered_name
 from frictrack.results.rows import held_out_error, parameter_row
-from frictrack.results.verdicts import (
-    describe_formula,
-    describe_unexplained,
-    force_without_effect,
-    formula_evidence,
-    next_experiments,
-)
 from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns
@@ -282,12 +275,12 @@ def summarise_diagnosis(snapshot: Snapshot) -> dict[str, Any] | None:
     if results is None or results.diagnosis is None or study is None:
         return None
     found = results.diagnosis
-    left, steps = force_without_effect(found) or {}, next_experiments(found)
+    left, steps = verdicts.force_without_effect(found) or {}, verdicts.next_experiments(found)
     useful = [step for step in steps if step.separates]
     return _verdict(results, found) | {
         "candidates": [_card(row, results, snapshot.attempted.get(row.effect)) for row in candidate_rows(found)],
         "formulas": [_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
-        "unexplained": f"{upper_first(describe_unexplained(left))}." if left else None,
+        "unexplained": f"{upper_first(verdicts.describe_unexplained(left))}." if left else None,
         "next": [{"title": _plain(step.what), "words": f"{upper_first(_plain(step.words))}."} for step in useful],
         "next_words": [_plain(step.what) for step in steps if not step.separates],
     }
@@ -349,5 +342,5 @@ def _card(row: CandidateRow, results: Results, tried: ModelResults | None) -> di
 def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     """Describe a formula that can be added to the model as an effect of the study."""
     effect = effect_of_formula(found, [table.effect for table in study.effects])
-    words = "; ".join([formula_evidence(found), *describe_formula(found)])
+    words = "; ".join([verdicts.formula_evidence(found), *verdicts.describe_formula(found)])
     return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}

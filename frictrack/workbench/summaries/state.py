@@ -10,7 +10,7 @@ from typing import Any
 
 from frictrack.base.number_format import format_number, join_words, lower_first, upper_first
 from frictrack.effects import models
-from frictrack.flow import Change, contact_sheet_path, undo_stacks
+from frictrack.flow import Change, Surveyed, contact_sheet_path, undo_stacks
 from frictrack.measure.repairing import suspect_spans
 from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
@@ -225,16 +225,11 @@ def _film(run: RunTable, results: RunResults | None) -> dict[str, Any] | None:
     """Return frames, size, frame rate and version of a film; None for a table."""
     if not run.video:
         return None
-    seen = surveyed_source(run.video)
     stored = results.film if results else None
-    fps = stored.fps if stored else run.fps or (seen.fps if seen else None)
-    return {
-        "frames": seen.n_frames if seen else stored.n_frames if stored else 0,
-        "width": seen.shape[1] if seen else 0,
-        "height": seen.shape[0] if seen else 0,
-        "fps": fps,
-        "version": source_version(run.video),
-    }
+    seen = surveyed_source(run.video) or Surveyed(Path(), n_frames=stored.n_frames if stored else 0)
+    fps = stored.fps if stored else run.fps or seen.fps
+    size = dict(zip(("height", "width"), seen.shape, strict=True))
+    return {"frames": seen.n_frames, "fps": fps, "version": source_version(run.video)} | size
 
 
 def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
@@ -317,7 +312,7 @@ def _motion(run: RunResults) -> dict[str, Any]:
 def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
     """Return the cut-off frequencies to choose from, each with the noise that passes and the signal that is lost."""
     factor, unit = (run.mass, "N") if run.mass else (1.0, "m/s²")
-    separated = factor * trade.structural
+    separated = format_number(factor * trade.structural)
     return {
         "asked": run.settings.get("cutoff"),
         "chosen": trade.chosen,
@@ -325,8 +320,7 @@ def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
         "noise": [float(f"{factor * v:.4g}") for v in trade.noise],
         "lost": [float(f"{factor * v:.4g}") for v in trade.lost],
         "unit": unit,
-        "separated": separated,
-        "words": f"total error with trend, vibrations and events separated {format_number(separated)} {unit}",
+        "words": f"total error with trend, vibrations and events separated {separated} {unit}",
     }
 
 
