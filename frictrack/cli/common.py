@@ -307,22 +307,13 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
     return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
-def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after a diagnosis; it depends on the verdict."""
-    return f"the verdict above. {_next_step(diagnosis, study)}"
-
-
-def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after the whole analysis; it depends on the verdict."""
-    return f"the first screen of the report; --details prints more here. {_next_step(diagnosis, study)}"
-
-
-def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
+def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:
+    """Return what to look at first after a diagnosis, and what to do then; it depends on the verdict."""
     from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
 
     if diagnosis.get("warnings"):
-        return CHECK_NEXT
+        return f"{first} {CHECK_NEXT}"
     study = shlex.quote(str(study))
     if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
-        return f"Then: frictrack add {study} {named[0]} shows by how much the error falls"
-    return f"Then: frictrack plan {study} lists which runs would tell more"
+        return f"{first} Then: frictrack add {study} {named[0]} shows by how much the error falls"
+    return f"{first} Then: frictrack plan {study} lists which runs would tell more"

@@ -23,7 +23,6 @@ from frictrack.cli.common import (
     after_diagnosis,
     after_edit,
     after_fit,
-    after_run,
     command,
     look_at,
     open_session,
@@ -84,7 +83,8 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
     parts = ["run_verdict", "run_rest"] if details else ["run_brief"]
     with open_session(path, workers) as session:
         result = session.run(seed, on_verdict=print_first(session, as_json, parts))
-    page, look = session.study.output / "report.html", after_run(result["diagnose"], path)
+    first = "the first screen of the report; --details prints more here."
+    page, look = session.study.output / "report.html", after_diagnosis(result["diagnose"], path, first)
     print_result(result, as_json, " ".join(parts), page, look)
 
 

@@ -166,9 +166,8 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
         if motion := row.get("motion"):
             model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
             text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
-            out.print(f"{escape(row['run'])}: {text}")
-            for note in motion["notes"]:
-                out.print(f"  {escape(note)}")
+            lines(out, [text], f"{row['run']}: ")
+            lines(out, motion["notes"], "  ")
     for c in result.get("collisions", []):
         share = None if c["relative_std"] is None else 100 * c["relative_std"]
         impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"

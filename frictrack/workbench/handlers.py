@@ -8,6 +8,7 @@ import math
 import re
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
 from mimetypes import guess_type
 from pathlib import Path
@@ -315,13 +316,10 @@ def _named(items: Sequence[Any], name: str, what: str) -> Any:
 
 
 def _frequency(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
-    return value
+    with suppress(ValueError):
+        if 0 < (value := float(text)) < math.inf:
+            return value
+    raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
 
 
 async def _candidate(api: Api) -> None:

@@ -146,17 +146,17 @@ class Job:
             `RUNNING`, `DONE`, `FAILED`, `CANCELLED`, or `INTERRUPTED` if its process was ended from outside.
 
         """
-        if result := self.result:
-            return FAILED if "error" in result else DONE
         # read before the lock: the process takes the lock first and creates this file after it
         began = (self.folder / "began").exists()
-        if files.is_held(self.folder / "alive") or (
-            not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS
-        ):
+        if not self.result and (files.is_held(self.folder / "alive") or (not began and self._has_just_started)):
             return RUNNING
-        if result := self.result:  # written after the first check
+        if result := self.result:  # also one that was written after the first look
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
+
+    @property
+    def _has_just_started(self) -> bool:
+        return bool(abs(time.time() - self.spec["at"]) < MAX_START_SECONDS)
 
     def cancel(self) -> None:
         """End the job at once; finished steps are kept."""

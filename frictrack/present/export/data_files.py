@@ -202,8 +202,7 @@ def write_xlsx(results: Results) -> ExportedFiles:
     """Write the workbook."""
     pages = tables.plain_tables(results)
     sheets = sheet_names(pages)
-    long = [name for name, table in pages.items() if len(table) >= MAX_ROWS]
-    if long:
+    if long := [name for name, table in pages.items() if len(table) >= MAX_ROWS]:
         raise FrictrackError(
             f'expected tables of less than {MAX_ROWS} rows but "{long[0]}" has {len(pages[long[0]])}, which Excel '
             "cannot hold; export --to parquet"

@@ -90,11 +90,9 @@ def write_txt(results: Results) -> ExportedFiles:
     paths, lost = [], []
     for run in results.runs:
         paths.append(replace_text(folder / f"{run.name}.txt", _text(run)))
-        left_out = len(run.displacement) - int(np.count_nonzero(run.displacement.known))
-        if left_out:
+        if left_out := len(run.displacement) - int(np.count_nonzero(run.displacement.known)):
             lost.append(f"{left_out} frames of {run.name} without a valid position, which are left out")
-        further = [name for name in run.tracks if name != BACKWARD]
-        if further:
+        if further := [name for name in run.tracks if name != BACKWARD]:
             lost.append(f"further targets of {run.name} ({', '.join(further)}), whose positions --to trk writes")
     return ExportedFiles(tuple(paths), tuple(lost))
 

@@ -84,8 +84,7 @@ def _candidates_title(rows: Sequence[CandidateRow]) -> str:
     good = [row for row in rows if row.passes]
     if not good:
         return "No candidate is significant for the whole search"
-    rivals = good[0].source.get("indistinguishable_from") or []
-    if rivals:
+    if rivals := good[0].source.get("indistinguishable_from"):
         return f"{good[0].effect} explains most, but {join_words(rivals)} cannot be distinguished from it"
     return f"{good[0].effect} explains most" + (f"; {len(good) - 1} more pass" if len(good) > 1 else "")
 
@@ -149,7 +148,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     if len(at) < MIN_SETTINGS:
         raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
     best = float(at[np.argmax(rise)])
-    written = _unit(effect, name)
+    written = parameter_unit(effect, name)
     factor, shown = style.axis_scale(at, written)
     where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
     title = f"{effect} fits best at a {_setting_name(name)} near {where}"
@@ -167,10 +166,11 @@ def _setting_name(name: str) -> str:
     return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
 
 
-def _unit(effect: str, name: str) -> str:
+def parameter_unit(effect: str, name: str) -> str:
+    """Unit of a parameter of an effect; "" for an effect that a study defines itself."""
     try:
         return effects.get(effect).parameter(name).unit
-    except (FrictrackError, StopIteration):  # an effect that a study defines itself
+    except (FrictrackError, StopIteration):
         return ""
 
 
@@ -242,7 +242,7 @@ def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | N
 
 def _draw_limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
     name, at, limit = _scan_axis(curves)
-    factor, shown = style.axis_scale(at, _unit(effect, name))
+    factor, shown = style.axis_scale(at, parameter_unit(effect, name))
     size, size_unit = style.axis_scale(limit, written)
     ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)
     ax.fill_between(factor * at, size * limit, 1.3 * size * limit.max(), color=style.SKY, alpha=0.25, lw=0)

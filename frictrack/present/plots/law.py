@@ -68,8 +68,7 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
     panels[0].set_ylabel(axis_label("friction force F", "N"))
     _limit_force(panels[0], branches)
     _name_wide_band(panels[0], branches)
-    load = branches[0]["load_N"]
-    if load:
+    if load := branches[0]["load_N"]:
         right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
         right.set_ylabel("coefficient of friction µ")
     style.legend_below(figure, markerscale=3)

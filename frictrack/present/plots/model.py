@@ -381,10 +381,9 @@ class HeldOutError:
 def errors_of_models(models: Sequence[ModelResults], unit: str) -> list[HeldOutError]:
     """Held-out errors of the models that have one, each named by what it adds to the model before."""
     key = "heldout_rms_um" if unit == "µm" else "heldout_rms_N"
-    known = [m for m in models if m.summary["errors"].get(key) is not None]
     steps = zip([None, *models], models, strict=False)
-    names = {model.name: _step(before, model) for before, model in steps}
-    return [HeldOutError(names[m.name], float(m.summary["errors"][key])) for m in known]
+    found = ((_step(before, model), model.summary["errors"].get(key)) for before, model in steps)
+    return [HeldOutError(label, float(error)) for label, error in found if error is not None]
 
 
 def _step(previous: ModelResults | None, model: ModelResults) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.base.number_format import DASH, format_number, format_size
+from frictrack.present.plots.evidence import parameter_unit
 from frictrack.present.plots.style import axis_label
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
@@ -250,13 +251,6 @@ def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
     rows = []
     for name, limit in diagnosis["detection_limits"].items():
         size = DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
-        rows.append((code_cell(name), size, limit.get("reason") or _worst_setting(name, limit)))
+        at = (f"{key} {format_size(value, parameter_unit(name, key))}" for key, value in limit.get("at", {}).items())
+        rows.append((code_cell(name), size, limit.get("reason") or ", ".join(at)))
     return make_table(("effect", "detectable from", "at the least favourable"), rows, (1,))
-
-
-def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
-    from frictrack import effects  # noqa: PLC0415 - only for the units
-
-    kind = effects.known().get(effect.split(":", maxsplit=1)[0])
-    units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
-    return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())

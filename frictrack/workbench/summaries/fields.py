@@ -110,10 +110,9 @@ def refuse_implausible(table: str, key: str, value: Any) -> None:
         What was expected, what came, what to type instead.
 
     """
-    if key in KEYS and table in ("study", "camera", "run") and value is not None:
-        error = _read_typed(key, value)["error"]
-        if error:
-            raise UsageError(error)
+    is_typed = key in KEYS and table in ("study", "camera", "run") and value is not None
+    if is_typed and (error := _read_typed(key, value)["error"]):
+        raise UsageError(error)
 
 
 def missing_fields(snapshot: Snapshot) -> list[str]:

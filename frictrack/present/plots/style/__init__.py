@@ -454,8 +454,7 @@ def file_content(figure: Figure, form: str) -> bytes:
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
     with _common_style(), ticks_in_rows(figure):
-        engine = figure.get_layout_engine()
-        if engine is not None:
+        if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
         yield
