@@ -112,7 +112,7 @@ def open_session(study: Path, workers: int = 1) -> Iterator[flow.Session]:
 
 
 def print_first(session: flow.Session, as_json: bool, parts: list[str]) -> Callable[[Mapping[str, Any]], None]:
-    """Return a function that prints the first part of a result early and removes it; not for JSON, one document."""
+    """Return a function that prints the first part early and removes it from `parts`; JSON is printed as a whole."""
     progress: Any = session.progress
 
     def show(result: Mapping[str, Any]) -> None:

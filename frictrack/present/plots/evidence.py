@@ -113,8 +113,8 @@ def has_scan(curves: Mapping[str, Array]) -> str | None:
 
 def _over_setting(curves: Mapping[str, Array], result: str) -> tuple[str, Array, Array]:
     """Setting with the most values, these values (k,), and the largest result (k,) at each of them; else all empty."""
-    settings = [name for name in curves if name not in RESULT_CURVES and result in curves]
-    if not settings:
+    settings = [name for name in curves if name not in RESULT_CURVES]
+    if not settings or result not in curves:
         return "", np.zeros(0), np.zeros(0)
     name = max(settings, key=lambda setting: len(np.unique(curves[setting])))
     at, which = np.unique(curves[name], return_inverse=True)

@@ -153,9 +153,11 @@ def scale_error(results: Results) -> float:
         0.0 if all forces were measured or the error is not known.
 
     """
-    forces = ((r.sensors.drive, r.sensors.friction_N) if r.sensors else () for r in results.runs)
-    inferred = [r for r, given in zip(results.runs, forces, strict=True) if all(one is None for one in given)]
-    return max((r.displacement.relative_scale_error for r in inferred), default=0.0)
+
+    def is_inferred(run: RunResults) -> bool:
+        return run.sensors is None or (run.sensors.drive is None and run.sensors.friction_N is None)
+
+    return max((run.displacement.relative_scale_error for run in results.runs if is_inferred(run)), default=0.0)
 
 
 def has_measured_friction(results: Results) -> bool:
