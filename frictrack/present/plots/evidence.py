@@ -61,8 +61,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
         ax.set_xscale("log")
     top = max(float(gains.max(initial=0.0)), 1.0)
     ax.set_xlim(floor, top**1.45 if logarithmic else 1.45 * top)
-    ax.set_yticks(range(len(shown)), [row.effect for row in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
+    style.name_rows(ax, [row.effect for row in shown])
     ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
     common = [Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search")] if same_p else []
     style.legend_below(figure, *common)

@@ -13,7 +13,7 @@ from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.present.plots.model import modelled_force, worst_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.names import plain_name
@@ -53,19 +53,19 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
         raise ValueError(f'expected a model with a law over the speed but "{model.name}" has none; add coulomb')
     branches: list[Mapping[str, Any]] = model.summary["law"]
     directions = sorted({branch["direction"] for branch in branches}, reverse=True)
-    figure = new_figure(HEIGHT_IN + 0.3 * title, law_title(model) if title else "", width)
-    panels = figure.subplots(1, len(directions), squeeze=False, sharey=True)[0]
-    scale = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
+    factor, unit = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
+    labels, size = (axis_label("speed |v|", unit), "friction force F / N"), (HEIGHT_IN, 0.3 * title)
+    said = law_title(model) if title else ""
+    figure, cells = panel_grid(len(directions), size, said, labels, width=width, sharey=True)
+    panels = [ax for (ax,) in cells]
     for ax, direction in zip(panels, directions, strict=True):
         own = [branch for branch in branches if branch["direction"] == direction]
         for k, branch in enumerate(own):
             color = style.RUN_STYLES[k]["color"] if len(own) > 1 else style.MODEL_COLOUR
-            _draw_branch(ax, branch, _measured_points(model, runs, branch), scale[0], color)
+            _draw_branch(ax, branch, _measured_points(model, runs, branch), factor, color)
         ax.set_xlim(left=0.0)
-        ax.set_xlabel(axis_label("speed |v|", scale[1]))
         if len(directions) > 1:
             ax.set_title(DIRECTIONS[direction], fontweight="normal")
-    panels[0].set_ylabel(axis_label("friction force F", "N"))
     _limit_force(panels[0], branches)
     _name_wide_band(panels[0], branches)
     if load := branches[0]["load_N"]:

@@ -252,18 +252,15 @@ def table(record: FrameTable) -> Figure:
     columns = [f for f in fields(record) if _is_drawn(record, f.name, f.metadata)]  # type: ignore[arg-type]
     name = getattr(record, "name", "") or getattr(record, "run", "")
     title = f"{type(record).__name__} of {name}" if name else type(record).__name__
-    figure = new_figure(PANEL_HEIGHT_IN * len(columns) + 0.7, title)
-    panels = figure.subplots(len(columns), 1, squeeze=False, sharex=True)[:, 0]
+    scales = [axis_scale(getattr(record, f.name), f.metadata["unit"]) for f in columns]
+    labels = (TIME_LABEL, *(axis_label(f.name, unit) for f, (_, unit) in zip(columns, scales, strict=True)))
+    figure, (panels,) = panel_grid(1, (PANEL_HEIGHT_IN * len(columns), 0.7), title, labels, sharex=True)
     t: Array = 1e3 * record.t  # type: ignore[attr-defined]
-    for ax, f in zip(panels, columns, strict=True):
+    for ax, f, (factor, _) in zip(panels, columns, scales, strict=True):
         values, sigma = getattr(record, f.name), getattr(record, _sigma_name(f.name), None)
-        factor, unit = axis_scale(values, f.metadata["unit"])
         if sigma is not None:
             draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
         ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
-        ax.set_ylabel(axis_label(f.name, unit))
-    panels[-1].set_xlabel(TIME_LABEL)
-    figure.align_ylabels(panels)
     return figure
 
 

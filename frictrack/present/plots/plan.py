@@ -41,10 +41,8 @@ def remaining_pairs(plan: Mapping[str, Any]) -> Figure:
     for i, n in enumerate(left):
         gone = "" if i == 0 else f"   ({left[i - 1] - n} fewer)"
         style.note(ax, f"{n}{gone}", (n, i), (5, 0), va="center")
-    ax.set_yticks(range(len(names)), names)
-    ax.invert_yaxis()
+    style.name_rows(ax, names)
     ax.set_xlim(0, 1.15 * max(total, 1))
-    ax.tick_params(axis="y", length=0)
     ax.set_xlabel("pairs of effects that cannot be distinguished")
     return figure
 
@@ -129,9 +127,7 @@ def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
     ax.axvline(MIN_DELTA_BIC, color=style.MEASURED_COLOUR, lw=1.0, linestyle="--")
     style.note(ax, "distinguished", (MIN_DELTA_BIC, -0.62), (4, 0), va="center")
     ax.set_xscale("log")
-    ax.set_ylim(len(steps) - 0.5, -0.85)
-    ax.set_yticks(range(len(steps)), [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)])
-    ax.tick_params(axis="y", length=0)
+    style.name_rows(ax, [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)], top=-0.85)
     ax.set_xlabel("expected difference of BIC from the nearest of the others")
     figure.legend(loc="outside right upper")
     return figure

@@ -422,12 +422,10 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> None:
     ax.plot([factor * s for s in sizes], range(len(shown)), "o", ms=7, color=AFTER)
     for k, size in enumerate(sizes):
         style.note(ax, format_number(factor * size, 2), (factor * size, k), (7, 0), va="center")
-    ax.set_yticks(range(len(shown)), [name.replace("_", " ") for _, name in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
+    style.name_rows(ax, [name.replace("_", " ") for _, name in shown])
     style.log_axis(ax, "x")
     ax.set_xlim(0.6 * factor * min(sizes), 4.0 * factor * max(sizes))
     ax.grid(axis="y", color="#E4E7EA", lw=0.8)
-    ax.tick_params(axis="y", length=0)
     ax.set_xlabel(axis_label("smallest force that would be detected", unit))
     ax.set_title("What these runs would have shown")
 

@@ -144,6 +144,13 @@ def note(ax: Axes, text: str, at: tuple[float, float], shift: tuple[float, float
     ax.annotate(text, at, shift, textcoords="offset points", **({"fontsize": 9} | look))
 
 
+def name_rows(ax: Axes, names: Sequence[str], top: float = -0.6) -> None:
+    """Name the rows of a panel, at the places 0, 1, ..., the first on top."""
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, top)
+    ax.tick_params(axis="y", length=0)
+
+
 def masked(values: Array, mask: Mask) -> Array:
     """Replace the values outside a mask by NaN, so that a line has gaps there.
 
