@@ -83,15 +83,19 @@ class CandidateRow:
 
     @property
     def numbers(self) -> list[str]:
-        """The evidence, and the held-out error."""
+        """The evidence, and the held-out error with what was held out."""
         how = "whole runs" if self.source.get("heldout") == "run" else "every other frame"
-        error = [f"held-out error {self.held_out} ({how})"] if self.held_out else []
-        return [self.evidence, *error]
+        return [self.evidence, *([f"{self.error} ({how})"] if self.error else [])]
 
     @property
     def line(self) -> str:
         """Its parameters and numbers in one line."""
-        return "; ".join(filter(None, (", ".join(self.parameters), *self.numbers)))
+        return "; ".join(filter(None, (", ".join(self.parameters), self.evidence, self.error)))
+
+    @property
+    def error(self) -> str:
+        """The held-out error in words; "" if nothing was held out."""
+        return f"held-out error {self.held_out}" if self.held_out else ""
 
     @property
     def rivals(self) -> list[str]:
