@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from frictrack.base.number_format import DASH, format_number, format_size
-from frictrack.present.plots.evidence import parameter_unit
+from frictrack.present.plots import parameter_unit
 from frictrack.present.plots.style import axis_label
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
