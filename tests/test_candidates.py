@@ -69,7 +69,6 @@ def test_every_surface_shows_the_same_order_and_words(found):
     report = [row for table in tables.candidate_table(rows) for row in table.rows]
     assert [str(row[0]).rpartition("<code>")[2].removesuffix("</code>") for row in report] == names
     assert [row[1] for row in report] == [row.standing for row in rows]
-    assert [card.row for card in tables.candidate_cards(rows)] == rows  # the cards of the page
     out = Console(file=io.StringIO(), width=200)
     verdict(out, found)
     text = out.file.getvalue()
@@ -94,7 +93,7 @@ def test_words_changed_in_one_place_change_everywhere(found, monkeypatch):
     out = Console(file=io.StringIO(), width=200)
     verdict(out, found)  # of the JSON
     page = verdict_of(seen, current)
-    cards = [card.row.standing for card in tables.candidate_cards(candidate_rows(found))]
+    cards = [row.standing for row in candidate_rows(found)]
     assert (page["title"], cards[1]) == (words, standing)
     assert plots.verdict(seen).get_suptitle() == words  # the figure of a diagnosis in a notebook
     for shown in (out.file.getvalue(), report.render(seen)):

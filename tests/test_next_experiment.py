@@ -51,9 +51,9 @@ from frictrack.effects.ranges import ACCELEROMETER_STD, LEVEL_STD_RAD
 from frictrack.fit import LeastSquaresProblem, add_effect, fit, refine
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.present import plots
-from frictrack.present.report import tables
 from frictrack.records import GRAVITY
 from frictrack.results import to_builtins
+from frictrack.results.verdicts import next_experiments
 from frictrack.settings.costs import Costs
 from frictrack.simulate import Conditions, simulate
 
@@ -376,19 +376,19 @@ STEPS = [
 
 def test_terminal_and_report_say_the_same():
     out = io.StringIO()
-    output.next_experiment(Console(file=out, width=200), STEPS)
+    found = {"next_experiment": STEPS}
+    output.next_experiment(Console(file=out, width=200), found)
     said = out.getvalue()
     assert "1. Film a run with half the mass: why" in said
     assert "separates vibration from camera_shake or load_modulation; expected delta BIC 41" in said
     assert "2. No candidate run separates slope and spring" in said
     assert describe_separation([["a"], ["b"], ["c"]]) == "a, b and c apart"
-    found = {"next_experiment": STEPS}
-    assert [step["tells"] for step in tables.separating_experiments(found)] == [
-        "vibration from camera_shake or load_modulation"
+    assert [step.separates for step in next_experiments(found)] == [
+        "vibration from camera_shake or load_modulation",
+        "",
     ]
-    assert tables.inseparable(found) == [STEPS[1]["what"]]
-    assert tables.separating_experiments(None) == []
-    drawn = plots.svg(plots.next_experiments(tables.separating_experiments(found)))
+    assert next_experiments(None) == []
+    drawn = plots.svg(plots.next_experiments(STEPS[:1]))
     assert "1. half mass" in drawn
     assert "if camera_shake is true" in drawn
 

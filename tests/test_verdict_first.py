@@ -113,12 +113,13 @@ def test_the_command_prints_the_verdict_then_the_rest_and_each_once(
     study_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order: list[str] = []
-    for name in ("verdict", "diagnosis_rest", "diagnose"):
+    for name in ("verdict", "diagnosis_rest"):
         monkeypatch.setattr(output, name, lambda out, result, name=name: order.append(f"{name} {result['complete']}"))
     for arguments in (["diagnose"], ["diagnose"], ["diagnose", "--quick"]):
         with pytest.raises(SystemExit):
             main([*arguments, str(study_file)])
-    assert order == ["verdict False", "diagnosis_rest True", "diagnose True", "diagnose True"]
+    whole = ["verdict True", "diagnosis_rest True"]
+    assert order == ["verdict False", "diagnosis_rest True", *whole, *whole]
     steps = [line for line in capsys.readouterr().err.splitlines() if line]
     assert steps[:2] == [f"reading {study_file}", f"study {study_file.parent.name}, 3 runs"]
     assert steps.count("diagnosing 1_coulomb+viscous") == 1
@@ -144,5 +145,5 @@ def test_verdict_and_rest_together_are_the_whole(announced: tuple[list[Diagnosis
         return str(out.file.getvalue())  # type: ignore[attr-defined]
 
     streamed = printed((output.verdict, first), (output.diagnosis_rest, whole))
-    assert streamed == printed((output.diagnose, whole))
-    assert VERDICT_ONLY[:30] in printed((output.diagnose, first))
+    assert streamed == printed((output.verdict, whole), (output.diagnosis_rest, whole))
+    assert VERDICT_ONLY[:30] in printed((output.diagnosis_rest, first))

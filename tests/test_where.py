@@ -312,7 +312,7 @@ def test_every_span_is_marked_in_its_runs_colour(patched):
     looks = style.run_styles(runs)
     found = [{"axis": "x", "share": 0.8, "p": 0.005, "runs": 3, "of": 4, "holds": True}]
     figure = plots.missing_force(residual_figures(pieces, line), spans, looks, found)
-    assert figure.get_suptitle() == "The force that the model misses repeats with place"
+    assert figure.get_suptitle() == "The missing force repeats with place"
     place = next(ax for ax in figure.axes if "displacement x" in ax.get_xlabel())
     bars = {tuple(np.round(b.get_xdata(), 3)): b.get_color() for b in place.lines if b.get_linewidth() == 3.0}
     for s in spans:

@@ -7,23 +7,23 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
+from frictrack import flow
 from frictrack.base.number_format import describe_change
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from frictrack.base.workers import WorkerPool
-    from frictrack.flow import Session
     from frictrack.flow.batch import BatchState
 
 app = typer.Typer(
@@ -54,11 +54,26 @@ EffectOrFormula = Annotated[
 Search = Literal["varpro", "ga", "mga", "sa", "sga", "de", "da", "cmaes"]
 
 
+OPTION = re.compile(r"^(?P<name>\w+)(?P<flags>(?: -\S+)*)(?: (?P<metavar>\S.*?))? : (?P<help>.+(?:\n .+)*)", re.M)
+
+
 def command(name: str | None = None, group: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes a function a command; the examples of its docstring end the help."""
+    """Return a decorator that makes a function a command; its docstring has the help, the options and the examples.
+
+    A line of the section Options is `parameter --flag METAVAR : help`; flags and metavar may be left out.
+    """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         said, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples\n--------\n")
+        said, _, options = said.partition("\n\nOptions\n-------\n")
+        hints, parameters = get_type_hints(function, include_extras=True), inspect.signature(function).parameters
+        for found in OPTION.finditer(options):
+            option, flags = found["name"], found["flags"].split()
+            if parameters[option].default is False and not flags:
+                flags = [f"--{option.replace('_', '-')}"]  # and no flag for the opposite
+            how = typer.Option(*flags, metavar=found["metavar"], help=" ".join(found["help"].split()))
+            hints[option] = Annotated[hints[option], how]
+        function.__annotations__ = hints
         epilog = "\n  ".join(("\b\nExamples:", *examples.splitlines()))  # after \b, the line ends stay
         return group.command(name, help=said, epilog=epilog)(function)
 
@@ -83,49 +98,34 @@ def options(
 
 
 @contextmanager
-def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
-    """Open a study for work; its progress is a `ProgressDisplay` on stderr."""
-    with progress_bars() as progress, _film_workers(workers) as pool:
+def open_session(study: Path, workers: int = 1) -> Iterator[flow.Session]:
+    """Open a study for work; its progress is a `ProgressDisplay` on stderr, long films are shared by `workers`."""
+    with progress_bars() as progress, ExitStack() as processes:
         progress(0, 0, f"reading {study}")
-        from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
+        from frictrack.base.workers import local_workers  # noqa: PLC0415 - the first bar does not wait for it
 
-        opened = open_study(study)
+        opened = flow.open_study(study)
         count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
         progress(0, 0, f"study {opened.name}, {count}")
-        yield Session(opened, progress, author="cli", pool=pool)
+        pool = processes.enter_context(local_workers(workers)) if workers > 1 else None
+        yield flow.Session(opened, progress, author="cli", pool=pool)
 
 
-@contextmanager
-def _film_workers(workers: int) -> Iterator[WorkerPool | None]:
-    """Open processes for the segments of long films; none for one. They start with the first segment."""
-    if workers == 1:
-        yield None
-        return
-    from frictrack.base.workers import local_workers  # noqa: PLC0415 - only needed for several processes
+def print_first(session: flow.Session, as_json: bool, parts: list[str]) -> Callable[[Mapping[str, Any]], None]:
+    """Return a function that prints the first part early and removes it from `parts`; JSON is printed as a whole."""
+    progress: Any = session.progress
 
-    with local_workers(workers) as pool:
-        yield pool
-
-
-class VerdictPrinter:
-    """Print a verdict while the rest is being computed; not for JSON, which is one document."""
-
-    def __init__(self, session: Session, as_json: bool, show: str) -> None:
-        self._progress: Any = session.progress
-        self._as_json, self._show = as_json, show
-        self.has_printed = False
-
-    def __call__(self, result: Mapping[str, Any]) -> None:
-        """Print what is known so far."""
-        if not self._as_json:
-            self._progress.clear()
-            print_result(result, False, self._show)
+    def show(result: Mapping[str, Any]) -> None:
+        if not as_json:
+            progress.clear()
+            print_result(result, False, parts.pop(0))
             sys.stdout.flush()
-            self.has_printed = True
+
+    return show
 
 
 def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str | Path = "", look: str = "") -> None:
-    """Print the result of a command, as JSON or as tables, and where the files are."""
+    """Print the result of a command, as JSON or as tables, and where the files are; `show` names functions."""
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return
@@ -134,8 +134,8 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
     from frictrack.cli import output, tables  # noqa: PLC0415
 
     out = Console(highlight=False)
-    if show:
-        getattr(output if hasattr(output, show) else tables, show)(out, result)
+    for name in show.split():
+        getattr(output if hasattr(output, name) else tables, name)(out, result)
     if look:
         out.print(f"look at: {look}", markup=False)
     if where:
@@ -166,8 +166,8 @@ class ProgressDisplay:
         return False
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        """Write one line for a new step, for example into a log file; within a long step one every few seconds."""
-        if not total or time.monotonic() - self._last_line >= MAX_SILENCE_S:
+        """Draw a bar; without bars, as in a log file, write a line for a new step, and one every few seconds."""
+        if not self.draw(done, total, what) and (not total or time.monotonic() - self._last_line >= MAX_SILENCE_S):
             self.write(f"{what}: {done} of {total}" if total else what)
             self._last_line = time.monotonic()
 
@@ -187,10 +187,6 @@ class ProgressBars(ProgressDisplay):
     def write(self, line: str) -> None:
         """Write one line above the bars."""
         self._drawn.console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-    def __call__(self, done: int, total: int, what: str) -> None:
-        """Draw the bar of a step."""
-        self.draw(done, total, what)
 
     def draw(self, done: int, total: int, what: str) -> bool:
         """Draw the bar of a step; one of unknown length moves to and fro."""
@@ -219,13 +215,6 @@ def progress_bars() -> Iterator[ProgressDisplay]:
     console = Console(stderr=True)
     with bars.Progress(*columns, bars.TimeRemainingColumn(), console=console, transient=True) as drawn:
         yield ProgressBars(drawn)
-
-
-@contextmanager
-def watch_batch() -> Iterator[Callable[[BatchState], None]]:
-    """Yield a callable that shows the state of a batch: a line per study that has ended, and bars on a terminal."""
-    with progress_bars() as progress:
-        yield BatchPrinter(progress)
 
 
 class BatchPrinter:
@@ -318,22 +307,13 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
     return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
-def after_diagnosis(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after a diagnosis; it depends on the verdict."""
-    return f"the verdict above. {_next_step(diagnosis, study)}"
-
-
-def after_run(diagnosis: Mapping[str, Any], study: Any) -> str:
-    """Return what to look at after the whole analysis; it depends on the verdict."""
-    return f"the first screen of the report; --details prints more here. {_next_step(diagnosis, study)}"
-
-
-def _next_step(diagnosis: Mapping[str, Any], study: Any) -> str:
+def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:
+    """Return what to look at first after a diagnosis, and what to do then; it depends on the verdict."""
     from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
 
     if diagnosis.get("warnings"):
-        return CHECK_NEXT
+        return f"{first} {CHECK_NEXT}"
     study = shlex.quote(str(study))
     if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
-        return f"Then: frictrack add {study} {named[0]} shows by how much the error falls"
-    return f"Then: frictrack plan {study} lists which runs would tell more"
+        return f"{first} Then: frictrack add {study} {named[0]} shows by how much the error falls"
+    return f"{first} Then: frictrack plan {study} lists which runs would tell more"

@@ -14,8 +14,7 @@ from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import describe_change, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
-from frictrack.results.candidates import MAIN_KINDS, CandidateRow, candidate_rows, not_passing
-from frictrack.results.names import AXES
+from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
 from frictrack.results.rows import error_rows, held_out_error
 
 MAX_EXAMPLES = 2  # pairs that are named for a run
@@ -43,12 +42,6 @@ SHARES = (  # words, and where they stand
 # --- the diagnosis
 
 
-def diagnose(out: Console, result: dict[str, Any]) -> None:
-    """Print the verdict, the candidates, and the next experiment."""
-    verdict(out, result)
-    diagnosis_rest(out, result)
-
-
 def verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict and the candidates."""
     for found in result.get("warnings") or []:
@@ -70,7 +63,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     rows = candidate_rows(result)
     for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
         out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
-        for line in textwrap.wrap(_evidence_of(row), out.width - 2):
+        for line in textwrap.wrap(row.line, out.width - 2):
             out.print(f"  {escape(line)}")
     if others := not_passing(rows):
         out.print(others)
@@ -87,26 +80,19 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     tables.sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
     unexplained(out, verdicts.force_without_effect(result))
     tables.sentences(out, {"words": result.get("remarks", [])})
-    next_experiment(out, result.get("next_experiment") or [])
+    next_experiment(out, result)
     if not result.get("complete", True):
         out.print(verdicts.VERDICT_ONLY)
-
-
-def _evidence_of(row: CandidateRow) -> str:
-    """Return parameters, evidence and held-out error of a candidate in one line."""
-    error = f"held-out error {row.held_out}" if row.held_out else ""
-    return "; ".join(filter(None, (", ".join(row.parameters), row.evidence, error)))
 
 
 def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
     """Print the variable on which the misfit depends, formulas for it, and text for the study file."""
     if not left:
         return
-    out.print(escape(left.get("words") or f"the misfit that no effect explains depends on {AXES[left['axis']].name}"))
+    out.print(escape(verdicts.describe_unexplained(left)))
     for k, f in enumerate(left["formulas"], 1):
         others = f" with {', '.join(f['beside'])}" if f.get("beside") else ""
-        share = f"{100 * f['share']:.1f} % of it, delta BIC {f['delta_bic']:.4g}"
-        evidence = "; ".join([share, *verdicts.describe_formula(f)[: 1 if k > 1 else None]])
+        evidence = "; ".join([verdicts.formula_evidence(f), *verdicts.describe_formula(f)[: 1 if k > 1 else None]])
         out.print(escape(f"  {k}. {f['formula']}{others}  ({evidence})"))
     if unnamed := verdicts.describe_unnamed(left):
         out.print(unnamed)
@@ -115,31 +101,14 @@ def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
         out.print(escape(left["formulas"][0]["toml"]), highlight=False, soft_wrap=True)
 
 
-def next_experiment(out: Console, steps: list[dict[str, Any]]) -> None:
+def next_experiment(out: Console, result: dict[str, Any]) -> None:
     """Print the next experiments, best first, with the expected evidence."""
-    if steps:
-        out.print("[bold]Next experiment[/bold]")
-    for k, step in enumerate(steps, 1):
-        out.print(f"  {k}. {escape(step['what'])}", soft_wrap=True)
-        if step["separates"]:
-            out.print(f"     {_separates(step)}", soft_wrap=True, style="dim")
-
-
-def _separates(step: dict[str, Any]) -> str:
-    """Describe which effects an experiment distinguishes, and how well."""
-    groups = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
-    cost = "" if step.get("cost") in (None, 1.0) else f"; cost {format_plain(step['cost'], 3)}"
-    return f"separates {groups}; expected delta BIC {_expected(step)}{cost}"
-
-
-def _expected(step: dict[str, Any]) -> str:
-    """Expected evidence with its 95 % interval, if that is known."""
-    expected = format_plain(step.get("expected_delta_bic"), 2)
-    low, high = step.get("expected_interval") or (None, None)
-    if low is None:
-        return expected
-    above = f"at least {format_plain(low, 2)}" if high is None else f"{format_plain(low, 2)} to {format_plain(high, 2)}"
-    return f"{expected} (95 %: {above})"
+    for k, step in enumerate(verdicts.next_experiments(result), 1):
+        if k == 1:
+            out.print("[bold]Next experiment[/bold]")
+        out.print(f"  {k}. {escape(step.what)}", soft_wrap=True)
+        if step.separates:
+            out.print(f"     {step.words}", soft_wrap=True, style="dim")
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
@@ -186,16 +155,10 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
         soft_wrap=True,
     )
     about = ", ".join(named["separates"])
-    out.print(f"  about {about}; expected delta BIC {_expected(named)}", soft_wrap=True, style="dim")
+    out.print(f"  about {about}; expected delta BIC {verdicts.expected_evidence(named)}", soft_wrap=True, style="dim")
 
 
 # --- the whole analysis
-
-
-def run(out: Console, result: dict[str, Any]) -> None:
-    """Print the fit, then the diagnosis."""
-    run_verdict(out, result)
-    run_rest(out, result)
 
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
@@ -240,7 +203,7 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     if found["verdict"] == "undetermined":
         out.print(escape(verdicts.describe_open_question(found)))
     for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
-        out.print(escape(f"{row.effect}: {_evidence_of(row)}"))
+        out.print(escape(f"{row.effect}: {row.line}"))
     if (left := verdicts.force_without_effect(found)) and left.get("words"):
         out.print(escape(left["words"]))
 

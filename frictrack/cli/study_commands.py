@@ -20,14 +20,13 @@ from frictrack.cli.common import (
     Search,
     Seed,
     Study,
-    VerdictPrinter,
     after_diagnosis,
     after_edit,
     after_fit,
-    after_run,
     command,
     look_at,
     open_session,
+    print_first,
     print_result,
     progress_bars,
 )
@@ -52,21 +51,27 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
             show_default=False,
         ),
     ] = None,
-    model: Annotated[str | None, typer.Option(help="first model (default: tustin); only with recordings")] = None,
-    mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"; only with recordings')] = None,
-    scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"; only with recordings')] = None,
-    fps: Annotated[float | None, typer.Option(help="frame rate while filming, 1/s; only with recordings")] = None,
+    model: str | None = None,
+    mass: str | None = None,
+    scale: str | None = None,
+    fps: float | None = None,
     workers: FilmWorkers = 1,
     seed: Seed = 0,
-    details: Annotated[
-        bool, typer.Option("--details", help="print also all candidates, where the model fails and what to film next")
-    ] = False,
+    details: bool = False,
     as_json: Json = False,
 ) -> None:
     """Measure, fit, compare, diagnose and write the report.
 
     Reads a study file and its recordings. With recordings instead of a study file, it first writes study.toml in the
     current folder. Writes the results of every run (.h5), study.h5 and report.html into the folder of the results.
+
+    Options
+    -------
+    model : first model (default: tustin); only with recordings
+    mass : mass of the slider, as in "0.35kg"; only with recordings
+    scale : size of a pixel, as in "0.5mm/px"; only with recordings
+    fps : frame rate while filming, 1/s; only with recordings
+    details : print also all candidates, where the model fails and what to film next
 
     Examples
     --------
@@ -75,12 +80,12 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
+    parts = ["run_verdict", "run_rest"] if details else ["run_brief"]
     with open_session(path, workers) as session:
-        printer = VerdictPrinter(session, as_json, "run_verdict" if details else "run_brief")
-        result = session.run(seed, on_verdict=printer)
-    rest, whole = ("run_rest", "run") if details else ("", "run_brief")
-    show, look = rest if printer.has_printed else whole, after_run(result["diagnose"], path)
-    print_result(result, as_json, show, session.study.output / "report.html", look)
+        result = session.run(seed, on_verdict=print_first(session, as_json, parts))
+    first = "the first screen of the report; --details prints more here."
+    page, look = session.study.output / "report.html", after_diagnosis(result["diagnose"], path, first)
+    print_result(result, as_json, " ".join(parts), page, look)
 
 
 def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
@@ -125,17 +130,21 @@ def init(
             show_default=False,
         ),
     ] = None,
-    mass: Annotated[str | None, typer.Option(help='mass of the slider, as in "0.35kg"')] = None,
-    scale: Annotated[str | None, typer.Option(help='size of a pixel, as in "0.5mm/px"')] = None,
-    fps: Annotated[
-        float | None, typer.Option(help="frame rate while filming, 1/s (default: that of the files)")
-    ] = None,
+    mass: str | None = None,
+    scale: str | None = None,
+    fps: float | None = None,
     as_json: Json = False,
 ) -> None:
     """Write a commented study file for a folder of recordings, or for some recordings.
 
     Opens every film and table in the folder, and lists what it found and what it left out, and why. Writes study.toml
     into the folder, with the frame rate and the columns that the files state; study.toml must not exist yet.
+
+    Options
+    -------
+    mass : mass of the slider, as in "0.35kg"
+    scale : size of a pixel, as in "0.5mm/px"
+    fps : frame rate while filming, 1/s (default: that of the files)
 
     Examples
     --------
@@ -160,18 +169,15 @@ def _measure(stage: str, study: Path, as_json: bool, workers: int = 1, *, overla
 
 
 @command()
-def track(
-    study: Study = STUDY_HERE,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="also write each film with the tracked positions drawn into it")
-    ] = False,
-    workers: FilmWorkers = 1,
-    as_json: Json = False,
-) -> None:
+def track(study: Study = STUDY_HERE, overlay: bool = False, workers: FilmWorkers = 1, as_json: Json = False) -> None:
     """Track the slider in every film.
 
     Reads the films. Writes the tracks into the run's .h5 file, and a contact sheet per film that shows whether the
     tracking went well.
+
+    Options
+    -------
+    overlay : also write each film with the tracked positions drawn into it
 
     Examples
     --------
@@ -215,35 +221,33 @@ def friction(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 @command()
 def fit(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study = STUDY_HERE,
-    model: Annotated[
-        str | None, typer.Option(help="a model (tustin, atm1:2), or effects: coulomb,viscous (default: the current)")
-    ] = None,
-    search: Annotated[Search | None, typer.Option(help="search method (default: varpro)")] = None,
-    over: Annotated[
-        Literal["all", "nonlinear"] | None, typer.Option(help="parameters of a global search (default: all)")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="setting of a global search: generations=500; may be repeated"
-        ),
-    ] = None,
-    domain: Annotated[
-        Literal["displacement", "force"] | None,
-        typer.Option(help="quantity that is fitted (default: displacement; force if friction was measured)"),
-    ] = None,
-    per: Annotated[Literal["group"] | None, typer.Option(help="fit one set of parameters per group of runs")] = None,
-    seed: Annotated[int | None, typer.Option(help="seed of all random numbers (default: 0)")] = None,
-    profile: Annotated[bool, typer.Option("--profile", help="compute 95 % intervals by profile likelihood")] = False,
-    bootstrap: Annotated[
-        int, typer.Option(metavar="N", help="compute 95 % intervals by N parametric bootstrap draws")
-    ] = 0,
+    model: str | None = None,
+    search: Search | None = None,
+    over: Literal["all", "nonlinear"] | None = None,
+    settings: list[str] | None = None,
+    domain: Literal["displacement", "force"] | None = None,
+    per: Literal["group"] | None = None,
+    seed: int | None = None,
+    profile: bool = False,
+    bootstrap: int = 0,
     as_json: Json = False,
 ) -> None:
     """Fit the current model, or make another one current.
 
     Reads the measured runs; missing stages are computed first. Writes the model into study.h5. Ctrl-C ends a global
     search: the best values so far are kept.
+
+    Options
+    -------
+    model : a model (tustin, atm1:2), or effects: coulomb,viscous (default: the current)
+    search : search method (default: varpro)
+    over : parameters of a global search (default: all)
+    settings --set NAME=VALUE : setting of a global search: generations=500; may be repeated
+    domain : quantity that is fitted (default: displacement; force if friction was measured)
+    per : fit one set of parameters per group of runs
+    seed : seed of all random numbers (default: 0)
+    profile : compute 95 % intervals by profile likelihood
+    bootstrap N : compute 95 % intervals by N parametric bootstrap draws
 
     Examples
     --------
@@ -270,17 +274,14 @@ def _settings(pairs: Iterable[str]) -> dict[str, str] | None:
 
 
 @command()
-def compare(
-    study: Study = STUDY_HERE,
-    parameter: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="compare this parameter between the groups of runs: viscous.F_v"),
-    ] = None,
-    as_json: Json = False,
-) -> None:
+def compare(study: Study = STUDY_HERE, parameter: str | None = None, as_json: Json = False) -> None:
     """Compare the errors of all models tried, or one parameter between groups of runs.
 
     Shows where the current model fails. Reads the models in study.h5. Writes the comparison into study.h5.
+
+    Options
+    -------
+    parameter ADDRESS : compare this parameter between the groups of runs: viscous.F_v
 
     Examples
     --------
@@ -295,18 +296,15 @@ def compare(
 
 
 @command()
-def diagnose(
-    study: Study = STUDY_HERE,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="end with the verdict; without failure pattern and next experiments")
-    ] = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+def diagnose(study: Study = STUDY_HERE, quick: bool = False, seed: Seed = 0, as_json: Json = False) -> None:
     """Find the effect that the current model lacks.
 
     Prints the verdict as soon as it is known, then where the model fails and what to film next. Reads the runs and the
     current model. Writes the diagnosis into study.h5; the verdict is kept if the command is interrupted afterwards.
+
+    Options
+    -------
+    quick : end with the verdict; without failure pattern and next experiments
 
     Examples
     --------
@@ -314,11 +312,11 @@ def diagnose(
     frictrack diagnose study.toml --quick
 
     """
+    parts = ["verdict", "diagnosis_rest"]
     with open_session(study) as session:
-        printer = VerdictPrinter(session, as_json, "verdict")
-        result = session.diagnose(seed, quick=quick, on_verdict=None if quick else printer)
-    show = "diagnosis_rest" if printer.has_printed else "diagnose"
-    print_result(result, as_json, show, session.path, after_diagnosis(result, study))
+        early = None if quick else print_first(session, as_json, parts)
+        result = session.diagnose(seed, quick=quick, on_verdict=early)
+    print_result(result, as_json, " ".join(parts), session.path, after_diagnosis(result, study))
 
 
 def _edit(how: Callable[[Session, str], Mapping[str, Any]], study: Path, effect: str | None, as_json: bool) -> None:
@@ -400,14 +398,14 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 
 
 @command()
-def report(
-    study: Study = STUDY_HERE,
-    pdf: Annotated[bool, typer.Option("--pdf", help="also print the page to report.pdf")] = False,
-    as_json: Json = False,
-) -> None:
+def report(study: Study = STUDY_HERE, pdf: bool = False, as_json: Json = False) -> None:
     """Write one page with all results.
 
     Reads all results; missing ones are computed first. Writes report.html.
+
+    Options
+    -------
+    pdf : also print the page to report.pdf
 
     Examples
     --------
@@ -429,24 +427,11 @@ def report(
 @command()
 def export(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Study = STUDY_HERE,
-    to: Annotated[FormatName, typer.Option(help="format; the guide on other tools says what each holds")] = "csv",
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="path of the prior file or of the crate: .zip, or a new folder (default: in the folder of results)",
-        ),
-    ] = None,
-    recordings: Annotated[
-        bool, typer.Option("--include-recordings", help="crate: include films above 10 MB, too")
-    ] = False,
-    author: Annotated[
-        list[str] | None, typer.Option(metavar="NAME <ORCID>", help="crate: an author; may be repeated")
-    ] = None,
-    licence: Annotated[
-        str | None, typer.Option("--license", metavar="SPDX", help="crate: licence, as in CC-BY-4.0, or an address")
-    ] = None,
+    to: FormatName = "csv",
+    output: Path | None = None,
+    recordings: bool = False,
+    author: list[str] | None = None,
+    licence: str | None = None,
     as_json: Json = False,
 ) -> None:
     """Export the results to another tool, the law as a prior, or everything as a research object.
@@ -457,33 +442,40 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
     study file, recordings, results and report, which `frictrack reproduce` computes again. Shows what the format cannot
     hold.
 
+    Options
+    -------
+    to : format; the guide on other tools says what each holds
+    output -o --output : path of the prior file or of the crate: .zip, or a new folder (default: in the folder of
+        results)
+    recordings --include-recordings : crate: include films above 10 MB, too
+    author NAME <ORCID> : crate: an author; may be repeated
+    licence --license SPDX : crate: licence, as in CC-BY-4.0, or an address
+
     Examples
     --------
     frictrack export study.toml --to netcdf
     frictrack export study.toml --to crate --license CC-BY-4.0
 
     """
-    if to == CRATE:
-        from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
-
-        with open_session(study) as session:
-            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
-        print_result(result, as_json, "crate", result["crate"], look_at("crate", crate=result["crate"]))
-        return
-    if recordings or author or licence is not None:
+    if to != CRATE and (recordings or author or licence is not None):
         raise UsageError(f"expected --include-recordings, --author and --license only with --to {CRATE}")
-    if to == PRIOR:
-        with open_session(study) as session:
-            result = session.export_prior(output)
-        print_result(result, as_json, "prior", result["file"], look_at("prior"))
-        return
-    if output is not None:
+    if to not in (CRATE, PRIOR) and output is not None:
         raise UsageError(
             f"expected -o only with --to {PRIOR} or {CRATE}; other files go into the folder of the results"
         )
     with open_session(study) as session:
-        written = export_results(session.results(), to)
-    files = written.files
-    where = files[0].parent if len(files) > 1 else files[0]
-    result = {"files": [str(f) for f in files], "lost": list(written.lost), "output": str(session.study.output)}
-    print_result(result, as_json, "export", where, look_at("export", opened_by=FORMATS[to].opened_by))
+        if to == CRATE:
+            from frictrack.flow.crate import CrateOptions, write_crate  # noqa: PLC0415
+
+            result = write_crate(session, output, CrateOptions(recordings, author or (), licence))
+            where, look = result["crate"], look_at("crate", crate=result["crate"])
+        elif to == PRIOR:
+            result = session.export_prior(output)
+            where, look = result["file"], look_at("prior")
+        else:
+            written = export_results(session.results(), to)
+            files, lost = written.files, list(written.lost)
+            result = {"files": [str(f) for f in files], "lost": lost, "output": str(session.study.output)}
+            where = files[0].parent if len(files) > 1 else files[0]
+            look = look_at("export", opened_by=FORMATS[to].opened_by)
+    print_result(result, as_json, to if to in (CRATE, PRIOR) else "export", where, look)

@@ -13,7 +13,14 @@ from rich.table import Table
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_plain, format_plus_minus
-from frictrack.results.rows import FAILING_HEADS, error_rows, failing_rows, measurement_cells, parameter_row
+from frictrack.results.rows import (
+    FAILING_HEADS,
+    MEASUREMENT_HEADS,
+    error_rows,
+    failing_rows,
+    measurement_cells,
+    parameter_row,
+)
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
@@ -29,6 +36,12 @@ def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
     for row in rows:
         new.add_row(*row)
     return new
+
+
+def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table without its empty columns."""
+    filled = [k for k in range(len(heads)) if any(row[k] not in ("", DASH) for row in rows)]
+    return table(*(heads[k] for k in filled), rows=([row[k] for k in filled] for row in rows))
 
 
 def cell(value: Any) -> str:
@@ -91,11 +104,8 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    heads = ("run", "found", "σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px",
-             "blur / px", "exposure / µs")  # fmt: skip
     rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
-    filled = [i for i in range(len(heads)) if any(row[i] != DASH for row in rows)]
-    out.print(table(*(heads[i] for i in filled), rows=([row[i] for i in filled] for row in rows)))
+    out.print(filled_table(("run", "found", *MEASUREMENT_HEADS), rows))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
         "fixed: noise of the fixed reference",
@@ -156,9 +166,8 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
         if motion := row.get("motion"):
             model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
             text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
-            out.print(f"{escape(row['run'])}: {text}")
-            for note in motion["notes"]:
-                out.print(f"  {escape(note)}")
+            lines(out, [text], f"{row['run']}: ")
+            lines(out, motion["notes"], "  ")
     for c in result.get("collisions", []):
         share = None if c["relative_std"] is None else 100 * c["relative_std"]
         impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
@@ -175,10 +184,9 @@ def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
     if brief:
         rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
         return table("parameter", "value ± std", "", rows=rows)
-    extra = {"misfit": "† ± with misfit", "interval": "95 % interval", "from_prior": "from the prior"}
-    shown = [key for key in extra if any(getattr(row, key) for row in found.values())]
-    cells = ((n, r.value, *(getattr(r, key) for key in shown), escape(r.remark)) for n, r in found.items())
-    return table("parameter", "value ± std", *(extra[key] for key in shown), "", rows=cells)
+    heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
+    cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
+    return filled_table(heads, cells)
 
 
 def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
@@ -211,11 +219,10 @@ def history(out: Console, result: dict[str, Any]) -> None:
 def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
     """Return a table with one row per model; `write` formats its name."""
     found = [row for row in error_rows(model["errors"] for model in models) if row.short]
-    rows = table("model", *(f"{row.short} / {row.unit}" if row.unit else row.short for row in found))
-    for k, model in enumerate(models):
-        name = "\n  ".join([write(model["name"]), *model.get("settings", [])])
-        rows.add_row(escape(name), *(format_plain(row.values[k]) for row in found))
-    return rows
+    heads = (f"{row.short} / {row.unit}" if row.unit else row.short for row in found)
+    names = (escape("\n  ".join([write(model["name"]), *model.get("settings", [])])) for model in models)
+    rows = ((name, *(format_plain(row.values[k]) for row in found)) for k, name in enumerate(names))
+    return table("model", *heads, rows=rows)
 
 
 def break_name(name: str) -> str:

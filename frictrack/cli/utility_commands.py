@@ -7,12 +7,13 @@ import sys
 import webbrowser
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.cli.common import Json, Seed, Workers, app, command, look_at, print_result, progress_bars, watch_batch
+from frictrack.cli.common import BatchPrinter, Json, Seed, Workers, app, command, look_at, print_result, progress_bars
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
 
@@ -41,7 +42,7 @@ def effects(
     from frictrack.effects import catalogue, get  # noqa: PLC0415
 
     studies = [name for name in given or () if name.endswith(".toml") or (Path(name) / "study.toml").exists()]
-    own = [effect for study in studies for effect in _own_effects(Path(study))]
+    own = [effect for study in studies for effect in flow.user_effects(flow.open_study(Path(study)).effects)]
     named = [get(name, own) for name in given or () if name not in studies]
     names = {name for effect in named for name in (effect.name, effect.name.partition(":")[0])}
     found = [e for e in catalogue(own) if not names or names & {e["name"], e["name"].partition(":")[0]}]
@@ -76,13 +77,6 @@ def explain(
     print_result({"terms": found, "effects": same}, as_json, "explain")
 
 
-def _own_effects(study: Path) -> list[Any]:
-    """Return the effects that a study file defines."""
-    from frictrack.flow import open_study, user_effects  # noqa: PLC0415
-
-    return user_effects(open_study(study).effects)
-
-
 @command()
 def render(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="description of the slide and the camera")],
@@ -112,24 +106,25 @@ def render(
 @command("app")
 def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
-    host: Annotated[
-        str, typer.Option(help="address of the server; 0.0.0.0 makes it reachable from other machines")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port of the server")] = 5006,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(help=f"file with the password of the page (default: ${TOKEN_VARIABLE}, else a new one each time)"),
-    ] = None,
+    host: str = "127.0.0.1",
+    port: int = 5006,
+    token_file: Path | None = None,
     token: Annotated[str | None, typer.Option(hidden=True)] = None,  # of earlier versions
-    name: Annotated[
-        list[str] | None, typer.Option(help="additional host name of the page, for example behind a proxy")
-    ] = None,
-    browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
+    name: list[str] | None = None,
+    browser: bool = True,
 ) -> None:
     """Open the workbench: the whole analysis on a local web page.
 
     Reads and writes the study file and its results. Without a study file, it makes one from the recordings in the
     folder.
+
+    Options
+    -------
+    host : address of the server; 0.0.0.0 makes it reachable from other machines
+    port : port of the server
+    token_file : file with the password of the page (default: $FRICTRACK_TOKEN, else a new one each time)
+    name : additional host name of the page, for example behind a proxy
+    browser : open the page in the browser
 
     Examples
     --------
@@ -165,12 +160,8 @@ def _page_token(written: str | None, file: Path | None) -> str | None:
 def batch(
     paths: Annotated[list[str], typer.Argument(metavar="PATH...", help="study files, folders, or globs")],
     workers: Workers = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="address of a Dask scheduler whose workers are used")
-    ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="path of the output files, without suffix")] = Path(
-        "frictrack_batch"
-    ),
+    scheduler: str | None = None,
+    output: Path = Path("frictrack_batch"),
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -178,6 +169,11 @@ def batch(
 
     Reads study files and their recordings. Writes the results of every study, and frictrack_batch.csv and .html
     with all runs, trends over the series and failures. Run it again to process only missing or changed studies.
+
+    Options
+    -------
+    scheduler ADDRESS : address of a Dask scheduler whose workers are used
+    output -o --output : path of the output files, without suffix
 
     Examples
     --------
@@ -187,7 +183,8 @@ def batch(
     """
     from frictrack.flow.batch import batch as run_all  # noqa: PLC0415
 
-    with watch_batch() as watch:
+    with progress_bars() as progress:
+        watch = BatchPrinter(progress)
         result = run_all(paths, output, seed, workers=workers, scheduler=scheduler, watch=watch)
     print_result(result, as_json, "batch", result["output"], look_at("batch"))
     if result["failed"]:
@@ -241,13 +238,14 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
 
 
 @command()
-def docs(
-    where: Annotated[bool, typer.Option("--path", help="print the place of the pages, open no browser")] = False,
-    as_json: Json = False,
-) -> None:
+def docs(where: bool = False, as_json: Json = False) -> None:
     """Open the documentation in the browser.
 
     Looks for the pages in the installed package, then in docs/_build/html of a checkout. Writes nothing.
+
+    Options
+    -------
+    where --path : print the place of the pages, open no browser
 
     Examples
     --------
@@ -280,20 +278,11 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     crate: Annotated[
         Path | None, typer.Argument(metavar="CRATE", help="crate of a study, from `frictrack export --to crate`")
     ] = None,
-    recordings: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="where the recordings are that the crate does not contain")
-    ] = None,
-    allow_addresses: Annotated[
-        bool,
-        typer.Option("--allow-addresses", help="of a crate: fetch missing recordings from where its author had them"),
-    ] = False,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="papers: use few seeds, a test run without statistics")
-    ] = False,
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder of what is computed; of a crate, a new one")] = Path(
-        "frictrack_reproduce"
-    ),
-    seed: Annotated[int, typer.Option(help="papers: seed of all random numbers")] = 0,
+    recordings: Path | None = None,
+    allow_addresses: bool = False,
+    quick: bool = False,
+    out: Path = Path("frictrack_reproduce"),
+    seed: int = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the results of a crate again and compare every number; without a crate, reproduce both papers.
@@ -303,6 +292,14 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     uncertainties, misfits and detection limits to the digits that they have. Of the papers: compares the printed values
     with those computed here and checks every claim, in about five minutes of processor time. Writes a page, figures,
     tables and JSON.
+
+    Options
+    -------
+    recordings FOLDER : where the recordings are that the crate does not contain
+    allow_addresses : of a crate: fetch missing recordings from where its author had them
+    quick : papers: use few seeds, a test run without statistics
+    out -o --out : folder of what is computed; of a crate, a new one
+    seed : papers: seed of all random numbers
 
     Examples
     --------
@@ -349,12 +346,9 @@ Blind = Annotated[Path, typer.Argument(metavar="OUT", help="folder of the studie
 @command(group=blind)
 def make(  # noqa: PLR0913, PLR0917 - the options of the command
     out: Blind,
-    n: Annotated[int | None, typer.Option("--n", help="number of studies (default: 420, or 40 with --film)")] = None,
-    film: Annotated[bool, typer.Option("--film", help="write rendered films, which are tracked")] = False,
-    kind: Annotated[
-        Literal["one", "none", "two", "three", "foreign", "fault"] | None,
-        typer.Option(help="only studies of this kind"),
-    ] = None,
+    n: int | None = None,
+    film: bool = False,
+    kind: Literal["one", "none", "two", "three", "foreign", "fault"] | None = None,
     workers: Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -363,6 +357,12 @@ def make(  # noqa: PLR0913, PLR0917 - the options of the command
 
     A study hides one effect, none, two, or one that the library does not have (of 420: 200, 100, 60 and 60). Of 40
     films, 20 hide one effect, 10 none, and 10 a fault of the measurement. Writes the studies and the sealed truth.
+
+    Options
+    -------
+    n --n : number of studies (default: 420, or 40 with --film)
+    film : write rendered films, which are tracked
+    kind : only studies of this kind
 
     Examples
     --------

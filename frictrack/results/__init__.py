@@ -108,6 +108,11 @@ class RunResults:
         return "v" in (self.settings.get("columns") or {})
 
     @property
+    def all_tracks(self) -> dict[str, Track]:
+        """All tracks of a film by name, that of the target first; none for a table."""
+        return {} if self.track is None else {self.track.name: self.track, **self.tracks}
+
+    @property
     def mass(self) -> float | None:
         """Mass, kg, if it was weighed."""
         written = self.settings.get("mass")
@@ -182,9 +187,8 @@ class Results:
     figures: dict[str, dict[str, Array]] = field(default_factory=dict)  # small curves of that diagnosis
     papers: ModelResults | None = None  # the current model by the papers' route: force domain, SGA
     notes: tuple[str, ...] = ()  # what could not be computed
-    implausible: tuple[
-        dict[str, Any], ...
-    ] = ()  # numbers of the study: JSON of `frictrack.measure.plausibility.Finding`
+    # numbers of the study: JSON of `frictrack.measure.plausibility.Finding`
+    implausible: tuple[dict[str, Any], ...] = ()
     outdated_parts: tuple[OutdatedPart, ...] = ()  # results that do not belong to the study file of now
 
     @property

@@ -24,6 +24,7 @@ STANDINGS = {  # the words of every kind of candidate, for all that people read
     "implausible": "not plausible: {}",
 }
 MAIN_KINDS = ("named", "rival", "lead")
+ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class CandidateRow:
     share : str
         Share of the misfit that it explains alone; "" if it is not known.
     source : mapping
-        The candidate in the JSON of the diagnosis.
+        The candidate in the JSON of the diagnosis; its `words` say what it is, what it looks like, where it shows here,
+        and how to confirm it.
 
     """
 
@@ -78,6 +80,32 @@ class CandidateRow:
     def evidence(self) -> str:
         """The p-value and delta BIC in words."""
         return f"p {self.p}, delta BIC {format_change(self.delta_bic)}"
+
+    @property
+    def numbers(self) -> list[str]:
+        """The evidence, and the held-out error with what was held out."""
+        how = "whole runs" if self.source.get("heldout") == "run" else "every other frame"
+        return [self.evidence, *([f"{self.error} ({how})"] if self.error else [])]
+
+    @property
+    def line(self) -> str:
+        """Its parameters and numbers in one line."""
+        return "; ".join(filter(None, (", ".join(self.parameters), self.evidence, self.error)))
+
+    @property
+    def error(self) -> str:
+        """The held-out error in words; "" if nothing was held out."""
+        return f"held-out error {self.held_out}" if self.held_out else ""
+
+    @property
+    def rivals(self) -> list[str]:
+        """Effects that these runs cannot distinguish from it."""
+        return list(self.source["indistinguishable_from"]) if self.passes else []
+
+    @property
+    def acts_on(self) -> str:
+        """Whether it is a force or an error of the measurement."""
+        return ACTS_ON.get(self.source["acts_on"], "")
 
     @property
     def held_out(self) -> str:

@@ -6,12 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 TUSTIN = ("coulomb", "stribeck", "viscous")  # the effects that together are the Tustin model
-_CAPITALISED = {
-    "tustin": "Tustin",
-    "coulomb": "Coulomb",
-    "stribeck": "Stribeck",
-    "stribeck-model": "Stribeck model",
-}
+_CAPITALISED = {"tustin": "Tustin", "coulomb": "Coulomb", "stribeck": "Stribeck", "stribeck-model": "Stribeck model"}
 
 
 def plain_name(group: str) -> str:

@@ -110,10 +110,12 @@ def failing_rows(spans: Iterable[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
+MEASUREMENT_HEADS = ("σ / px", "σ / µm", "score", "locking / px", "back / px", "fixed / px", "shake / px", "blur / px",
+                     "exposure / µs")  # fmt: skip
 
 
 def measurement_cells(found: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return deviation (px, µm), score, peak locking, backward difference, noise floor, shake, blur, exposure.
+    """Return the columns of `MEASUREMENT_HEADS` of a film: deviation, match score, peak locking, and others.
 
     Examples
     --------

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from frictrack.base.number_format import format_probability, join_words
-from frictrack.results.names import joined_name
+from frictrack.base.number_format import format_change, format_plain, format_probability, join_words
+from frictrack.results.names import AXES, joined_name
 
 VERDICTS = {  # the words of every verdict, for all that people read
     "complete": "{model} is complete: no further effect is detectable in these runs",
@@ -236,6 +236,11 @@ def describe_open_question(diagnosis: Mapping[str, Any]) -> str:
     return f"{first['what']}: {first['why']}{others}{advice}"
 
 
+def formula_evidence(formula: Mapping[str, Any]) -> str:
+    """Return the share of the misfit that a formula explains, and the evidence for it."""
+    return f"{100 * formula['share']:.1f} % of the misfit, delta BIC {format_change(formula['delta_bic'])}"
+
+
 def describe_formula(formula: Mapping[str, Any]) -> list[str]:
     """Describe how certain the form of a formula is: its probability, and the formulas that predict the same data.
 
@@ -267,11 +272,70 @@ def describe_formula(formula: Mapping[str, Any]) -> list[str]:
 def describe_unnamed(unexplained: Mapping[str, Any]) -> str:
     """Describe the probability that none of the formulas listed has the right form; "" if it is not known."""
     probability = unexplained.get("probability_none")
-    return (
-        ""
-        if probability is None
-        else f"Probability that none of these forms is right: {format_probability(probability)}."
-    )
+    said = "Probability that none of these forms is right"
+    return "" if probability is None else f"{said}: {format_probability(probability)}."
+
+
+def describe_unexplained(unexplained: Mapping[str, Any]) -> str:
+    """Describe the force that no effect explains: a formula for it, or the axis over which it repeats best."""
+    axis = AXES[unexplained["axis"]].name
+    return unexplained.get("words") or f"a force that no effect of the library explains repeats best with {axis}"
+
+
+class NextExperiment(NamedTuple):
+    """One experiment that a diagnosis proposes.
+
+    Attributes
+    ----------
+    what : str
+        What to do and why, in one sentence.
+    separates : str
+        The effects that it distinguishes, in words; "" where no run can distinguish them.
+    expected : str
+        Expected delta BIC, with its 95 % interval if that is known.
+    cost : str
+        Its cost, if costs are known.
+
+    """
+
+    what: str
+    separates: str
+    expected: str
+    cost: str
+
+    @property
+    def words(self) -> str:
+        """Which effects it distinguishes, and how well."""
+        cost = f"; cost {self.cost}" if self.cost else ""
+        return f"separates {self.separates}; expected delta BIC {self.expected}{cost}"
+
+
+def next_experiments(diagnosis: Mapping[str, Any] | None) -> list[NextExperiment]:
+    """List the experiments that a diagnosis proposes, the best first.
+
+    Examples
+    --------
+    >>> step = {"what": "Film a fast run", "separates": ["drag", "drift"], "expected_delta_bic": 41.3}
+    >>> next_experiments({"next_experiment": [step | {"tells": "drag and drift apart"}]})[0].words
+    'separates drag and drift; expected delta BIC 41'
+
+    """
+    rows = []
+    for step in (diagnosis or {}).get("next_experiment") or []:
+        told = step.get("tells", ", ".join(step["separates"])).removesuffix(" apart")
+        cost = "" if step.get("cost") in (None, 1.0) else format_plain(step["cost"], 3)
+        rows.append(NextExperiment(step["what"], told if step["separates"] else "", expected_evidence(step), cost))
+    return rows
+
+
+def expected_evidence(step: Mapping[str, Any]) -> str:
+    """Format the expected delta BIC of an experiment with its 95 % interval, if that is known."""
+    expected = format_plain(step.get("expected_delta_bic"), 2)
+    low, high = step.get("expected_interval") or (None, None)
+    if low is None:
+        return expected
+    above = f"at least {format_plain(low, 2)}" if high is None else f"{format_plain(low, 2)} to {format_plain(high, 2)}"
+    return f"{expected} (95 %: {above})"
 
 
 def describe_no_run(diagnosis: Mapping[str, Any]) -> str:
@@ -346,10 +410,9 @@ def describe_tests(history: Mapping[str, Any]) -> list[str]:
     if not tests:
         return []
     n, sequences = len(tests), len({test["sequence"] for test in tests})
-    made = f"{n} diagnos{'is' if n == 1 else 'es'} so far"
-    parts = f" in {sequences} sequences of models" if sequences > 1 else ""
+    made = f"{n} diagnos{'is' if n == 1 else 'es'} so far" + f" in {sequences} sequences of models" * (sequences > 1)
     spent = f"{100 * history['alpha_spent']:.3g} %"
-    return [f"{made}{parts}: the probability that any effect named is false is at most {spent}."]
+    return [f"{made}: the probability that any effect named is false is at most {spent}."]
 
 
 def describe_lost(lost: int, frames: int) -> str:
@@ -361,6 +424,5 @@ def describe_lost(lost: int, frames: int) -> str:
     ('the target was lost in 3 of 150 frames', 'the target was found in all 150 frames')
 
     """
-    return (
-        f"the target was lost in {lost} of {frames} frames" if lost else f"the target was found in all {frames} frames"
-    )
+    found = f"was lost in {lost} of" if lost else "was found in all"
+    return f"the target {found} {frames} frames"

@@ -153,7 +153,7 @@ def try_effect(live: LiveStudy, effect: str) -> None:
         If the fit of this candidate has just failed.
 
     """
-    job, last = live.running_job(), live.last_job
+    job, last = live.running_job(), live.jobs.last
     same = {"do": "attempt", "arguments": {"effect": effect}, "state": "failed"}
     if job is None and last is not None and {key: last[key] for key in same} == same:
         raise OutdatedError(last["error"])

@@ -9,6 +9,7 @@ from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.workbench import MissingError
 
 if TYPE_CHECKING:
-    from frictrack.recording import Frame, Recording
+    from frictrack.recording import Recording
 
 MAX_WIDTH_PX = 1280  # wider frames are scaled down
 MAX_CACHED_FRAMES = 64
@@ -46,7 +47,7 @@ class FrameImages:
         self._stack = ExitStack()
         recording, self.fps = _open(path, fps)
         self._recording = self._stack.enter_context(random_access(recording))
-        self._cache: OrderedDict[int, bytes] = OrderedDict()
+        self._picture = lru_cache(MAX_CACHED_FRAMES)(self._jpeg)
         first = self._recording.frame(0)
         deep = first.dtype != np.uint8
         self._limits = tuple(np.percentile(first, (BLACK_PERCENTILE, WHITE_PERCENTILE))) if deep else (0.0, 255.0)
@@ -67,18 +68,13 @@ class FrameImages:
     def __getitem__(self, number: int) -> tuple[int, bytes]:
         """Number and JPEG of a frame; a number outside the film is clipped."""
         number = min(max(number, 0), self._recording.n_frames - 1)
-        if number not in self._cache:
-            self._cache[number] = self._jpeg(self._recording.frame(number))
-        self._cache.move_to_end(number)
-        while len(self._cache) > MAX_CACHED_FRAMES:
-            self._cache.popitem(last=False)
-        return number, self._cache[number]
+        return number, self._picture(number)
 
-    def _jpeg(self, frame: Frame) -> bytes:
+    def _jpeg(self, number: int) -> bytes:
         import cv2  # noqa: PLC0415
         import numpy as np  # noqa: PLC0415
 
-        low, high = self._limits
+        frame, (low, high) = self._recording.frame(number), self._limits
         if (low, high) != (0.0, 255.0):
             frame = np.clip((frame - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
         if frame.shape[1] > MAX_WIDTH_PX:
@@ -146,10 +142,15 @@ def film_file(path: Path, fps: float | None = None) -> FilmFile:
 
     """
     try:
-        stat = path.stat()
+        return FilmFile(path, fps, file_version(path))
     except OSError as e:
         raise MissingError(f"expected the film {path} but it is gone; put it back or remove the run") from e
-    return FilmFile(path, fps, f"{stat.st_mtime_ns:x}-{stat.st_size:x}")
+
+
+def file_version(path: Path) -> str:
+    """Return a text that changes when a file does."""
+    stat = path.stat()
+    return f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
 
 
 class OpenFilm:

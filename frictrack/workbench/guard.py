@@ -11,12 +11,12 @@ import hashlib
 import hmac
 import ipaddress
 import socket
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
 from tornado.httputil import HTTPServerRequest
-from tornado.routing import Matcher, Rule
 from tornado.web import Application, RequestHandler
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -76,7 +76,8 @@ class RequestGuard:
         origin = request.headers.get("Origin")
         if origin is not None and origin.lower().partition("://")[2] != request.host.lower():
             return f'Expected a request from the page itself but got one from "{origin}".'
-        if not self.has_token(request) and not _same(self._cookie_value(request), self.secret):
+        held = request.cookies.get(self.cookie(request))
+        if not self.has_token(request) and not _same(held.value if held else "", self.secret):
             return "Expected the address with its token; copy it from the terminal where frictrack app was started."
         return ""
 
@@ -84,10 +85,6 @@ class RequestGuard:
         """Whether the address of a request carries the token."""
         given = request.query_arguments.get("token", [b""])[-1]
         return _same(given.decode(errors="replace"), self.token)
-
-    def _cookie_value(self, request: HTTPServerRequest) -> str:
-        held = request.cookies.get(self.cookie(request))
-        return held.value if held else ""
 
     def _is_own(self, host: str) -> bool:
         """Whether a host is a name or an address of this machine."""
@@ -99,19 +96,20 @@ class RequestGuard:
         return host in {name.lower() for name in own} or _is_address(host)
 
 
-class GuardedRequest(Matcher):
-    """Match every request that the guard refuses, and the page when its address carries the token."""
+class GuardedApplication(Application):
+    """Check every request to a server first: pages, WebSocket, static files, downloads and uploads."""
 
-    def __init__(self, guard: RequestGuard) -> None:
+    def __init__(self, guard: RequestGuard, addresses: list[Any], **settings: Any) -> None:
+        super().__init__(addresses, **settings)
         self.guard = guard
 
-    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """Arguments of the handler (Tornado's interface); None if the request does not match."""
+    def find_handler(self, request: HTTPServerRequest, **more: Any) -> Any:
+        """Answer what the guard refuses, and the page when its address has the token (Tornado's interface)."""
         fault = self.guard.fault(request)
-        plain = request.method == "GET" and "Upgrade" not in request.headers
-        if fault or (plain and self.guard.has_token(request)):
-            return {"target_kwargs": {"guard": self.guard, "fault": fault}}
-        return None
+        is_plain = request.method == "GET" and "Upgrade" not in request.headers
+        if fault or (is_plain and self.guard.has_token(request)):
+            return self.get_handler_delegate(request, GuardHandler, {"guard": self.guard, "fault": fault})
+        return super().find_handler(request, **more)
 
 
 class GuardHandler(RequestHandler):
@@ -138,11 +136,6 @@ class GuardHandler(RequestHandler):
         self.finish(KEEP_PLACE + REDIRECT_PAGE.format("./"))
 
 
-def protect(application: Application, guard: RequestGuard) -> None:
-    """Check every request to a server: pages, WebSocket, static files, downloads and uploads."""
-    application.default_router.rules.insert(0, Rule(GuardedRequest(guard), GuardHandler))
-
-
 def address_of(host: str, port: int, token: str = "") -> str:
     """Address of the page.
 
@@ -166,11 +159,9 @@ def _netloc(host: str) -> tuple[str, int | None]:
 
 
 def _is_address(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(host))
+    return False
 
 
 def _same(given: str, wanted: str) -> bool:

@@ -8,7 +8,9 @@ import math
 import re
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
+from mimetypes import guess_type
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, TYPE_CHECKING, Any
@@ -18,23 +20,11 @@ from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench import MissingError, OutdatedError
-from frictrack.workbench.actions import (
-    cancel,
-    change,
-    check,
-    copy_sample,
-    need_plain_name,
-    start_job,
-    take_in,
-    try_effect,
-)
+from frictrack.workbench import MissingError, OutdatedError, actions
 from frictrack.workbench.films import FilmFile, film_file
 from frictrack.workbench.live_study import LiveStudy, to_json
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from frictrack.results import Results
     from frictrack.study import Study
 
@@ -85,9 +75,9 @@ class PageFiles(StaticFileHandler):
 class Api(RequestHandler):
     """A request with an answer in JSON; an error is one sentence under `error`."""
 
-    def initialize(self, live: LiveStudy, act: Act | None = None) -> None:
-        """Store the study, and what answers."""
-        self.live, self.act = live, act
+    def initialize(self, live: LiveStudy) -> None:
+        """Store the study."""
+        self.live = live
 
     def set_default_headers(self) -> None:
         """Set the headers of every answer."""
@@ -139,18 +129,12 @@ def describe_error(error: Any, status: int) -> tuple[int, str]:
     if isinstance(error, FrictrackError):
         return 404 if isinstance(error, MissingError) else 400, str(error)
     if isinstance(error, HTTPError):
-        return status, _describe_status(status)
+        reasons = {404: "there is none of this name", 405: "it does not answer this method"}
+        reason = reasons.get(status, f"the request is not valid ({status})")
+        return status, f"expected an address of the page but {reason}; reload it"
     if isinstance(error, OSError):
         return 400, f"a file cannot be read or written: {error.strerror or error}; check the disk, then repeat"
     return status, f"the server met an unexpected error ({type(error).__name__}: {error}); reload the page"
-
-
-def _describe_status(status: int) -> str:
-    """What is wrong with a request itself."""
-    reasons = {404: "there is none of this name", 405: "it does not answer this method"}
-    return (
-        f"expected an address of the page but {reasons.get(status, f'the request is not valid ({status})')}; reload it"
-    )
 
 
 class UnknownHandler(Api):
@@ -161,22 +145,20 @@ class UnknownHandler(Api):
         raise HTTPError(404)
 
 
-class GetHandler(Api):
-    """A request that changes nothing."""
+class AnswerHandler(Api):
+    """A request that a function answers: GET changes nothing, POST has a JSON object."""
+
+    def initialize(self, live: LiveStudy, method: str, act: Act) -> None:  # type: ignore[override]
+        """Store what the table of addresses holds: the study, the method of the request, and what answers."""
+        super().initialize(live)
+        self.SUPPORTED_METHODS = (method,)
+        self.act = act
 
     async def get(self) -> None:
         """Answer."""
-        assert self.act is not None
         await self.act(self)
 
-
-class PostHandler(Api):
-    """A request with a JSON object."""
-
-    async def post(self) -> None:
-        """Answer."""
-        assert self.act is not None
-        await self.act(self)
+    post = get
 
 
 class EventsHandler(WebSocketHandler):
@@ -244,7 +226,7 @@ async def _glossary(api: Api) -> None:
 async def _check(api: Api) -> None:
     """How numbers are read as they are being typed; nothing is written."""
     given = api.body()
-    api.answer({"fields": await api.live.read(check, api.live.snapshot, given.get("fields"), given.get("run"))})
+    api.answer({"fields": await api.live.read(actions.check, api.live.snapshot, given.get("fields"), given.get("run"))})
 
 
 def _action(act: Callable[..., Any], *keys: str) -> Act:
@@ -283,7 +265,7 @@ def _find_film(api: Api) -> FilmFile:
     live, run, file = api.live, api.asked("run"), api.asked("file")
     study = live.snapshot.study if live.snapshot else None
     if not run:
-        return film_file(live.path.parent / need_plain_name(file))
+        return film_file(live.path.parent / actions.need_plain_name(file))
     table = next((one for one in study.runs if one.name == run), None) if study else None
     if table is None or table.video is None:
         raise MissingError(f'expected a run with a film but got "{run}"; reload the page')
@@ -334,13 +316,10 @@ def _named(items: Sequence[Any], name: str, what: str) -> Any:
 
 
 def _frequency(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
-    return value
+    with suppress(ValueError):
+        if 0 < (value := float(text)) < math.inf:
+            return value
+    raise UsageError(f"expected a cut-off frequency above 0 Hz but got {text!r}")
 
 
 async def _candidate(api: Api) -> None:
@@ -354,7 +333,7 @@ async def _candidate(api: Api) -> None:
     if curves is not None:
         api.send(curves.pack())
         return
-    await api.live.write(try_effect, name)
+    await api.live.write(actions.try_effect, name)
     api.set_status(202)
     api.answer({"pending": True})
 
@@ -364,12 +343,6 @@ async def _candidate(api: Api) -> None:
 DOWNLOADS = ("report.html", "report.pdf", "tables.zip", "hdf5.zip", "repeat.py", "figures.zip")
 FIGURE_FORMATS = ("svg", "png", "pdf")
 MEMORY_BYTES = 20_000_000  # of a file that is made; a larger one goes to the disk
-CONTENT_TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".pdf": "application/pdf",
-    ".zip": "application/zip",
-    ".py": "text/x-python; charset=utf-8",
-}
 Content = IO[bytes]
 
 
@@ -399,9 +372,8 @@ def _content(what: str, study: Study, results: Results, form: str) -> Content:
     from frictrack.present import plots, report  # noqa: PLC0415 - loads Matplotlib
 
     if what == "figures.zip":
-        return zip_files(
-            (f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in plots.study_figures(results)
-        )
+        figures = plots.study_figures(results)
+        return zip_files((f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in figures)
     path = study.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
@@ -421,17 +393,6 @@ def zip_files(files: Iterator[tuple[str, bytes | Path]]) -> Content:
     return sheet
 
 
-def page_figure(name: str, snapshot: Any) -> bytes:
-    """Draw a figure that the page shows."""
-    from frictrack.present import plots  # noqa: PLC0415
-
-    results = snapshot.results if snapshot else None
-    made = _draw(name, results) if results is not None else None
-    if made is None:
-        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
-    return plots.file_content(made, "svg")
-
-
 # Kinds of figures of the page: name in the list of figures, and how the page draws it.
 PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
     "law": ("law", {"title": False, "width": 4.8}),
@@ -441,16 +402,19 @@ PAGE_FIGURES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def _draw(name: str, results: Results) -> Figure | None:
+def page_figure(name: str, snapshot: Any) -> bytes:
+    """Draw a figure that the page shows."""
     from frictrack.present import plots  # noqa: PLC0415
 
     kind, _, which = name.partition(":")
-    if kind == "scan":  # of any candidate; the list has that of the best
-        curves = results.figures.get(which, {})
-        return plots.scan(which, curves, width=5.0) if plots.has_scan(curves) else None
     listed, options = PAGE_FIGURES.get(kind, ("", {}))
-    draw = dict(plots.study_figures(results)).get(f"{listed} {which}")
-    return None if draw is None else draw(**options)
+    results = snapshot.results if snapshot else None
+    draw = dict(plots.study_figures(results)).get(f"{listed} {which}") if results else None
+    if results and kind == "scan" and plots.has_scan(curves := results.figures.get(which, {})):
+        draw, options = plots.scan, {"effect": which, "curves": curves, "width": 5.0}  # the list has the best only
+    if draw is None:
+        raise MissingError(f'expected a figure of the results but there is none named "{name}"; reload the page')
+    return plots.file_content(draw(**options), "svg")
 
 
 async def _sheet(api: Api) -> None:
@@ -476,7 +440,7 @@ async def _download(api: Api) -> None:
     reason = None if api.asked("anyway") else api.live.state["report"]["outdated"]
     file = await api.live.draw(make_download, what, snapshot, api.asked("format", "svg"), reason)
     try:
-        api.set_header("Content-Type", CONTENT_TYPES[Path(what).suffix])
+        api.set_header("Content-Type", guess_type(what)[0] or "application/octet-stream")
         api.set_header("Content-Disposition", f'attachment; filename="{what}"')
         while part := await asyncio.to_thread(file.read, PART_BYTES):
             api.write(part)
@@ -485,21 +449,21 @@ async def _download(api: Api) -> None:
         file.close()
 
 
-ANSWERS: dict[str, tuple[type[Api], Act]] = {
-    "state": (GetHandler, _state),
-    "effects": (GetHandler, _effects),
-    "glossary": (GetHandler, _glossary),
-    "film": (GetHandler, _film),
-    "frame": (GetHandler, _frame),
-    "plots": (GetHandler, _plots),
-    "candidate": (GetHandler, _candidate),
-    "sheet": (GetHandler, _sheet),
-    "figure": (GetHandler, _figure),
-    "download": (GetHandler, _download),
-    "check": (PostHandler, _check),
-    "study": (PostHandler, _action(take_in, "recordings", "fields")),
-    "sample": (PostHandler, _action(copy_sample)),
-    "do": (PostHandler, _action(change, "do", "arguments", "seen")),
-    "job": (PostHandler, _action(start_job, "do", "arguments", "seen")),
-    "cancel": (PostHandler, _action(cancel)),
+ANSWERS: dict[str, tuple[str, Act]] = {
+    "state": ("GET", _state),
+    "effects": ("GET", _effects),
+    "glossary": ("GET", _glossary),
+    "film": ("GET", _film),
+    "frame": ("GET", _frame),
+    "plots": ("GET", _plots),
+    "candidate": ("GET", _candidate),
+    "sheet": ("GET", _sheet),
+    "figure": ("GET", _figure),
+    "download": ("GET", _download),
+    "check": ("POST", _check),
+    "study": ("POST", _action(actions.take_in, "recordings", "fields")),
+    "sample": ("POST", _action(actions.copy_sample)),
+    "do": ("POST", _action(actions.change, "do", "arguments", "seen")),
+    "job": ("POST", _action(actions.start_job, "do", "arguments", "seen")),
+    "cancel": ("POST", _action(actions.cancel)),
 }  # by address, below /api

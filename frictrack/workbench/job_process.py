@@ -106,26 +106,16 @@ def _perform(session: Any, do: str, arguments: dict[str, Any], verdict_stored: C
     return getattr(session, do)(**arguments) if do in ("measure", "attempt") else session.apply(do, **arguments)
 
 
-IMPORTED_FIRST = tuple(  # what most jobs need; the process that waits has it ready
-    f"frictrack.{name}"
-    for name in (
-        *("flow.session", "flow.stored_results", "flow.stages", "flow.opening", "fit", "diagnose"),
-        *(
-            "flow.plausibility_checks",
-            "diagnose.compare",
-            "tracking",
-            "recording",
-            "measure.motion",
-            "measure.friction",
-        ),
-    )
-)
+# what most jobs need; the process that waits has it ready
+IMPORTED_FIRST = ("flow.session", "flow.stored_results", "flow.stages", "flow.opening", "flow.plausibility_checks",
+                  "fit", "diagnose", "diagnose.compare", "tracking", "recording", "measure.motion",
+                  "measure.friction")  # fmt: skip
 
 
 def wait() -> None:
     """Import what jobs need, then run the job whose folder comes on the standard input; end with the input."""
     for module in IMPORTED_FIRST:
-        import_module(module)
+        import_module(f"frictrack.{module}")
     line = sys.stdin.readline()
     if not line:
         return

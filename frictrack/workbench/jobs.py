@@ -26,15 +26,8 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
+from frictrack.base import files
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import (
-    INTERNAL_FOLDER,
-    is_held,
-    lock_folder,
-    make_internal_folder,
-    make_subfolder,
-    replace_text,
-)
 from frictrack.workbench import BusyError
 
 MAX_START_SECONDS = 20.0  # until the process holds its lock
@@ -44,15 +37,8 @@ LAST_LINE_BYTES = 4096  # of the file of progress
 CHAINED = ("add_and_diagnose", "remove_and_diagnose", "add", "remove")
 REPEATED = ("run", "measure", "diagnose", "report")  # the later one does all that the earlier one would do
 MODEL_CHANGES = (*CHAINED, "fit", "run", "measure")
-WORDS = {
-    "run": "Run",
+WORDS = {  # of the others, the first part of their name
     "measure": "Measure the runs",
-    "fit": "Fit",
-    "add": "Add",
-    "remove": "Remove",
-    "add_and_diagnose": "Add",
-    "remove_and_diagnose": "Remove",
-    "diagnose": "Diagnose",
     "attempt": "Try",
     "report": "Write the report",
     "background": "Complete the diagnosis and the report",
@@ -125,7 +111,8 @@ class Job:
         """What the job does, in a few words."""
         spec = self.spec
         more = [spec["told"].get(key) for key in ("effect", "model")]
-        return " ".join((WORDS.get(spec["do"], spec["do"]), *(str(one) for one in more if one)))
+        what = WORDS.get(spec["do"], spec["do"].partition("_")[0].capitalize())
+        return " ".join((what, *(str(one) for one in more if one)))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -147,7 +134,6 @@ class Job:
             "state": state,
             "error": result.get("error"),
             "warnings": [one["words"] if isinstance(one, dict) else str(one) for one in warnings],
-            "started": spec["at"],
         }
 
     @property
@@ -160,15 +146,17 @@ class Job:
             `RUNNING`, `DONE`, `FAILED`, `CANCELLED`, or `INTERRUPTED` if its process was ended from outside.
 
         """
-        if result := self.result:
-            return FAILED if "error" in result else DONE
         # read before the lock: the process takes the lock first and creates this file after it
         began = (self.folder / "began").exists()
-        if is_held(self.folder / "alive") or (not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS):
+        if not self.result and (files.is_held(self.folder / "alive") or (not began and self._has_just_started)):
             return RUNNING
-        if result := self.result:  # written after the first check
+        if result := self.result:  # also one that was written after the first look
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
+
+    @property
+    def _has_just_started(self) -> bool:
+        return bool(abs(time.time() - self.spec["at"]) < MAX_START_SECONDS)
 
     def cancel(self) -> None:
         """End the job at once; finished steps are kept."""
@@ -233,8 +221,8 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
     """
     from frictrack.flow import CommandHistory  # noqa: PLC0415 - loads the science
 
-    with lock_folder(output):
-        folder = make_subfolder(make_internal_folder(output), "jobs")
+    with files.lock_folder(output):
+        folder = files.make_subfolder(files.make_internal_folder(output), "jobs")
         earlier, busy = list_jobs(output), running_job(output)
         if busy is not None:
             if not is_superseded(busy, spec.do, CommandHistory(output).revision):
@@ -245,15 +233,8 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
         number = max(taken, default=0) + 1
         made = folder / f"{number:04d}"
         made.mkdir(parents=True)
-        content = {
-            "do": spec.do,
-            "told": dict(spec.arguments),
-            "study": str(path.resolve()),
-            "seen": spec.expected_revision,
-            "who": spec.author,
-            "at": time.time(),
-        }
-        replace_text(made / "spec.json", json.dumps(content))
+        told = {"do": spec.do, "told": dict(spec.arguments), "seen": spec.expected_revision, "who": spec.author}
+        files.replace_text(made / "spec.json", json.dumps(told | {"study": str(path.resolve()), "at": time.time()}))
     (launch or launch_process)(made)
     _remove_old(earlier)
     return Job(made)
@@ -285,7 +266,7 @@ def list_jobs(output: Path) -> list[Job]:
         The jobs, oldest first.
 
     """
-    homes = (output / "jobs", output / INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
+    homes = (output / "jobs", output / files.INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
     folders = (one for home in homes for one in sorted(home.glob("[0-9]*")) if one.name.isdecimal())
     return [Job(one) for one in folders if (one / "spec.json").exists()]
 
@@ -364,23 +345,21 @@ class JobFollower:
 
 # --- the processes
 
-MODULE = "frictrack.workbench.job_process"
 PREPARE_S = 1.0  # from one job to the next process that waits
-COMMAND = (sys.executable, "-P", "-m", MODULE)  # -P: import nothing from this folder
+COMMAND = (sys.executable, "-P", "-m", "frictrack.workbench.job_process")  # -P: import nothing from this folder
 
 
 def launch_process(folder: Path) -> None:
     """Start a new process for a job."""
     with (folder / "output.txt").open("wb") as output:
-        process = subprocess.Popen(
-            [*COMMAND, str(folder)], stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-        )
-    _collect(process)
+        _start_process(str(folder), subprocess.DEVNULL, output)
 
 
-def _collect(process: subprocess.Popen[bytes]) -> None:
-    """Collect the exit status in a thread, so that no zombie process remains."""
+def _start_process(argument: str, source: int, output: Any) -> subprocess.Popen[bytes]:
+    """Start a process; its exit status is collected in a thread, so that no zombie process remains."""
+    process = subprocess.Popen([*COMMAND, argument], stdin=source, stdout=output, stderr=output, start_new_session=True)
     Thread(target=process.wait, daemon=True).start()
+    return process
 
 
 class WarmLauncher:
@@ -406,14 +385,7 @@ class WarmLauncher:
                 return
             if self._spare is not None and self._spare.stdin is not None:
                 self._spare.stdin.close()
-            self._spare = subprocess.Popen(
-                [*COMMAND, "--wait"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-            _collect(self._spare)
+            self._spare = _start_process("--wait", subprocess.PIPE, subprocess.DEVNULL)
 
     def launch(self, folder: Path) -> None:
         """Give a job to the process that waits; without one, start a new process."""

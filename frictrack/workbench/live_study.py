@@ -44,6 +44,7 @@ class LiveStudy:
         self.server = secrets.token_hex(8)  # tells the tabs that another process answers
         self.version = 0
         self.snapshot: Any = None
+        self._snapshots: Any = None  # their reader
         self.state: dict[str, Any] = {}
         self._text = "{}"
         self.output = path.parent / f"{path.stem}_results"  # until the study file is read
@@ -51,7 +52,7 @@ class LiveStudy:
         self.resumes_background = False  # the fit of a candidate has interrupted it
         self._idle_since = time.monotonic()
         self._seen: object = None
-        self._jobs, self._follower = jobs.JobsNow(), jobs.JobFollower()
+        self.jobs, self._follower = jobs.JobsNow(), jobs.JobFollower()
         self._listeners: set[Callable[[str], object]] = set()
         self.films = Films()
         self._reader, self._writer, self._drawer = (ThreadPoolExecutor(1, name) for name in ("read", "write", "draw"))
@@ -140,10 +141,10 @@ class LiveStudy:
     async def _check(self) -> None:
         """Read the files if they have changed. The marks are taken first: a change while they are read is seen next."""
         marks, now = await self.read(self._look)
-        ended = now.last is not None and now.last != self._jobs.last
+        ended = now.last is not None and now.last != self.jobs.last
         self._idle_since = time.monotonic() if now.running else self._idle_since
-        if now != self._jobs:
-            self._jobs = now
+        if now != self.jobs:
+            self.jobs = now
             self._send(f'{{"type":"job",{self._job_json}}}')
         if marks != self._seen or ended:
             self._seen = marks
@@ -159,13 +160,8 @@ class LiveStudy:
         return file_marks(self.path, self.output), self._follower.look(self.output)
 
     @property
-    def last_job(self) -> dict[str, Any] | None:
-        """The job that ended last."""
-        return self._jobs.last
-
-    @property
     def _job_json(self) -> str:
-        return f'"job":{to_json(self._jobs.running)},"last_job":{to_json(self._jobs.last)}'
+        return f'"job":{to_json(self.jobs.running)},"last_job":{to_json(self.jobs.last)}'
 
     @property
     def _whole(self) -> str:
@@ -178,10 +174,11 @@ class LiveStudy:
 
     def _read_state(self, version: int) -> str:
         """Read the study and describe it; what cannot be read is said in `error`."""
-        from frictrack.workbench.summaries import read_snapshot, state_of  # noqa: PLC0415 - loads NumPy and more
+        from frictrack.workbench.summaries import SnapshotReader, state_of  # noqa: PLC0415 - loads NumPy and more
 
         try:
-            self.snapshot = read_snapshot(self.path)
+            self._snapshots = self._snapshots or SnapshotReader(self.path)
+            self.snapshot = self._snapshots.read()
             self.state = {**state_of(self.snapshot)}
         except Exception as e:
             if not isinstance(e, OSError | FrictrackError):

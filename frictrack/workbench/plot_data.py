@@ -11,9 +11,9 @@ import numpy as np
 
 from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
-from frictrack.present.plots.style import BAND_SIGMAS, axis_label, unsmeared_frames
+from frictrack.present.plots.style import BAND_SIGMAS, axis_label, masked, unsmeared_frames
 from frictrack.records import Array, Friction, Track
-from frictrack.results import ModelResults, Results, RunResults
+from frictrack.results import BACKWARD, ModelResults, Results, RunResults
 
 HEADER_BYTES = 4  # the length of the scene, uint32
 ALIGNMENT = 4  # bytes of a Float32
@@ -107,7 +107,7 @@ def line(y: str, colour: str, name: str, label: str = "", **more: Any) -> dict[s
 
 def dots(y: str, colour: str, name: str, label: str = "", **more: Any) -> dict[str, Any]:
     """Describe a layer: a point for every row; `main`: its points are selected; for the others see `line`."""
-    return {"kind": "dots", "y": y, "colour": colour, "name": name, "label": label, **more}
+    return line(y, colour, name, label, **more) | {"kind": "dots"}
 
 
 def band(low: str, high: str, name: str, label: str = "", colour: str = "band") -> dict[str, Any]:
@@ -122,7 +122,7 @@ def span(begin: float, end: float, name: str, label: str = "", **more: Any) -> d
 
 TARGET = "target"
 TIME, PLACE, VELOCITY = axis("t", "time", "ms"), axis("x", "displacement", "mm"), axis("v", "velocity", "m/s")
-RESIDUAL, RESIDUAL_MEANING = "residual", "Measured minus modelled"
+RESIDUAL = "residual"
 RESIDUAL_TITLES = ("Residual against time", "Residual against place", "Residual against velocity")
 FORCE_TITLES = ("Force against time", "Force against velocity")
 MOTION_TITLES = {"x": ("Displacement", "mm"), "v": ("Velocity", "m/s"), "a": ("Acceleration", "m/s²")}
@@ -144,16 +144,10 @@ def track_plots(run: RunResults, index: int = 0) -> PlotData:
         return PlotData(extra={"view": "track"})
     columns = {"t": 1e3 * track.t, "sigma": 1e3 * track.sigma_px, "score": track.score}
     columns |= target_positions(run)
-    shown = [
-        plot(
-            f"{word} position in the picture",
-            TIME,
-            (name, "px"),
-            line(position_column(TARGET, name, run), "measured", "measured", "measured", by_run=True),
-            brush="x",
-        )
-        for word, name in (("Horizontal", "x"), ("Vertical", "y"))
-    ]
+    shown = []
+    for word, name in (("Horizontal", "x"), ("Vertical", "y")):
+        path = line(position_column(TARGET, name, run), "measured", "measured", "measured", by_run=True)
+        shown.append(plot(f"{word} position in the picture", TIME, (name, "px"), path, brush="x"))
     shown += [
         plot("Standard deviation of the position", TIME, ("sigma", "0.001 px"), dots("sigma", "measured", "sigma")),
         plot("Match score", TIME, ("score", ""), dots("score", "measured", "score")),
@@ -163,7 +157,7 @@ def track_plots(run: RunResults, index: int = 0) -> PlotData:
 
 def all_tracks(run: RunResults) -> dict[str, Track]:
     """Select the tracks of a run."""
-    others = {name: track for name, track in run.tracks.items() if name != "backward"}
+    others = {name: track for name, track in run.tracks.items() if name != BACKWARD}
     return {TARGET: run.track, **others} if run.track is not None else {}
 
 
@@ -269,12 +263,8 @@ def model_plots(
     for run in runs:
         entries.append(_run_entry(run, first, len(run.motion), order.index(run.name), first_frame(run)))
         first += len(run.motion)
-    names = {run.name for run in runs}
-    marks = [
-        span(1e3 * s["t"][0], 1e3 * s["t"][1], "fails", "model fails", run=s["run"], colour="warn")
-        for s in failing
-        if s["run"] in names
-    ]
+    spans = [(*s["t"], s["run"]) for s in failing if any(run.name == s["run"] for run in runs)]
+    marks = [span(1e3 * a, 1e3 * b, "fails", "model fails", run=name, colour="warn") for a, b, name in spans]
     shown = [*_residual_plots(residual_unit(model), marks, other), *_force_plots(other), *_motion_plots()]
     return PlotData(first, columns, shown, entries, {"view": "compare", "model": model.name})
 
@@ -286,27 +276,25 @@ def compared_runs(runs: Sequence[RunResults], model: ModelResults) -> list[RunRe
 
 def _residual_plots(unit: str, marks: list[dict[str, Any]], other: ModelResults | None) -> list[dict[str, Any]]:
     behind = [dots("other", "background-model", "background", model_label(other))] if other is not None else []
-    now = dots(
-        "left", "measured", "residual", RESIDUAL, about=RESIDUAL_MEANING, by_run=True, main=True, candidate="with"
-    )
-    noise = band("noise_low", "noise_high", "noise", "noise")
-    axes = (TIME, PLACE, VELOCITY)
+    more: dict[str, Any] = {"about": "Measured minus modelled", "by_run": True, "main": True, "candidate": "with"}
+    layers = [band("noise_low", "noise_high", "noise", "noise"), *behind]
+    layers.append(dots("left", "measured", "residual", RESIDUAL, **more))
     return [
-        plot(title, x, (RESIDUAL, unit), *(marks if x is TIME else ()), noise, *behind, now)
-        for title, x in zip(RESIDUAL_TITLES, axes, strict=True)
+        plot(title, x, (RESIDUAL, unit), *(marks if x is TIME else ()), *layers)
+        for title, x in zip(RESIDUAL_TITLES, (TIME, PLACE, VELOCITY), strict=True)
     ]
 
 
 def _force_plots(other: ModelResults | None) -> list[dict[str, Any]]:
-    background = ("F_other", "background-model", "background", model_label(other)) if other is not None else None
+    behind = [("F_other", "background-model", "background", model_label(other))] if other is not None else []
     over_time = [
         line("F", "measured", "measured", "measured", width=1, by_run=True),
-        *([line(*background, dash=[5, 3])] if background else []),
+        *(line(*look, dash=[5, 3]) for look in behind),
         line("F_model", "model", "model", "model", width=2, halo=True, candidate="F_with"),
     ]
     over_motion = [
         dots("F", "measured", "measured", "measured", by_run=True),
-        *([dots(*background)] if background else []),
+        *(dots(*look) for look in behind),
         dots("F_model", "model", "model", "model", candidate="F_with"),
     ]
     return [
@@ -347,10 +335,10 @@ def _failing_spans(results: Results, model: ModelResults) -> Sequence[Mapping[st
 def _run_columns(run: RunResults, model: ModelResults, other: ModelResults | None) -> dict[str, Array]:
     """Columns of one run, one row per frame, NaN where nothing was fitted."""
     m, f = run.motion, run.friction
-    rows: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v}
-    clean = None if f is None else unsmeared_frames(f, m.guard)  # the push is much larger than what follows
-    rows["F"] = np.full(len(m), np.nan) if f is None or clean is None else np.where(clean, f.F, np.nan)
-    rows["a"] = m.a if clean is None else np.where(clean, m.a, np.nan)
+    rows: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v, "F": np.full(len(m), np.nan), "a": m.a}
+    if f is not None:  # the push is much larger than what follows
+        clean = unsmeared_frames(f, m.guard)
+        rows |= {"F": masked(f.F, clean), "a": masked(m.a, clean)}
     rows["left"], rows["F_model"], noise = _model_curves(run, model)
     if other is not None:
         rows["other"], rows["F_other"], _ = _model_curves(run, other)

@@ -20,8 +20,8 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, RequestGuard, address_of, protect
-from frictrack.workbench.handlers import ANSWERS, STATIC, EventsHandler, PageFiles, UnknownHandler
+from frictrack.workbench.guard import LOOPBACK, REDIRECT_PAGE, GuardedApplication, RequestGuard, address_of
+from frictrack.workbench.handlers import ANSWERS, STATIC, AnswerHandler, EventsHandler, PageFiles, UnknownHandler
 from frictrack.workbench.live_study import LiveStudy
 from frictrack.workbench.uploads import UploadHandler
 
@@ -118,15 +118,12 @@ def application(live: LiveStudy, guard: RequestGuard) -> Application:
     """Create the application of a page, in which the guard checks every request."""
     logging.getLogger("tornado.access").setLevel(logging.ERROR)  # refusals and missing films are told to the page
     more: dict[str, Any] = {"live": live}
-    answers = [(rf"/api/{name}", kind, more | {"act": act}) for name, (kind, act) in ANSWERS.items()]
     addresses: list[Any] = [
-        *answers,
+        *((rf"/api/{n}", AnswerHandler, more | {"method": how, "act": act}) for n, (how, act) in ANSWERS.items()),
         (r"/api/events", EventsHandler, more),
         (r"/api/upload", UploadHandler, more),
         (r"/static/(.*)", PageFiles, {"path": str(STATIC)}),
         (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
         (r".*", UnknownHandler, more),
     ]
-    made = Application(addresses, websocket_ping_interval=PING_INTERVAL_S)
-    protect(made, guard)
-    return made
+    return GuardedApplication(guard, addresses, websocket_ping_interval=PING_INTERVAL_S)

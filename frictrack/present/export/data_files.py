@@ -21,34 +21,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.files import atomic_write, make_subfolder
-from frictrack.present.export.formats import ExportedFiles
-from frictrack.present.export.tables import (
-    SIGMA,
-    Column,
-    all_columns,
-    budget_table,
-    column_groups,
-    model_attributes,
-    motion_columns,
-    own_motion,
-    parameters_table,
-    plain_tables,
-    run_attributes,
-    study_attributes,
-    summary_tables,
-    track_columns,
-    tracks_of,
-)
+from frictrack.base.files import make_subfolder
+from frictrack.present.export import tables
+from frictrack.present.export.formats import ExportedFiles, write_files
 from frictrack.results import ModelResults, Results, RunResults
 
 if TYPE_CHECKING:
-    import pandas as pd
     import pyarrow as pa
     import xarray as xr
 
@@ -61,48 +47,43 @@ def write_mat(results: Results) -> ExportedFiles:
     from scipy.io import savemat  # noqa: PLC0415 - slow to load
     from scipy.io.matlab import MatWriteError  # noqa: PLC0415
 
-    own = own_motion(results)
+    own = tables.own_motion(results)
     study = {
-        **study_attributes(results),
+        **tables.study_attributes(results),
         "version": results.version,
         "runs": _array_of([_run(run, own.get(run.name)) for run in results.runs]),
         "models": _array_of([_model(model) for model in results.models]),
     }
-    path = results.output / f"{results.path.stem}.mat"
+    how: dict[str, Any] = {"long_field_names": True, "do_compression": True, "oned_as": "column"}
+    writer = partial(savemat, mdict={"study": study}, **how)
     try:
-        with atomic_write(path) as part:
-            savemat(part, {"study": study}, long_field_names=True, do_compression=True, oned_as="column")
+        return ExportedFiles(write_files(results.output, {f"{results.path.stem}.mat": writer}))
     except MatWriteError as e:
         raise FrictrackError(f"MATLAB's format cannot hold these results ({e}); export --to netcdf") from e
-    return ExportedFiles((path,))
 
 
 def _run(run: RunResults, own: Any) -> dict[str, Any]:
     """Return the struct of a run: its columns, their units, its description and its tracks."""
-    tracks = [{"name": name, **_columns(track_columns(track))} for name, track in tracks_of(run).items()]
-    return {
-        "name": run.name,
-        **_columns(all_columns(run, own)),
-        "attributes": run_attributes(run),
-        "tracks": _array_of(tracks),
-        "budget": _rows(budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY,
-    }
+    tracks = [{"name": name, **_columns(tables.track_columns(track))} for name, track in run.all_tracks.items()]
+    budget = _rows(tables.budget_table([run]).drop(columns="run")) if run.budget.get("rows") else EMPTY
+    about = {"attributes": tables.run_attributes(run), "tracks": _array_of(tracks), "budget": budget}
+    return {"name": run.name, **_columns(tables.all_columns(run, own)), **about}
 
 
 def _model(model: ModelResults) -> dict[str, Any]:
     """Return the struct of a model: its parameters, its errors, and the motion of each run."""
-    table = parameters_table([model]).drop(columns="model").rename(columns={"parameter": "name"})
+    table = tables.parameters_table([model]).drop(columns="model").rename(columns={"parameter": "name"})
     return {
         "name": model.name,
-        **model_attributes(model),
+        **tables.model_attributes(model),
         "current": model.current,
         "parameters": _rows(table),
         "errors": {key: _known(value) for key, value in model.summary["errors"].items()},
-        "motion": _array_of([{"run": one.run, **_columns(motion_columns(one))} for one in model.motion]),
+        "motion": _array_of([{"run": one.run, **_columns(tables.motion_columns(one))} for one in model.motion]),
     }
 
 
-def _columns(columns: Iterable[Column]) -> dict[str, Any]:
+def _columns(columns: Iterable[tables.Column]) -> dict[str, Any]:
     """Return columns as fields, texts as cells, and the struct of their units."""
     columns = list(columns)
     values = {c.name: c.values.astype(object) if c.values.dtype.kind == "U" else c.values for c in columns}
@@ -141,47 +122,42 @@ def write_netcdf(results: Results) -> ExportedFiles:
         import xarray as xr  # noqa: PLC0415
     except ImportError as e:
         raise FrictrackError(f"writing netCDF needs {e.name}; pip install frictrack[xarray]") from e
-    tree = xr.DataTree.from_dict(_groups(results))
-    path = results.output / f"{results.path.stem}.nc"
-    with atomic_write(path) as part:
-        tree.to_netcdf(part, engine="h5netcdf")
-    return ExportedFiles((path,))
+    writer = partial(xr.DataTree.from_dict(_groups(results)).to_netcdf, engine="h5netcdf")
+    return ExportedFiles(write_files(results.output, {f"{results.path.stem}.nc": writer}))
 
 
 def _groups(results: Results) -> dict[str, xr.Dataset]:
     """Return the datasets by the names of their groups."""
     import xarray as xr  # noqa: PLC0415
 
-    groups = {"/": _described(xr.Dataset(), {"Conventions": CONVENTIONS, **study_attributes(results)})}
-    for kind, names, columns in column_groups(results):
+    groups = {"/": _described(xr.Dataset(), {"Conventions": CONVENTIONS, **tables.study_attributes(results)})}
+    for kind, names, columns in tables.column_groups(results):
         groups["/".join([kind, *names.values()])] = _dataset(columns)
     for run in results.runs:
-        groups[f"runs/{run.name}"] = _described(groups[f"runs/{run.name}"], run_attributes(run))
+        groups[f"runs/{run.name}"] = _described(groups[f"runs/{run.name}"], tables.run_attributes(run))
         if run.budget.get("rows"):
-            groups[f"budgets/{run.name}"] = _table_dataset(budget_table([run]).drop(columns="run"), "source")
+            groups[f"budgets/{run.name}"] = _table_dataset(tables.budget_table([run]).drop(columns="run"), "source")
     return groups | {f"models/{model.name}": _model_dataset(model) for model in results.models}
 
 
-def _dataset(columns: Iterable[Column]) -> xr.Dataset:
+def _dataset(columns: Iterable[tables.Column]) -> xr.Dataset:
     """Return columns over the time, each with its unit, its meaning, and the name of its standard deviation."""
     import xarray as xr  # noqa: PLC0415
 
-    columns = list(columns)
-    names = {column.name for column in columns}
+    values = {column.name: column for column in columns}
     variables = {}
-    for column in columns:
-        about = {"long_name": column.meaning} | ({"units": column.unit} if column.unit else {})
-        if SIGMA + column.name in names:
-            about["ancillary_variables"] = SIGMA + column.name
-        variables[column.name] = ("t", column.values, about)
+    for name, column in values.items():
+        sigma = tables.SIGMA + name if tables.SIGMA + name in values else ""
+        about = {"long_name": column.meaning, "units": column.unit, "ancillary_variables": sigma}
+        variables[name] = ("t", column.values, {key: text for key, text in about.items() if text})
     return xr.Dataset(variables).set_coords("t")
 
 
 def _model_dataset(model: ModelResults) -> xr.Dataset:
     """Return the parameters of a model; its equation and its errors are attributes."""
     errors = {name: value for name, value in model.summary["errors"].items() if value is not None}
-    parameters = _table_dataset(parameters_table([model]).drop(columns="model"), "parameter")
-    return _described(parameters, {"current": int(model.current), **errors, **model_attributes(model)})
+    parameters = _table_dataset(tables.parameters_table([model]).drop(columns="model"), "parameter")
+    return _described(parameters, {"current": int(model.current), **errors, **tables.model_attributes(model)})
 
 
 def _table_dataset(table: pd.DataFrame, index: str) -> xr.Dataset:
@@ -213,13 +189,10 @@ def _values(cells: pd.Series[Any]) -> Any:
 
 def write_csv(results: Results) -> ExportedFiles:
     """Write CSV files into the folder `csv`."""
-    folder = make_subfolder(results.output, "csv")
-    paths = []
-    for name, table in plain_tables(results).items():
-        paths.append(folder / f"{name}.csv")
-        with atomic_write(paths[-1]) as part:
-            table.to_csv(part, index=False)
-    return ExportedFiles(tuple(paths))
+    writers = {
+        f"{name}.csv": partial(table.to_csv, index=False) for name, table in tables.plain_tables(results).items()
+    }
+    return ExportedFiles(write_files(make_subfolder(results.output, "csv"), writers))
 
 
 MAX_SHEET_NAME, MAX_ROWS = 31, 1 << 20  # of Excel
@@ -227,24 +200,25 @@ MAX_SHEET_NAME, MAX_ROWS = 31, 1 << 20  # of Excel
 
 def write_xlsx(results: Results) -> ExportedFiles:
     """Write the workbook."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
-    tables, path = plain_tables(results), results.output / f"{results.path.stem}.xlsx"
-    long = [name for name, table in tables.items() if len(table) >= MAX_ROWS]
-    if long:
+    pages = tables.plain_tables(results)
+    sheets = sheet_names(pages)
+    if long := [name for name, table in pages.items() if len(table) >= MAX_ROWS]:
         raise FrictrackError(
-            f'expected tables of less than {MAX_ROWS} rows but "{long[0]}" has {len(tables[long[0]])}, which Excel '
+            f'expected tables of less than {MAX_ROWS} rows but "{long[0]}" has {len(pages[long[0]])}, which Excel '
             "cannot hold; export --to parquet"
         )
-    sheets = sheet_names(tables)
-    try:
-        with atomic_write(path) as part, pd.ExcelWriter(part, engine="openpyxl") as book:
-            for name, table in tables.items():
+
+    def write_book(part: Path) -> None:
+        with pd.ExcelWriter(part, engine="openpyxl") as book:
+            for name, table in pages.items():
                 table.to_excel(book, sheet_name=sheets[name], index=False)
+
+    try:
+        paths = write_files(results.output, {f"{results.path.stem}.xlsx": write_book})
     except ImportError as e:
         raise FrictrackError("writing Excel needs openpyxl; pip install frictrack[xlsx]") from e
     shortened = tuple(f'name of the sheet "{name}", shortened to "{s}"' for name, s in sheets.items() if s != name)
-    return ExportedFiles((path,), shortened)
+    return ExportedFiles(paths, shortened)
 
 
 def sheet_names(names: Iterable[str]) -> dict[str, str]:
@@ -269,7 +243,7 @@ def sheet_names(names: Iterable[str]) -> dict[str, str]:
     return sheets
 
 
-Rows = tuple[Mapping[str, str], list[Column]]  # constants of a part of the table, and its columns
+Rows = tuple[Mapping[str, str], list[tables.Column]]  # constants of a part of the table, and its columns
 
 
 def write_parquet(results: Results) -> ExportedFiles:
@@ -280,39 +254,30 @@ def write_parquet(results: Results) -> ExportedFiles:
     except ImportError as e:
         raise FrictrackError("writing Parquet needs pyarrow; pip install frictrack[parquet]") from e
     parts: dict[str, list[Rows]] = {"curves": [], "tracks": [], "motion": []}
-    for kind, names, columns in column_groups(results):
+    for kind, names, columns in tables.column_groups(results):
         parts[{"runs": "curves", "models": "motion"}.get(kind, kind)].append((names, columns))
     made = {name: _joined(rows) for name, rows in parts.items()}
-    made |= {name: pa.Table.from_pandas(t, preserve_index=False) for name, t in summary_tables(results).items()}
-    folder = make_subfolder(results.output, "parquet")
+    made |= {name: pa.Table.from_pandas(t, preserve_index=False) for name, t in tables.summary_tables(results).items()}
     about = {"frictrack_version": results.version, "study": results.name}
-    paths = []
+    writers = {}
     for name, table in made.items():
         if table.num_rows:
-            paths.append(folder / f"{name}.parquet")
-            with atomic_write(paths[-1]) as part:
-                pq.write_table(table.replace_schema_metadata({**(table.schema.metadata or {}), **about}), part)
-    return ExportedFiles(tuple(paths))
+            described = table.replace_schema_metadata({**(table.schema.metadata or {}), **about})
+            writers[f"{name}.parquet"] = partial(pq.write_table, described)
+    return ExportedFiles(write_files(make_subfolder(results.output, "parquet"), writers))
 
 
 def _joined(parts: list[Rows]) -> pa.Table:
-    """Return one table of all parts; what a part lacks is null."""
+    """Return one table of all parts; what a part lacks is null. Unit and meaning are in the metadata of the fields."""
     import pyarrow as pa  # noqa: PLC0415
 
-    tables = [_part(constants, columns) for constants, columns in parts]
-    joined = pa.concat_tables(tables, promote_options="permissive") if tables else pa.table({})
-    units = {f.name: f.metadata[b"unit"].decode() for f in joined.schema if f.metadata}
-    return joined.replace_schema_metadata({"PANDAS_ATTRS": json.dumps({"units": units})})
-
-
-def _part(constants: Mapping[str, str], columns: list[Column]) -> pa.Table:
-    """Return one part of a table; unit and meaning stand in the metadata of the fields."""
-    import pyarrow as pa  # noqa: PLC0415
-
-    n = len(columns[0].values)
-    arrays: list[Any] = [pa.repeat(value, n) for value in constants.values()]
-    arrays += [pa.array(column.values) for column in columns]
-    described = [(c.name, {"unit": c.unit, "description": c.meaning}) for c in columns]
-    names = [*((name, None) for name in constants), *described]
-    schema = pa.schema([pa.field(name, a.type, metadata=about) for (name, about), a in zip(names, arrays, strict=True)])
-    return pa.Table.from_arrays(arrays, schema=schema)
+    joinable = [
+        pa.table({name: pa.repeat(value, len(columns[0].values)) for name, value in constants.items()}
+                 | {column.name: pa.array(column.values) for column in columns})
+        for constants, columns in parts
+    ]  # fmt: skip
+    joined = pa.concat_tables(joinable, promote_options="permissive") if joinable else pa.table({})
+    about = {c.name: {"unit": c.unit, "description": c.meaning} for _, columns in parts for c in columns}
+    fields = [f.with_metadata(about[f.name]) if f.name in about else f for f in joined.schema]
+    units = {f.name: about[f.name]["unit"] for f in fields if f.name in about}
+    return joined.cast(pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps({"units": units})}))

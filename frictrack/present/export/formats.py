@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,12 +21,11 @@ if TYPE_CHECKING:
 _DIAGNOSIS = "diagnosis and comparison of the models, which are in the report and in study.h5"
 _PICTURES = "first frame of the film and picture of the target"
 _SMOOTHER = "the smoother itself and its trade-off, which are in the HDF5 files"
+_HASHES = "settings, versions and hashes of the inputs"
 _NOT_IN_TABLES = (
     "tracks in pixels, standard deviations of the measured displacement, and sensors",
     "models that are not the current one, except their parameters and errors",
-    "settings, versions and hashes of the inputs",
-    _DIAGNOSIS,
-    _SMOOTHER,
+    *(_HASHES, _DIAGNOSIS, _SMOOTHER),
 )
 _NOT_IN_TRACKER = (
     "all standard deviations, because Tracker has none",
@@ -104,12 +106,7 @@ FORMATS = {
         "a Parquet file per kind of table, with a column for the run; units in the metadata of the columns",
         "duckdb.sql(\"SELECT run, max(v) FROM 'parquet/curves.parquet' GROUP BY run\")",
         "frictrack.present.export.data_files:write_parquet",
-        (
-            "settings, versions and hashes of the inputs, except the version of frictrack",
-            _DIAGNOSIS,
-            _PICTURES,
-            _SMOOTHER,
-        ),
+        (f"{_HASHES}, except the version of frictrack", _DIAGNOSIS, _PICTURES, _SMOOTHER),
     ),
     "trk": ExportFormat(
         "a project of the video program Tracker per film: the film, the scale and axes, and a point mass per target",
@@ -136,6 +133,14 @@ FORMATS = {
         _NOT_IN_FIGURES,
     ),
 }
+
+
+def write_files(folder: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[Path, ...]:
+    """Write files, each completely or not at all; every writer gets the path to write to."""
+    for name, write_content in writers.items():
+        with atomic_write(folder / name) as part:
+            write_content(part)
+    return tuple(folder / name for name in writers)
 
 
 def find_format(name: str) -> ExportFormat:
@@ -225,15 +230,13 @@ def _write(results: Results, form: str) -> ExportedFiles:
     from frictrack.present import plots  # noqa: PLC0415 - loads Matplotlib
 
     folder = make_subfolder(results.output, "figures")
-    paths, has_pictures = [], False
+    paths: list[Path] = []
+    lost: tuple[str, ...] = ()
     for title, draw in plots.study_figures(results):
         name, figure = NOT_IN_FILE_NAMES.sub("_", title), draw()
-        data = plots.plotted_data(figure)
-        has_pictures = has_pictures or any(ax.images for ax in figure.axes)
-        content = plots.file_content(figure, form)
-        for path, written in ((f"{name}.{form}", content), (f"{name}.csv", data.to_csv(index=False).encode())):
-            with atomic_write(folder / path) as part:
-                part.write_bytes(written)
-            paths.append(folder / path)
-    lost = ("grey values of pictures, which a figure shows and its CSV file leaves out",) if has_pictures else ()
+        data, content = plots.plotted_data(figure), plots.file_content(figure, form)
+        if any(ax.images for ax in figure.axes):
+            lost = ("grey values of pictures, which a figure shows and its CSV file leaves out",)
+        as_csv = partial(data.to_csv, index=False)
+        paths += write_files(folder, {f"{name}.{form}": methodcaller("write_bytes", content), f"{name}.csv": as_csv})
     return ExportedFiles(tuple(paths), lost)

@@ -5,29 +5,26 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import Field, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from frictrack.records import ModelledMotion, Track
 from frictrack.results import ModelResults, Results, RunResults, to_builtins
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 SIGMA, MODEL = "sigma_", "_model"
 MAX_TIME_DIFFERENCE_S = 1e-9  # between two records of the same frame
 NOTHING: Mapping[str, str] = {}
-_REPAIRED = "0 as measured, 1 tracked again, 2 interpolated, 3 left out"
 MEANINGS = {
     "t": "time",
     "x_measured": "measured displacement along the course",
     "y_measured": "measured displacement across the course",
     "angle": "rotation of the target, counter-clockwise",
     "valid": "whether the frame was measured and is no outlier",
-    "repaired": _REPAIRED,
+    "repaired": "0 as measured, 1 tracked again, 2 interpolated, 3 left out",
     "x": "smoothed displacement along the course",
     "v": "velocity",
     "a": "acceleration",
@@ -46,12 +43,7 @@ MEANINGS = {
     "blow": "whether the frame belongs to an unresolved collision",
     "segment": "number of the segment",
 }  # by name of a column without `SIGMA` and `MODEL`
-_RENAMED_DISPLACEMENT = {
-    "x": "x_measured",
-    "y": "y_measured",
-    "sigma_x": "sigma_x_measured",
-    "sigma_y": "sigma_y_measured",
-}
+_RENAMED_DISPLACEMENT = {name: f"{name}_measured" for name in ("x", "y", "sigma_x", "sigma_y")}
 _RENAMED_SENSORS = {"a": "a_sensor", "friction_N": "friction_sensor", "known_a": "a_known"}
 _RENAMED_TRACK = {"sigma_px": "sigma_x_px", "angle": "angle_picture", "sigma_angle": "sigma_angle_picture"}
 
@@ -123,11 +115,6 @@ def track_columns(track: Track) -> list[Column]:
     return [Column("t", track.t, "s"), *_columns_of(track, _RENAMED_TRACK)]
 
 
-def tracks_of(run: RunResults) -> dict[str, Track]:
-    """Return all tracks of a film by name, that of the target first; none for a table."""
-    return {} if run.track is None else {run.track.name: run.track, **run.tracks}
-
-
 def motion_columns(motion: ModelledMotion) -> list[Column]:
     """Return the motion of a run by one model, at the frames that were fitted or predicted."""
     return [Column("t", motion.t, "s"), *_columns_of(motion)]
@@ -143,7 +130,7 @@ def column_groups(results: Results) -> Iterator[tuple[str, dict[str, str], list[
     own = own_motion(results)
     for run in results.runs:
         yield "runs", {"run": run.name}, all_columns(run, own.get(run.name))
-        for name, track in tracks_of(run).items():
+        for name, track in run.all_tracks.items():
             yield "tracks", {"run": run.name, "target": name}, track_columns(track)
     for model in results.models:
         for one in model.motion:
@@ -178,13 +165,8 @@ def run_attributes(run: RunResults) -> dict[str, Any]:
 
 def study_attributes(results: Results) -> dict[str, str]:
     """Return texts that describe a study."""
-    notes = as_json([*results.notes, *results.warnings])
-    about = {
-        "title": results.name,
-        "source": f"frictrack {results.version}",
-        "study": results.path.name,
-        "notes": notes,
-    }
+    about = {"title": results.name, "source": f"frictrack {results.version}", "study": results.path.name}
+    about["notes"] = as_json([*results.notes, *results.warnings])
     return about | ({} if results.comparison is None else {"comparison": as_json(results.comparison)})
 
 
@@ -199,11 +181,7 @@ def _columns_of(record: Any, renamed: Mapping[str, str] = NOTHING) -> Iterator[C
     for f in fields(record) if record is not None else ():
         values = getattr(record, f.name)
         if f.metadata.get("column") and f.name != "t" and values is not None:
-            yield Column(renamed.get(f.name, f.name), np.asarray(values), _unit(f))
-
-
-def _unit(field: Field[Any]) -> str:
-    return str(field.metadata["unit"])
+            yield Column(renamed.get(f.name, f.name), np.asarray(values), str(f.metadata["unit"]))
 
 
 def _each_once(columns: Iterable[Column]) -> list[Column]:
@@ -216,32 +194,24 @@ def as_json(value: Any) -> str:
     return json.dumps(to_builtins(value), ensure_ascii=False)
 
 
-SUMMARIES = ("parameters", "errors", "budget")
+SUMMARIES = ("parameters", "errors", "budget")  # names of the tables of all runs together
 
 
 def plain_tables(results: Results) -> dict[str, pd.DataFrame]:
-    """Return the curves of every run with units in the headers, then the summaries, by name of the table."""
+    """Return the curves of every run with units in the headers, then the summaries, each by a name of its own."""
     own = own_motion(results)
-    tables = {_table_name(run.name): _with_units(curve_columns(run, own.get(run.name))) for run in results.runs}
+    tables = {}
+    for run in results.runs:
+        columns = {_header(column): column.values for column in curve_columns(run, own.get(run.name))}
+        tables[f"run {run.name}" if run.name in SUMMARIES else run.name] = pd.DataFrame(columns)
     return tables | summary_tables(results)
 
 
 def summary_tables(results: Results) -> dict[str, pd.DataFrame]:
     """Return parameters and errors of all models, and the error budgets of the runs if there are any."""
-    tables = {"parameters": parameters_table(results.models), "errors": _errors_table(results)}
+    errors = pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])
+    tables = {"parameters": parameters_table(results.models), "errors": errors}
     return tables | ({"budget": budget_table(results.runs)} if any(run.budget for run in results.runs) else {})
-
-
-def _table_name(name: str) -> str:
-    """Return the name of a run's table, different from those of the other tables."""
-    return f"run {name}" if name in SUMMARIES else name
-
-
-def _with_units(columns: Iterable[Column]) -> pd.DataFrame:
-    """Return the columns of one run, one row per frame, units in the headers."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
-    return pd.DataFrame({_header(column): column.values for column in columns})
 
 
 def _header(column: Column) -> str:
@@ -260,14 +230,8 @@ def _header(column: Column) -> str:
 
 def parameters_table(models: Iterable[ModelResults]) -> pd.DataFrame:
     """Return the parameters of models, one row per model and parameter."""
-    import pandas as pd  # noqa: PLC0415
-
-    rows = [
-        {"model": model.name, "parameter": name, **_flat(values)}
-        for model in models
-        for name, values in model.summary["parameters"].items()
-    ]
-    return pd.DataFrame(rows)
+    found = ((model.name, *item) for model in models for item in model.summary["parameters"].items())
+    return pd.DataFrame([{"model": model, "parameter": name, **_flat(values)} for model, name, values in found])
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -283,15 +247,6 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def _errors_table(results: Results) -> pd.DataFrame:
-    """Return the errors of all models."""
-    import pandas as pd  # noqa: PLC0415
-
-    return pd.DataFrame([{"model": model.name, **model.summary["errors"]} for model in results.models])
-
-
 def budget_table(runs: Iterable[RunResults]) -> pd.DataFrame:
     """Return every source of error of the friction force of runs; an empty cell is unknown."""
-    import pandas as pd  # noqa: PLC0415
-
     return pd.DataFrame([{"run": run.name, **row} for run in runs for row in run.budget.get("rows", ())])

@@ -20,7 +20,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from frictrack.base.errors import UsageError
 from frictrack.base.files import make_subfolder, replace_text
 from frictrack.present.export.formats import ExportedFiles
-from frictrack.present.export.tables import tracks_of
 from frictrack.records import Array, Displacement, Track
 from frictrack.results import BACKWARD, RecordingInfo, Results, RunResults
 
@@ -91,11 +90,9 @@ def write_txt(results: Results) -> ExportedFiles:
     paths, lost = [], []
     for run in results.runs:
         paths.append(replace_text(folder / f"{run.name}.txt", _text(run)))
-        left_out = len(run.displacement) - int(np.count_nonzero(run.displacement.known))
-        if left_out:
+        if left_out := len(run.displacement) - int(np.count_nonzero(run.displacement.known)):
             lost.append(f"{left_out} frames of {run.name} without a valid position, which are left out")
-        further = [name for name in run.tracks if name != BACKWARD]
-        if further:
+        if further := [name for name in run.tracks if name != BACKWARD]:
             lost.append(f"further targets of {run.name} ({', '.join(further)}), whose positions --to trk writes")
     return ExportedFiles(tuple(paths), tuple(lost))
 
@@ -146,15 +143,11 @@ def _project(run: RunResults, study: Path, folder: Path) -> tuple[str, list[str]
     assert track is not None
     axes, video = tracker_axes(track, run.displacement), _video(study / run.source, folder)
     pitch = run.displacement.pixel_pitch
-    targets = {name: one for name, one in tracks_of(run).items() if name != BACKWARD}
+    targets = {name: one for name, one in run.all_tracks.items() if name != BACKWARD}
     height, width = film.picture.shape
+    loader = PackageLoader("frictrack", "present/export")
+    pages = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
     # Tracker reads its files line by line: a text with characters of XML is marked as such
-    pages = Environment(
-        loader=PackageLoader("frictrack", "present/export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
     pages.filters["text"] = lambda text: f"<![CDATA[{text}]]>" if set(text) & set("<>&") else text
     project = pages.get_template("tracker.trk.j2").render(
         width=width,
@@ -168,18 +161,18 @@ def _project(run: RunResults, study: Path, folder: Path) -> tuple[str, list[str]
         # without a direction, the axes lie in the corner of the picture
         axes=axes or TrackerAxes(1 / pitch if pitch else 1.0, 0.0, (PIXEL_CENTRE, PIXEL_CENTRE), False, 0.0),
         targets=[
-            {
-                "name": one.name,
-                "colour": COLOURS[k % len(COLOURS)],
-                "mass": DEFAULT_MASS if run.mass is None or one is not track else run.mass,
-                "places": [
-                    (i, one.x_px[i] + PIXEL_CENTRE, one.y_px[i] + PIXEL_CENTRE) for i in np.flatnonzero(one.found)
-                ],
-            }
+            {"name": one.name, "colour": COLOURS[k % len(COLOURS)], "places": _places(one)}
+            | {"mass": DEFAULT_MASS if run.mass is None or one is not track else run.mass}
             for k, one in enumerate(targets.values())
         ],
     )
     return project, _lost(run, film, axes, video is None, targets)
+
+
+def _places(track: Track) -> list[tuple[int, float, float]]:
+    """Frame and position of every frame in which a target was found."""
+    places = np.column_stack([track.x_px, track.y_px]) + PIXEL_CENTRE
+    return [(i, *places[i].tolist()) for i in np.flatnonzero(track.found).tolist()]
 
 
 def _lost(
@@ -188,21 +181,18 @@ def _lost(
     """Return what a project of Tracker cannot hold of this run."""
     expected = film.t[0] + np.arange(len(film.t)) / film.fps
     unevenness = float(np.max(np.abs(film.t - expected)))
+    is_uneven = unevenness * film.fps > MAX_UNEVENNESS_FRAMES
     interpolated = sum(int(np.count_nonzero(np.isfinite(t.x_px) & ~t.found)) for t in targets.values())
     pitch = run.displacement.pixel_pitch or np.inf
+    away, is_mirrored = (axes.difference, axes.is_mirrored) if axes else (0.0, False)
     facts = {
         f"film of {run.name}: Tracker does not open {run.source}": no_video,
-        f"uneven times of the frames of {run.name}, up to {MS * unevenness:.3g} ms from one frame rate": (
-            unevenness * film.fps > MAX_UNEVENNESS_FRAMES
-        ),
+        f"uneven times of the frames of {run.name}, up to {MS * unevenness:.3g} ms from one frame rate": is_uneven,
         f"{interpolated} interpolated positions of {run.name}, which are left out": interpolated,
         f"direction and origin of the course in {run.name}, because the target does not move": axes is None,
-        f"sign of y in {run.name}: it is the opposite in Tracker, whose y lies to the left of x": (
-            axes is not None and axes.is_mirrored
-        ),
+        f"sign of y in {run.name}: it is the opposite in Tracker, whose y lies to the left of x": is_mirrored,
         f"corrections of lens, perspective, shake or rotation in {run.name}: positions differ by up to "
-        f"{1e6 * (axes.difference if axes else 0.0):.3g} µm": axes is not None
-        and axes.difference > MAX_DIFFERENCE_PX * pitch,
+        f"{1e6 * away:.3g} µm": away > MAX_DIFFERENCE_PX * pitch,
         f"mass of {run.name}, which is unknown; Tracker shows {DEFAULT_MASS:g} kg": run.mass is None,
     }
     return [what for what, is_lost in facts.items() if is_lost]

@@ -12,6 +12,7 @@ from frictrack.present.plots.evidence import (
     has_scan,
     limits,
     missing_force,
+    parameter_unit,
     scan,
     unexplained,
 )

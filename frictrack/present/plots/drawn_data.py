@@ -107,9 +107,8 @@ def _title(ax: Axes) -> str:
 
 
 def _label(ax: Axes, which: str) -> str:
-    """Return the label of an axis; panels that share one, or stand in one row or column, may have it once."""
-    shared = getattr(ax, f"get_shared_{which}_axes")().get_siblings(ax)
-    texts = [getattr(one, f"get_{which}label")() for one in (ax, *shared, *_in_line(ax, which))]
+    """Return the label of an axis; panels in one row or column may have it once."""
+    texts = [getattr(one, f"get_{which}label")() for one in (ax, *_in_line(ax, which))]
     return " ".join(next((text for text in texts if text), "").split())
 
 

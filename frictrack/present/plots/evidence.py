@@ -61,8 +61,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
         ax.set_xscale("log")
     top = max(float(gains.max(initial=0.0)), 1.0)
     ax.set_xlim(floor, top**1.45 if logarithmic else 1.45 * top)
-    ax.set_yticks(range(len(shown)), [row.effect for row in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
+    style.name_rows(ax, [row.effect for row in shown])
     ax.set_xlabel("evidence: delta BIC, logarithmic" if logarithmic else "evidence: delta BIC")
     common = [Patch(alpha=0.0, label=f"all have p {shown[0].p} for the whole search")] if same_p else []
     style.legend_below(figure, *common)
@@ -84,8 +83,7 @@ def _candidates_title(rows: Sequence[CandidateRow]) -> str:
     good = [row for row in rows if row.passes]
     if not good:
         return "No candidate is significant for the whole search"
-    rivals = good[0].source.get("indistinguishable_from") or []
-    if rivals:
+    if rivals := good[0].source.get("indistinguishable_from"):
         return f"{good[0].effect} explains most, but {join_words(rivals)} cannot be distinguished from it"
     return f"{good[0].effect} explains most" + (f"; {len(good) - 1} more pass" if len(good) > 1 else "")
 
@@ -108,14 +106,20 @@ def has_scan(curves: Mapping[str, Array]) -> str | None:
         Name of the scanned setting with the most values; None if there is nothing to draw.
 
     """
-    name = _widest_setting(curves) if "rise" in curves else ""
-    return name if name and len(np.unique(curves[name])) >= MIN_SETTINGS else None
+    name, at, _ = _over_setting(curves, "rise")
+    return name if len(at) >= MIN_SETTINGS else None
 
 
-def _widest_setting(curves: Mapping[str, Array]) -> str:
-    """The setting with the most values; "" if there is none."""
+def _over_setting(curves: Mapping[str, Array], result: str) -> tuple[str, Array, Array]:
+    """Setting with the most values, these values (k,), and the largest result (k,) at each of them; else all empty."""
     settings = [name for name in curves if name not in RESULT_CURVES]
-    return max(settings, key=lambda name: len(np.unique(curves[name])), default="")
+    if not settings or result not in curves:
+        return "", np.zeros(0), np.zeros(0)
+    name = max(settings, key=lambda setting: len(np.unique(curves[setting])))
+    at, which = np.unique(curves[name], return_inverse=True)
+    largest = np.full(len(at), -np.inf)
+    np.maximum.at(largest, which, curves[result])
+    return name, at, largest
 
 
 @styled
@@ -139,12 +143,11 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
         If no setting of the effect was scanned.
 
     """
-    name = has_scan(curves)
-    if name is None:
+    name, at, rise = _over_setting(curves, "rise")
+    if len(at) < MIN_SETTINGS:
         raise ValueError(f'expected the scan of an effect but "{effect}" has no setting that was scanned')
-    at, rise = _largest(curves[name], curves["rise"])
     best = float(at[np.argmax(rise)])
-    written = _unit(effect, name)
+    written = parameter_unit(effect, name)
     factor, shown = style.axis_scale(at, written)
     where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
     title = f"{effect} fits best at a {_setting_name(name)} near {where}"
@@ -158,22 +161,15 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     return figure
 
 
-def _largest(at: Array, values: Array) -> tuple[Array, Array]:
-    """Distinct settings (k,), sorted, and the largest of the values (n,) at each of them."""
-    places, which = np.unique(at, return_inverse=True)
-    out = np.full(len(places), -np.inf)
-    np.maximum.at(out, which, values)
-    return places, out
-
-
 def _setting_name(name: str) -> str:
     return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
 
 
-def _unit(effect: str, name: str) -> str:
+def parameter_unit(effect: str, name: str) -> str:
+    """Unit of a parameter of an effect; "" for an effect that a study defines itself."""
     try:
         return effects.get(effect).parameter(name).unit
-    except (FrictrackError, StopIteration):  # an effect that a study defines itself
+    except (FrictrackError, StopIteration):
         return ""
 
 
@@ -209,8 +205,7 @@ def _scan_axis(curves: Mapping[str, Array]) -> tuple[str, Array, Array]:
 
     Values at which no size is detectable are left out.
     """
-    name = _widest_setting(curves)
-    at, limit = _largest(curves[name], curves["limit"]) if name else np.empty((2, 0))
+    name, at, limit = _over_setting(curves, "limit")
     good = np.isfinite(limit) & (limit > 0)
     return name, at[good], limit[good]
 
@@ -246,7 +241,7 @@ def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | N
 
 def _draw_limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]) -> None:
     name, at, limit = _scan_axis(curves)
-    factor, shown = style.axis_scale(at, _unit(effect, name))
+    factor, shown = style.axis_scale(at, parameter_unit(effect, name))
     size, size_unit = style.axis_scale(limit, written)
     ax.plot(factor * at, size * limit, color=style.BLUE, lw=1.2)
     ax.fill_between(factor * at, size * limit, 1.3 * size * limit.max(), color=style.SKY, alpha=0.25, lw=0)
@@ -261,6 +256,8 @@ MAX_GAP_STEPS = 20.0  # median steps along an axis; a line has a gap where the s
 MAX_RUNS = 12  # drawn one by one; of more runs, those with the largest missing force
 MARK_HEIGHT = 0.03  # of a panel's height, between the marks of two runs
 FOOT_HEIGHT = 0.05  # of a panel's height, below the lowest mark
+Rows = Mapping[str, Array]  # columns (n,) of the samples of all runs; `run` is the index of the run
+Looks = Mapping[float, Mapping[str, Any]]  # how the line of a run is drawn, by its index
 
 
 @styled
@@ -293,27 +290,21 @@ def missing_force(
         If the diagnosis has no missing force; see `has_missing_force`.
 
     """
-    whole = at_reference_load(figures["residual_force"])
-    shown = [name for name in AXES if name in whole]
-    drawn, styles = _strongest_runs(whole, styles)
+    whole, names = at_reference_load(figures["residual_force"]), list(styles)
+    shown, kept = [name for name in AXES if name in whole], worst_runs(whole, "F", "sigma_F", MAX_RUNS)
+    looks = {k: {"lw": 1.0, "alpha": 0.9, "label": names[int(k)], **styles[names[int(k)]]} for k in kept}
     n = len(np.unique(whole["run"]))
-    figure = new_figure(5.4, _title(repeats) + (f" ({len(styles)} runs of {n})" if len(styles) < n else ""))
+    figure = new_figure(5.4, force_title(repeats) + (f" ({len(kept)} runs of {n})" if len(kept) < n else ""))
     panels = figure.subplots(2, 3)
-    factor, unit = style.axis_scale(whole["F"], "N")
-    low, high = force_limits(whole)
-    shares = {r["axis"]: r for r in repeats}
+    shares = {r["axis"]: f"other runs predict {100 * r['share']:.0f} % of the misfit" for r in repeats}
+    foot = FOOT_HEIGHT + MARK_HEIGHT * len(looks) if spans else 0.0
     for ax, name in zip(np.ravel(panels), shown, strict=False):
-        draw_runs(ax, drawn, name, factor, [{**look, "label": run} for run, look in styles.items()])
-        draw_common(ax, figures.get(f"common_{name}"), factor)
-        _mark_spans(ax, drawn, name, spans, styles)
-        ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-        foot = (FOOT_HEIGHT + MARK_HEIGHT * len(styles)) * (high - low) if spans else 0.0
-        ax.set_ylim(factor * (low - 1.3 * foot), factor * high)
+        label = draw_missing_force(ax, whole, name, figures.get(f"common_{name}"), looks, foot=foot)
+        if name != "phase":
+            _mark_spans(ax, whole, name, spans, looks)
         ax.locator_params(axis="x", nbins=6)
-        ax.set_xlabel(_label(name, whole))
-        ax.set_title(_repeat_note(shares.get(name)), fontweight="normal", fontsize=9.5)
-    for ax in panels[:, 0]:
-        ax.set_ylabel(axis_label(force_label(whole), unit))
+        ax.set_title(shares.get(name, ""), fontweight="normal", fontsize=9.5)
+        ax.set_ylabel(label if ax in panels[:, 0] else "")
     for ax in np.ravel(panels)[len(shown) :]:
         ax.set_axis_off()
     handles = style.labelled(figure)
@@ -321,44 +312,18 @@ def missing_force(
     return figure
 
 
-def _strongest_runs(
-    whole: Mapping[str, Array], styles: Mapping[str, Mapping[str, Any]]
-) -> tuple[dict[str, Array], dict[str, Mapping[str, Any]]]:
-    """Rows and styles of the runs to draw one by one: of many, those with the largest force over its error."""
-    run = whole["run"]
-    known, mean = mean_per_run(run, (whole["F"] / whole["sigma_F"]) ** 2)
-    kept = np.sort(known[np.argsort(-mean, kind="stable")[:MAX_RUNS]])
-    rows = np.isin(run, kept)
-    drawn = {name: column[rows] for name, column in whole.items() if len(column) == len(run)}
-    names = list(styles)
-    looks = {names[int(k)]: styles[names[int(k)]] for k in kept}
-    return drawn | {"run": np.searchsorted(kept, drawn["run"]).astype(float)}, looks
+def worst_runs(rows: Rows, values: str, sigma: str, most: int) -> Array:
+    """Select the runs to draw one by one: of many, those with the largest values over their error."""
+    names, row = np.unique(rows["run"], return_inverse=True)
+    mean = np.bincount(row, (rows[values] / rows[sigma]) ** 2) / np.bincount(row)
+    return np.sort(names[np.argsort(-mean, kind="stable")[:most]])
 
 
-def mean_per_run(run: Array, values: Array) -> tuple[Array, Array]:
-    """Runs (R,) of some rows, and the mean of a column (R,) over the rows of each."""
-    names, row = np.unique(run, return_inverse=True)
-    return names, np.bincount(row, values) / np.bincount(row)
-
-
-def _title(repeats: Sequence[Mapping[str, Any]]) -> str:
+def force_title(repeats: Sequence[Mapping[str, Any]]) -> str:
+    """Title of the missing force: the axis over which it repeats."""
     if not repeats or not repeats[0]["holds"]:
-        return "The force that the model misses"
-    return f"The force that the model misses repeats with {AXES[repeats[0]['axis']].name}"
-
-
-def _repeat_note(found: Mapping[str, Any] | None) -> str:
-    """How much of a run's misfit the other runs predict over this axis."""
-    if found is None:
-        return ""
-    return f"other runs predict {100 * found['share']:.0f} % of the misfit"
-
-
-def _label(name: str, whole: Mapping[str, Array]) -> str:
-    axis = AXES[name]
-    if name == "phase" and "frequency" in whole:
-        return f"{axis.label} at {format_number(float(whole['frequency'][0]))} Hz / {axis.unit}"
-    return axis_label(axis.label, axis.unit)
+        return "The missing force"
+    return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
 
 
 def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
@@ -367,13 +332,33 @@ def at_reference_load(whole: Mapping[str, Array]) -> dict[str, Array]:
     return dict(whole) | {name: whole[name] / load for name in ("F", "sigma_F")}
 
 
-def force_label(whole: Mapping[str, Array]) -> str:
-    """Name of the missing force on an axis."""
-    return "missing force\nat reference load" if "load" in whole else "missing force"
+def draw_missing_force(
+    ax: Axes, whole: Rows, axis: str, common: Mapping[str, Array] | None, looks: Looks, *, foot: float = 0.0
+) -> str:
+    """Draw the missing force of some runs and of all together over an axis, with bands; return the label of the force.
+
+    `foot` is the share of the panel's height that is left free below.
+    """
+    factor, unit = style.axis_scale(whole["F"], "N")
+    scaled = dict(whole) | {key: factor * whole[key] for key in ("F", "sigma_F")}
+    draw_runs(ax, scaled, axis, "F", looks, sigma="sigma_F")
+    if common is not None:
+        known = np.isfinite(common["F"])
+        at, force, sigma = (np.asarray(common[key])[known] for key in ("at", "F", "sigma_F"))
+        draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
+        ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4, label=f"all runs, {style.BAND_LABEL}")
+    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
+    low, high = _force_limits(scaled)
+    ax.set_ylim(low - 1.3 * foot * (high - low), high)
+    label = style.motion_label(axis)
+    if axis == "phase" and "frequency" in whole:
+        label = label.replace(" / ", f" at {format_number(float(whole['frequency'][0]))} Hz / ")
+    ax.set_xlabel(label)
+    return axis_label("missing force\nat reference load" if "load" in whole else "missing force", unit)
 
 
-def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
-    """Limits of the force axis, N; a band wider than the force itself does not set them."""
+def _force_limits(whole: Rows) -> tuple[float, float]:
+    """Limits of the force axis; a band wider than the force itself does not set them."""
     usual = float(np.median(whole["sigma_F"]))
     room = style.BAND_SIGMAS * np.minimum(whole["sigma_F"], np.abs(whole["F"]) / 4 + usual)
     low, high = float(np.min(whole["F"] - room)), float(np.max(whole["F"] + room))
@@ -381,51 +366,30 @@ def force_limits(whole: Mapping[str, Array]) -> tuple[float, float]:
     return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
-def draw_runs(
-    ax: Axes, whole: Mapping[str, Array], name: str, factor: float, styles: Sequence[Mapping[str, Any]]
-) -> None:
-    """Draw one thin line with its band per run, with gaps where the axis jumps."""
-    for k in np.unique(whole["run"]).astype(int):
-        mine = whole["run"] == k
-        x, force, sigma = (whole[key][mine] for key in (name, "F", "sigma_F"))
+def draw_runs(ax: Axes, rows: Rows, axis: str, values: str, looks: Looks, *, sigma: str = "") -> None:
+    """Draw a column over an axis, one line for each of some runs, with a band and with gaps where the axis jumps."""
+    for k, look in looks.items():
+        mine = rows["run"] == k
+        x = rows[axis][mine]
         steps = np.abs(np.diff(x, prepend=x[0]))
-        usual = 0.5 if name == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
-        force = style.masked(force, steps <= usual)
-        look = styles[k]
-        draw_band(ax, x, factor * force, factor * sigma, color=look["color"], alpha=0.12, zorder=1.5)
-        ax.plot(x, factor * force, lw=1.0, alpha=0.9, zorder=2, **look)
+        usual = 0.5 if axis == "phase" else MAX_GAP_STEPS * max(float(np.median(steps)), 1e-12)
+        shown = style.masked(rows[values][mine], steps <= usual)
+        if sigma:
+            draw_band(ax, x, shown, rows[sigma][mine], color=look["color"], alpha=0.12, zorder=1.5)
+        ax.plot(x, shown, **{"zorder": 2, **look})
 
 
-def draw_common(ax: Axes, curve: Mapping[str, Array] | None, factor: float) -> None:
-    """Draw the part that is common to all runs as a black line with its band."""
-    if curve is None:
-        return
-    known = np.isfinite(curve["F"])
-    at, force, sigma = (np.asarray(curve[key])[known] for key in ("at", "F", "sigma_F"))
-    draw_band(ax, at, factor * force, factor * sigma, color="#000000", alpha=0.22, zorder=3)
-    ax.plot(at, factor * force, color=style.BLACK, lw=1.8, zorder=4, label=f"all runs, {style.BAND_LABEL}")
-
-
-def _mark_spans(
-    ax: Axes,
-    whole: Mapping[str, Array],
-    name: str,
-    spans: Sequence[Mapping[str, Any]],
-    styles: Mapping[str, Mapping[str, Any]],
-) -> None:
+def _mark_spans(ax: Axes, whole: Rows, name: str, spans: Sequence[Mapping[str, Any]], looks: Looks) -> None:
     """Draw a bar for every span at the foot of the panel, in its run's colour."""
-    if name == "phase":
-        return
-    foot = ax.get_xaxis_transform()
-    names = list(styles)
-    for s in (s for s in spans if s["run"] in styles):
-        k = names.index(s["run"])
+    places = {look["label"]: (k, i) for i, (k, look) in enumerate(looks.items())}
+    for s in (s for s in spans if s["run"] in places):
+        k, i = places[s["run"]]
         inside = (whole["run"] == k) & _within(whole["x"], s["x"]) & _within(whole["v"], sorted(map(abs, s["v"])))
         if inside.any():
-            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * k
-            ends = [float(reach.min()), float(reach.max())]
-            look: dict[str, Any] = {"color": styles[s["run"]]["color"], "lw": 3.0, "solid_capstyle": "butt"}
-            ax.plot(ends, [y, y], transform=foot, zorder=5, label="fails here (bars below)", **look)
+            reach, y = whole[name][inside], FOOT_HEIGHT / 2 + MARK_HEIGHT * i
+            bar: dict[str, Any] = {"color": looks[k]["color"], "lw": 3.0, "solid_capstyle": "butt", "zorder": 5}
+            bar |= {"transform": ax.get_xaxis_transform(), "label": "fails here (bars below)"}
+            ax.plot([reach.min(), reach.max()], [y, y], **bar)
 
 
 def _within(values: Array, reach: Sequence[float]) -> Mask:
@@ -448,20 +412,14 @@ def unexplained(found: Mapping[str, Any]) -> Figure:
         standard deviation of the force.
 
     """
-    motion_axis = AXES[found["axis"]]
-    curve = np.asarray(found["curve"], dtype=float)
-    figure = new_figure(3.4, f"Unexplained force over {motion_axis.name}, {SIDES[found.get('factor', '')]}")
+    curve, axis = np.asarray(found["curve"], dtype=float), found["axis"]
+    figure = new_figure(3.4, f"Unexplained force over {AXES[axis].name}, {SIDES[found.get('factor', '')]}")
     ax = figure.subplots()
     ax.axhline(0, color="#666666", lw=0.7)
     if found.get("band"):
-        band = 2 * np.asarray(found["band"], dtype=float)
-        ax.fill_between(curve[:, 0], curve[:, 1] - band, curve[:, 1] + band, color=style.VERMILION, alpha=0.2, lw=0)
-    ax.plot(curve[:, 0], curve[:, 1], color=style.VERMILION, lw=1.8)
-    label = (
-        axis_label("phase of the motion", "rad")
-        if found["axis"] == "phase"
-        else axis_label(motion_axis.label, motion_axis.unit)
-    )
+        draw_band(ax, curve[:, 0], curve[:, 1], np.asarray(found["band"]), color=style.VERMILION, alpha=0.2)
+    ax.plot(*curve.T, color=style.VERMILION, lw=1.8)
+    label = axis_label("phase of the motion", "rad") if axis == "phase" else style.motion_label(axis)
     ax.set(xlabel=label, ylabel="unexplained force / N")
     ax.margins(x=0)
     return figure
@@ -486,7 +444,6 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
     ax.axhline(0, color="#666666", lw=0.7)
     ax.plot(curve["t"], factor * curve["left"], color="#777777", lw=1.0, label="residual")
     ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
-    ax.set(xlabel=axis_label("time since release t", "s"), ylabel=axis_label("displacement", unit))
+    ax.set(xlabel=style.motion_label("t"), ylabel=axis_label("displacement", unit))
     ax.margins(x=0)
-    style.legend_below(figure)
     return figure

@@ -70,10 +70,8 @@ def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
     if "residual_force" in curves:
         fitted = {row["run"] for row in model.summary["per_run"] if row["role"] == "fit"}
         styles = {name: look for name, look in run_styles(results.runs).items() if name in fitted}
-        yield (
-            f"missing force {model.name}",
-            partial(evidence.missing_force, curves, found["fails_at"], styles, found.get("repeats", [])),
-        )
+        draw = partial(evidence.missing_force, curves, found["fails_at"], styles, found.get("repeats", []))
+        yield f"missing force {model.name}", draw
     best = next((row.effect for row in candidate_rows(found)), "")
     if evidence.has_scan(curves.get(best, {})):
         yield f"scan {model.name}", partial(evidence.scan, best, curves[best])

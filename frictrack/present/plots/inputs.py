@@ -48,21 +48,11 @@ def as_run(run: AnyRun) -> RunResults:
     """
     if isinstance(run, RunResults):
         return run
-    return RunResults(
-        name=run.name,
-        source="",
-        displacement=run.displacement,
-        filtered=_smoothed(run),
-        motion=run.motion,
-        events=find_events(run),
-        friction=_friction_of(run),
-        role=run.role,
-        group=run.group,
-        settings={
-            "mass": None if run.mass is None else (run.mass, run.sigma_mass),
-            "columns": {"v": "v"} if run.steady else {},
-        },
-    )
+    weighed = None if run.mass is None else (run.mass, run.sigma_mass)
+    more: dict[str, Any] = {"events": find_events(run), "friction": _friction_of(run)}
+    more |= {"role": run.role, "group": run.group}
+    more["settings"] = {"mass": weighed, "columns": {"v": "v"} if run.steady else {}}
+    return RunResults(run.name, "", run.displacement, _smoothed(run), run.motion, **more)
 
 
 def as_runs(runs: Sequence[AnyRun]) -> list[RunResults]:

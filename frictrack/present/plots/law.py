@@ -13,8 +13,8 @@ from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
 from frictrack.present.plots.model import modelled_force, worst_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
-from frictrack.records import Array, Curve, Mask
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
+from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.names import plain_name
 
@@ -53,23 +53,22 @@ def law(model: AnyModel, runs: Sequence[AnyRun], *, title: bool = True, width: f
         raise ValueError(f'expected a model with a law over the speed but "{model.name}" has none; add coulomb')
     branches: list[Mapping[str, Any]] = model.summary["law"]
     directions = sorted({branch["direction"] for branch in branches}, reverse=True)
-    figure = new_figure(HEIGHT_IN + 0.3 * title, law_title(model) if title else "", width)
-    panels = figure.subplots(1, len(directions), squeeze=False, sharey=True)[0]
-    scale = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
+    factor, unit = style.axis_scale(np.array([branch["v"][-1] for branch in branches]), "m/s")
+    labels, size = (axis_label("speed |v|", unit), "friction force F / N"), (HEIGHT_IN, 0.3 * title)
+    said = law_title(model) if title else ""
+    figure, cells = panel_grid(len(directions), size, said, labels, width=width, sharey=True)
+    panels = [ax for (ax,) in cells]
     for ax, direction in zip(panels, directions, strict=True):
         own = [branch for branch in branches if branch["direction"] == direction]
         for k, branch in enumerate(own):
             color = style.RUN_STYLES[k]["color"] if len(own) > 1 else style.MODEL_COLOUR
-            _draw_branch(ax, branch, _measured_points(model, runs, branch), scale[0], color)
+            _draw_branch(ax, branch, _measured_points(model, runs, branch), factor, color)
         ax.set_xlim(left=0.0)
-        ax.set_xlabel(axis_label("speed |v|", scale[1]))
         if len(directions) > 1:
             ax.set_title(DIRECTIONS[direction], fontweight="normal")
-    panels[0].set_ylabel(axis_label("friction force F", "N"))
     _limit_force(panels[0], branches)
     _name_wide_band(panels[0], branches)
-    load = branches[0]["load_N"]
-    if load:
+    if load := branches[0]["load_N"]:
         right = panels[-1].secondary_yaxis("right", functions=(lambda F: F / load, lambda mu: mu * load))
         right.set_ylabel("coefficient of friction µ")
     style.legend_below(figure, markerscale=3)
@@ -103,16 +102,15 @@ def _draw_branch(ax: Axes, branch: Mapping[str, Any], measured: Array, factor: f
 
 def _measured_points(model: ModelResults, runs: Sequence[RunResults], branch: Mapping[str, Any]) -> Array:
     """Speed and force (2, n) of all fitted runs of a branch, in its direction."""
-    of_group = [run for run in runs if branch.get("group", run.group) == run.group]
-    parts = [_points(model, c, run, branch) for run in of_group for c in model.curves if c.run == run.name]
+    own = {run.name: run for run in runs if branch.get("group", run.group) == run.group and run.friction is not None}
+    parts = [_points(model, c, own[c.run], branch) for c in model.curves if c.role == "fit" and c.run in own]
     return np.concatenate([np.zeros((2, 0)), *parts], axis=1)
 
 
 def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[str, Any]) -> Array:
     """Speed and law plus residual force (2, n) of one segment, in the direction of a branch."""
-    if curve.role != "fit" or run.friction is None:
-        return np.zeros((2, 0))
     f, direction = run.friction, branch["direction"]
+    assert f is not None
     measured = np.interp(curve.t, f.t, style.masked(f.F, style.unsmeared_frames(f, run.motion.guard)))
     left = direction * (measured - modelled_force(model, curve))
     sigma = np.interp(curve.t, f.t, f.sigma_F)
@@ -125,9 +123,8 @@ def _points(model: ModelResults, curve: Curve, run: RunResults, branch: Mapping[
 
 def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     """Show the axis from zero to the law and the bulk of the points; a few wild points set no limit."""
-    points = np.concatenate(
-        [np.asarray(line.get_ydata(), float) for line in ax.lines if line.get_linestyle() == "None"]
-    )
+    dots = (line for line in ax.lines if line.get_linestyle() == "None")
+    points = np.concatenate([np.asarray(line.get_ydata(), float) for line in dots])
     bulk = np.percentile(points, [1, 99]) if len(points) else points
     values = np.concatenate([np.ravel([branch["F"] for branch in branches]), bulk, [0.0]])
     style.set_y_limits(ax, [values])
@@ -136,16 +133,14 @@ def _limit_force(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
 def _name_wide_band(ax: Axes, branches: Sequence[Mapping[str, Any]]) -> None:
     """Say in the legend where the band fills the panel from edge to edge: these runs do not determine the law."""
     low, high = ax.get_ylim()
-    ends = [
-        np.array(b["F"]) + k * np.array(b["sigma_F"]) for b in branches for k in (-style.BAND_SIGMAS, style.BAND_SIGMAS)
-    ]
-    if np.median(np.concatenate(ends[::2])) < low and np.median(np.concatenate(ends[1::2])) > high:
+    force, sigma = (np.concatenate([b[key] for b in branches]) for key in ("F", "sigma_F"))
+    room = style.BAND_SIGMAS * sigma
+    if np.median(force - room) < low and np.median(force + room) > high:
         for band in ax.collections:
             band.set_label(f"{band.get_label()}, beyond this panel")
 
 
 MAX_PANELS = 4  # runs drawn; of more runs, those that fit worst
-MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 
 
 @styled
@@ -166,17 +161,15 @@ def loops(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
 
     """
     model, runs = as_model(model), as_runs(runs)
-    by_name = {run.name: run for run in runs}
-    shown = [name for name in worst_runs(model, runs) if by_name[name].friction is not None][:MAX_PANELS]
+    shown = [run for run in worst_runs(model, runs) if run.friction is not None][:MAX_PANELS]
     if not shown:
         raise ValueError("expected a run with a friction force but got none")
     figure = new_figure(3.1 * len(shown) + 0.6, _title(model))
     panels = figure.subplots(len(shown), 2, squeeze=False, sharey="row")
-    for (left, right), name in zip(panels, shown, strict=True):
-        _loops((left, right), [c for c in model.curves if c.run == name], by_name[name])
-        left.set_title(name, fontweight="normal")
+    for (left, right), run in zip(panels, shown, strict=True):
+        _loops((left, right), [c for c in model.curves if c.run == run.name], run)
+        left.set_title(run.name, fontweight="normal")
         left.set_ylabel("friction force F / N")
-    style.legend_below(figure)
     return figure
 
 
@@ -192,19 +185,13 @@ def _loops(pair: tuple[Axes, Axes], curves: Sequence[Curve], run: RunResults) ->
     ):
         factor, written = style.axis_scale(np.concatenate([of(c) for c in curves]), unit)
         for c in curves:
-            at, unbroken = factor * of(c), _unbroken(c.t)
-            measured = style.masked(np.interp(c.t, f.t, f.F), unbroken)
+            at, shown = factor * of(c), style.unbroken(c.t)
+            measured = style.masked(np.interp(c.t, f.t, f.F), shown)
             ax.plot(at, measured, color=style.MEASURED_COLOUR, lw=0.9, label="measured")
-            ax.plot(at, style.masked(c.F_model, unbroken), lw=1.8, **style.MODEL_STYLE)
+            ax.plot(at, style.masked(c.F_model, shown), lw=1.8, **style.MODEL_STYLE)
         ax.axhline(0, **style.ZERO_STYLE)
         ax.set_xlabel(axis_label(words, written))
     pair[1].axvline(0, **style.ZERO_STYLE)
-
-
-def _unbroken(t: Array) -> Mask:
-    """(n,) False at the first frame after a gap in time."""
-    steps = np.diff(t, prepend=t[0])
-    return np.asarray(steps <= MAX_GAP_STEPS * np.median(steps))
 
 
 def _title(model: ModelResults) -> str:

@@ -24,13 +24,8 @@ MAX_PUSH_RATIO = 4.0  # range of all accelerations over that of the free section
 MAX_NAMED_EVENTS = 8
 MAX_POINTS_OF_ALL = 6000  # of the force of all runs together; more only make the file larger
 MAX_MOTIONS = 8  # runs drawn as small multiples
-TIME_LABEL = axis_label("time t", "ms")
-MOTION_LABELS = (
-    axis_label("displacement x", "m"),
-    axis_label("velocity v", "m/s"),
-    axis_label("acceleration a", "m/s^2"),
-)
-SHORT_LABELS = (axis_label("x", "m"), axis_label("v", "m/s"), axis_label("a", "m/s^2"))
+TIME_LABEL, SHORT_LABELS = "time t / ms", ("x / m", "v / (m/s)", "a / (m/s²)")
+MOTION_LABELS = tuple(map(" ".join, zip(("displacement", "velocity", "acceleration"), SHORT_LABELS, strict=True)))
 NAME_WIDTH = 0.12  # of the panel's width
 REST_SPEED_SHARE = 0.02  # of the highest speed: below it the mass counts as stopped
 
@@ -75,7 +70,6 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
         for color, lw, dash, label in (("black", 3.8, "-", ""), (TARGET_COLOUR, 2.0, "--", "target")):
             ax.add_patch(Polygon(outline, fill=False, ec=color, lw=lw, ls=dash, label=label))
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
-    style.legend_below(figure)
     return figure
 
 
@@ -111,7 +105,6 @@ def motions(runs: Sequence[AnyRun]) -> Figure:
     for cell, run in zip(cells, shown, strict=True):
         _draw_motion(cell, run)
         cell[0].set_title(run.name, fontweight="normal")
-    style.legend_below(figure)
     return figure
 
 
@@ -142,21 +135,17 @@ def _draw_motion(panels: Sequence[Axes], run: RunResults) -> None:
 
 def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
     """Mark every event by a line, with its name in the first panel."""
-    named: list[tuple[float, str]] = []
-    for kind, begins, ends in run.events.events:
-        at = 1e3 * 0.5 * (begins + ends)
-        for ax in panels:
+    named = [(1e3 * 0.5 * (begins + ends), kind) for kind, begins, ends in run.events.events]
+    for ax in panels:
+        for at, _ in named:
             ax.axvline(at, color=style.PURPLE, lw=1.0, ls=(0, (4, 2)), zorder=0.7)
-        named.append((at, kind))
     reach = 1e3 * float(run.motion.t[-1] - run.motion.t[0])
     for k, (at, kind) in enumerate(named[:MAX_NAMED_EVENTS]):
         crowded = k > 0 and at - named[k - 1][0] < NAME_WIDTH * reach
         late = at > 1e3 * float(run.motion.t[-1]) - NAME_WIDTH * reach  # its name stands before its line
-        panels[0].annotate(
-            kind, (at, 1.0), xycoords=("data", "axes fraction"), ha="right" if late else "left",
-            xytext=(-2 if late else 2, -9 - 10 * (crowded and k % 2)),
-            textcoords="offset points", fontsize=8, color=style.PURPLE,
-        )  # fmt: skip
+        side, shift = ("right", -2) if late else ("left", 2)
+        look: dict[str, Any] = {"fontsize": 8, "color": style.PURPLE, "xycoords": ("data", "axes fraction")}
+        style.note(panels[0], kind, (at, 1.0), (shift, -9 - 10 * (crowded and k % 2)), ha=side, **look)
 
 
 def _motion_title(run: RunResults) -> str:
@@ -216,8 +205,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         raise ValueError("expected a run with a friction force but got none; a mass is needed")
     figure = new_figure(3.8, friction_title(able))
     left, right = figure.subplots(1, 2, sharey=True)
-    everything = []
-    styles = style.run_styles(runs)
+    everything, styles, named = [], style.run_styles(runs), len(able) <= len(style.RUN_STYLES)
     for run in able:
         f, look = run.friction, styles[run.name]
         assert f is not None
@@ -225,7 +213,7 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
         rows = slice(None, None, max(1, len(f) * len(able) // MAX_POINTS_OF_ALL))
         for ax, at in ((left, 1e3 * (f.t - f.t[np.argmax(f.free)])), (right, run.motion.v)):
             draw_band(ax, at[rows], shown[rows], f.sigma_F[rows], color=look["color"], alpha=0.18)
-            ax.plot(at[rows], shown[rows], lw=1.0, alpha=0.85, label=run.name, **look)
+            ax.plot(at[rows], shown[rows], lw=1.0, alpha=0.85, label=run.name if named else "", **look)
             style.mark_repaired(ax, at, f.repaired)
         everything += [shown - f.sigma_F, shown + f.sigma_F]
     style.set_y_limits(left, everything)
@@ -234,8 +222,6 @@ def friction(runs: Sequence[AnyRun]) -> Figure:
     for ax in (left, right):
         ax.axhline(0, **style.ZERO_STYLE)
     right.axvline(0, **style.ZERO_STYLE)
-    if len(able) <= len(style.RUN_STYLES):
-        style.legend_below(figure)
     return figure
 
 
@@ -266,13 +252,15 @@ def table(record: FrameTable) -> Figure:
     columns = [f for f in fields(record) if _is_drawn(record, f.name, f.metadata)]  # type: ignore[arg-type]
     name = getattr(record, "name", "") or getattr(record, "run", "")
     title = f"{type(record).__name__} of {name}" if name else type(record).__name__
-    figure = new_figure(PANEL_HEIGHT_IN * len(columns) + 0.7, title)
-    panels = figure.subplots(len(columns), 1, squeeze=False, sharex=True)[:, 0]
-    t: Array = record.t  # type: ignore[attr-defined]
-    for ax, f in zip(panels, columns, strict=True):
-        _draw_column(ax, 1e3 * t, getattr(record, f.name), _sigma_of(record, f.name), (f.name, f.metadata["unit"]))
-    panels[-1].set_xlabel(axis_label("time t", "ms"))
-    figure.align_ylabels(panels)
+    scales = [axis_scale(getattr(record, f.name), f.metadata["unit"]) for f in columns]
+    labels = (TIME_LABEL, *(axis_label(f.name, unit) for f, (_, unit) in zip(columns, scales, strict=True)))
+    figure, (panels,) = panel_grid(1, (PANEL_HEIGHT_IN * len(columns), 0.7), title, labels, sharex=True)
+    t: Array = 1e3 * record.t  # type: ignore[attr-defined]
+    for ax, f, (factor, _) in zip(panels, columns, scales, strict=True):
+        values, sigma = getattr(record, f.name), getattr(record, _sigma_name(f.name), None)
+        if sigma is not None:
+            draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
+        ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
     return figure
 
 
@@ -284,17 +272,6 @@ def _is_drawn(record: Any, name: str, meta: Any) -> bool:
     return values.dtype.kind == "f" and bool(np.any(np.isfinite(values)))
 
 
-def _sigma_of(record: Any, name: str) -> Array | None:
-    """Standard deviation (n,) of a column: ``sigma_x`` of ``x``, ``sigma_px`` of ``x_px``; None if it has none."""
-    named = f"sigma_{name}".replace("sigma_x_px", "sigma_px")
-    found: Array | None = getattr(record, named, None)
-    return found
-
-
-def _draw_column(ax: Axes, t: Array, values: Array, sigma: Array | None, written: tuple[str, str]) -> None:
-    name, unit = written
-    factor, shown = axis_scale(values, unit)
-    if sigma is not None:
-        draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
-    ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
-    ax.set_ylabel(axis_label(name, shown))
+def _sigma_name(name: str) -> str:
+    """Name of the standard deviation of a column: ``sigma_x`` of ``x``, ``sigma_px`` of ``x_px``."""
+    return f"sigma_{name}".replace("sigma_x_px", "sigma_px")

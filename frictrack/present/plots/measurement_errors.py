@@ -13,7 +13,7 @@ from frictrack.base.number_format import format_number, format_range, format_uni
 from frictrack.measure.motion import FilteredMotion, compare_filters
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run
-from frictrack.present.plots.measured import SHORT_LABELS
+from frictrack.present.plots.measured import SHORT_LABELS, TIME_LABEL
 from frictrack.present.plots.style import RUN_STYLES, axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff
 from frictrack.results import RunResults
@@ -53,18 +53,18 @@ def budgets(found: Mapping[str, Mapping[str, Any]]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     for ax, key, label in ((left, "mean_N", "error of the mean force"), (right, "frame_N", "error of a frame, rms")):
         for k, (name, one) in enumerate(found.items()):
-            known = _marks(ax, one["rows"], key, sources, _mark(k) | {"label": name})
-            for value, place in known if len(found) == 1 else ():
-                ax.annotate(format_number(value, 2), (value, place), (7, 3), textcoords="offset points", fontsize=8.5)
+            sizes = [(row[key] or 0.0, sources.index(row["source"])) for row in one["rows"]]
+            least = NEGLIGIBLE_SHARE * max(sizes)[0]  # what is not known or negligible has no mark
+            known = [(size, place) for size, place in sizes if size > 0 and size >= least]
+            named = {"label": name if len(found) <= len(RUN_STYLES) else ""}
+            ax.plot([size for size, _ in known], [place for _, place in known], **(_mark(k) | named))
+            for mark in known if len(found) == 1 else ():
+                style.note(ax, format_number(mark[0], 2), mark, (7, 3), fontsize=8.5)
         style.log_axis(ax, "x")
         _say_what_is_absent(ax, found, key, sources)
         ax.grid(axis="y", color="#E4E7EA", lw=0.8)
         ax.set_xlabel(axis_label(label, "N"))
-    left.set_yticks(range(len(sources)), sources)
-    left.set_ylim(len(sources) - 0.5, -0.5)
-    left.tick_params(axis="y", length=0)
-    if len(found) <= len(RUN_STYLES):
-        style.legend_below(figure)
+    style.name_rows(left, sources)
     return figure
 
 
@@ -82,22 +82,9 @@ def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: s
         rows = [row for one in found.values() for row in one["rows"] if row["source"] == source]
         if not any(row[key] for row in rows):
             words = "not known" if any(row[key] is None for row in rows) else "none"
-            ax.annotate(
-                words, (0.0, place), xycoords=("axes fraction", "data"), xytext=(6, 0),
-                textcoords="offset points", va="center", fontsize=8.5, style="italic", color="#666666",
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
-            )  # fmt: skip
-
-
-def _marks(
-    ax: Axes, rows: Sequence[Mapping[str, Any]], key: str, sources: Sequence[str], look: dict[str, Any]
-) -> list[tuple[float, int]]:
-    """Draw one run and return its marks; a source that is not known or negligible has none."""
-    least = NEGLIGIBLE_SHARE * max((row[key] or 0.0 for row in rows), default=0.0)
-    known = [(row[key], sources.index(row["source"])) for row in rows if row[key] and row[key] >= least]
-    if known:
-        ax.plot(*zip(*known, strict=True), **look)
-    return known
+            look: dict[str, Any] = {"va": "center", "fontsize": 8.5, "style": "italic", "color": "#666666"}
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
+            style.note(ax, words, (0.0, place), (6, 0), xycoords=("axes fraction", "data"), bbox=box, **look)
 
 
 def _mark(k: int) -> dict[str, Any]:
@@ -107,6 +94,7 @@ def _mark(k: int) -> dict[str, Any]:
 
 
 MAX_PANELS = 8  # runs drawn as small multiples
+CUTOFF_LABEL = "cut-off frequency / Hz"
 FILTER_LOOKS: tuple[dict[str, Any], ...] = (
     {"color": "#999999", "lw": 0.6},
     {"color": style.VERMILION, "lw": 1.2},
@@ -133,23 +121,18 @@ def cutoff(name: str, found: CutoffTradeOff, mass: float | None = None) -> Figur
 
     """
     factor, unit = (1.0, "m/s^2") if mass is None else (mass, "N")
-    figure = new_figure(5.4, _cutoff_title(name, found, factor, unit), width=style.PAGE_WIDTH_IN / 2)
-    above, below = figure.subplots(2, 1, sharex=True)
+    title, error = _cutoff_title(name, found, factor, unit), axis_label("error of m a" if mass else "error of a", unit)
+    labels, width = (CUTOFF_LABEL, "residual / µm", error), style.PAGE_WIDTH_IN / 2
+    figure, ((above, below),) = panel_grid(1, (5.4, 0.0), title, labels, width=width, sharex=True)
     f = found.frequency
     above.loglog(f, 1e6 * found.residual, color=style.MEASURED_COLOUR, lw=1.6, label="removed by the filter")
     above.loglog(f, 1e6 * found.floor, color=style.BLUE, lw=1.3, ls="--", label="noise alone")
-    above.set_ylabel(axis_label("residual", "µm"))
     _draw_errors(below, found, factor)
-    below.set(
-        xlabel=axis_label("cut-off frequency", "Hz"), ylabel=axis_label("error of m a" if mass else "error of a", unit)
-    )
     above.axvline(found.chosen, color=style.ORANGE, lw=2.0, zorder=0)
     for ax in (above, below):
         ax.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)  # a curve may run anywhere inside
-    above.annotate(
-        f"{format_number(found.chosen)} Hz", (found.chosen, 1.0), xycoords=("data", "axes fraction"),
-        xytext=(3, -10), textcoords="offset points", fontsize=8,
-    )  # fmt: skip
+    chosen = f"{format_number(found.chosen)} Hz"
+    style.note(above, chosen, (found.chosen, 1.0), (3, -10), xycoords=("data", "axes fraction"), fontsize=8)
     return figure
 
 
@@ -168,15 +151,14 @@ def cutoffs(found: Mapping[str, tuple[CutoffTradeOff, float | None]]) -> Figure:
     drawn = f"; the first {MAX_PANELS} runs of {len(found)}" if len(found) > MAX_PANELS else ""
     in_newtons = all(mass is not None for _, (_, mass) in shown)
     error = axis_label("error of m a", "N") if in_newtons else axis_label("error of a", "m/s^2")
-    title, labels = f"Error over the cut-off frequency{drawn}", (axis_label("cut-off frequency", "Hz"), error)
-    figure, cells = panel_grid(len(shown), (2.3, 1.0), title, labels, sharex=True, sharey=True)
+    title = f"Error over the cut-off frequency{drawn}"
+    figure, cells = panel_grid(len(shown), (2.3, 1.0), title, (CUTOFF_LABEL, error), sharex=True, sharey=True)
     limits: list[float] = []
     for (ax,), (name, (one, mass)) in zip(cells, shown, strict=True):
         _draw_errors(ax, one, mass if in_newtons and mass is not None else 1.0)
         ax.set_title(f"{name}: {format_number(one.chosen)} Hz", fontweight="normal")
         limits += ax.get_ylim()
     cells[0][0].set_ylim(min(limits), max(limits))  # shared by all panels
-    style.legend_below(figure)
     return figure
 
 
@@ -223,24 +205,20 @@ def filters(run: AnyRun) -> Figure:
         inside &= run.friction.free  # a push would hide all else
     errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]
     lower = found[1].name if errors[1] < errors[2] else "smoothing"
-    figure = new_figure(7.4, f"{run.name}: smallest stated error by {lower}, {format_number(min(errors[1:]), 2)} m/s²")
+    title = f"{run.name}: smallest stated error by {lower}, {format_number(min(errors[1:]), 2)} m/s²"
     quantities = [axis_label("x - smoothed", "µm"), *SHORT_LABELS[1:]]
     rows = [[(one.values[k], one.sigma[k]) for one in found] for k in range(3)]
     rows[0] = [(1e6 * (x - found[2].values[0]), 1e6 * sigma) for x, sigma in rows[0]]
     if (force := _forces(run, found)) is not None:
         rows, quantities = [*rows, force], [*quantities, axis_label("F", "N")]
-    panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
-    for k, (ax, row, quantity) in enumerate(zip(panels, rows, quantities, strict=True)):
+    figure, (panels,) = panel_grid(1, (7.4, 0.0), title, (TIME_LABEL, *quantities), sharex=True)
+    for k, (ax, row) in enumerate(zip(panels, rows, strict=True)):
         for one, error, (values, sigma), look in zip(found, errors, row, FILTER_LOOKS, strict=True):
             if one is not found[0]:
                 draw_band(ax, t, values, sigma, color=look["color"], alpha=0.25)
             ax.plot(t, values, label=f"{one.name}, stated error {format_number(error, 2)} m/s²", **look)
         shown = row if k == 0 else row[1:]  # differences of what was measured would hide the others
         style.set_y_limits(ax, [v[inside] + n * s[inside] for v, s in shown for n in (-2.0, 2.0)])
-        ax.set_ylabel(quantity)
-    panels[-1].set_xlabel(axis_label("time t", "ms"))
-    figure.align_ylabels(panels)
-    style.legend_below(figure)
     return figure
 
 

@@ -24,7 +24,6 @@ from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.names import plain_name
 
-MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
 MAX_PANELS = 8  # runs drawn; of more runs, those that fit worst
 BETTER_MODEL_STYLE: dict[str, Any] = {"color": "#999999", "marker": "x", "markersize": 2.0, "markeredgewidth": 0.6}
@@ -70,14 +69,12 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     labels = (_axis_words(runs), "friction force F / N", axis_label("residual", residual_unit(model)))
     title = fit_title(model) + _how_many(model, shown)
     figure, cells = panel_grid(len(shown), (3.3, 0.7), title, labels, height_ratios=(2, 1.1), sharex="cell")
-    by_name = {run.name: run for run in runs}
-    for (above, left), name in zip(cells, shown, strict=True):
-        _draw_measured_force(above, by_name[name])
-        _draw_modelled_force(above, model, by_name[name])
-        _draw_residual(left, residuals(model, by_name[name]))
-        above.set_title(_panel_title(model, name), fontweight="normal")
+    for (above, left), run in zip(cells, shown, strict=True):
+        _draw_measured_force(above, run)
+        _draw_modelled_force(above, model, run)
+        _draw_residual(left, residuals(model, run))
+        above.set_title(_panel_title(model, run), fontweight="normal")
     _share_y([left for _, left in cells])
-    style.legend_below(figure)
     return figure
 
 
@@ -103,20 +100,19 @@ def failing(
 
     """
     model, runs, better = as_model(model), as_runs(runs), None if better is None else as_model(better)
-    by_name = {run.name: run for run in runs}
-    colors = {name: look["color"] for name, look in style.run_styles(runs).items()}
+    styles = style.run_styles(runs)
     shown = worst_runs(model, runs)
     labels = (_axis_words(runs), axis_label("residual", residual_unit(model)))
     title = _failing_title(model, runs, spans) + _how_many(model, shown)
     figure, cells = panel_grid(len(shown), (2.0, 0.9), title, labels, sharey=True)
-    for (ax,), name in zip(cells, shown, strict=True):
+    for (ax,), run in zip(cells, shown, strict=True):
+        color = styles[run.name]["color"]
         if better is not None:
-            look = BETTER_MODEL_STYLE | {"label": plain_name(better.name)}
-            _draw_residual(ax, residuals(better, by_name[name]), with_band=False, **look)
-        _draw_residual(ax, residuals(model, by_name[name]), color=colors[name], zorder=3, label=plain_name(model.name))
-        ax.set_title(_panel_title(model, name), fontweight="normal")
-        _mark_spans(ax, [s for s in spans if s["run"] == name], colors[name], "v" if _of_points(runs) else "t")
-    style.legend_below(figure)
+            label = plain_name(better.name)
+            _draw_residual(ax, residuals(better, run), with_band=False, label=label, **BETTER_MODEL_STYLE)
+        _draw_residual(ax, residuals(model, run), color=color, zorder=3, label=plain_name(model.name))
+        ax.set_title(_panel_title(model, run), fontweight="normal")
+        _mark_spans(ax, [s for s in spans if s["run"] == run.name], color, "v" if _of_points(runs) else "t")
     return figure
 
 
@@ -139,7 +135,6 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
     _draw_modelled_force(ax, default, run, label="displacement domain")
     _draw_modelled_force(ax, papers, run, label="papers' route", color=style.BLUE, linestyle=(0, (1, 1)))
     ax.set(xlabel=_axis_words([run]), ylabel="friction force F / N")
-    style.legend_below(figure)
     return figure
 
 
@@ -152,15 +147,18 @@ def fit_title(model: ModelResults) -> str:
 
 def error_words(model: ModelResults) -> str:
     """Residual, noise and force error of a model, as far as they are known."""
-    errors, noise = model.summary["errors"], noise_um(model)
+    errors = model.summary["errors"]
     rms, force = errors.get("rms_displacement_um"), errors.get("relative_force_error")
-    parts = [] if rms is None else [f"residual {format_number(rms)} µm"]
-    parts += [] if rms is None or noise is None else [f"noise {format_number(noise)} µm"]
+    parts = [] if rms is None else [f"residual {format_number(rms)} µm{_noise_words(noise_um(model), 'µm')}"]
     parts += [] if force is None else [f"force error {format_number(100 * force, 2)} %"]
     return ", ".join(parts)
 
 
-def _how_many(model: ModelResults, shown: Sequence[str]) -> str:
+def _noise_words(noise: float | None, unit: str) -> str:
+    return "" if noise is None else f", noise {format_number(noise)} {unit}"
+
+
+def _how_many(model: ModelResults, shown: Sequence[RunResults]) -> str:
     """How many runs are drawn, if not all."""
     n = len({curve.run for curve in model.curves})
     return f" ({len(shown)} worst of {n} runs)" if len(shown) < n else ""
@@ -168,9 +166,8 @@ def _how_many(model: ModelResults, shown: Sequence[str]) -> str:
 
 def _residual_title(model: ModelResults, runs: Sequence[RunResults]) -> str:
     most = max(float(np.max(np.abs(part.values))) for run in runs for part in residuals(model, run))
-    noise = noise_um(model)
-    against = "" if noise is None else f", noise {format_number(noise)} µm"
-    return f"{plain_name(model.name)}: residual up to {format_number(most)} {residual_unit(model)}{against}"
+    noise = _noise_words(noise_um(model), "µm")
+    return f"{plain_name(model.name)}: residual up to {format_number(most)} {residual_unit(model)}{noise}"
 
 
 def _failing_title(model: ModelResults, runs: Sequence[RunResults], spans: Sequence[dict[str, Any]]) -> str:
@@ -213,7 +210,7 @@ def noise_um(model: ModelResults) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
-def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
+def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[RunResults]:
     """Select the runs to draw.
 
     Parameters
@@ -225,20 +222,20 @@ def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[str]:
 
     Returns
     -------
-    list of str
-        Names of the fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise.
+    list of RunResults
+        The fitted runs in order; of more than `MAX_PANELS`, those with the largest residual over its noise.
 
     """
-    names = list(dict.fromkeys(curve.run for curve in model.curves))
-    if len(names) <= MAX_PANELS:
-        return names
-    size = {
-        run.name: float(np.mean(np.concatenate([p.values / p.sigma for p in residuals(model, run)]) ** 2))
-        for run in runs
-        if run.name in names
-    }
-    kept = set(sorted(size, key=lambda n: -size[n])[:MAX_PANELS])
-    return [n for n in names if n in kept]
+    by_name = {run.name: run for run in runs}
+    fitted = [by_name[name] for name in dict.fromkeys(curve.run for curve in model.curves)]
+    if len(fitted) <= MAX_PANELS:
+        return fitted
+
+    def size(run: RunResults) -> float:
+        return float(np.mean(np.concatenate([part.values / part.sigma for part in residuals(model, run)]) ** 2))
+
+    kept = sorted(fitted, key=size, reverse=True)[:MAX_PANELS]
+    return [run for run in fitted if run in kept]
 
 
 def residual_unit(model: ModelResults) -> str:
@@ -268,10 +265,8 @@ def residuals(model: ModelResults, run: RunResults) -> list[Residual]:
     f = run.friction
     if f is None:
         return []
-    series = [
-        (_abscissa(run, c.t), np.interp(c.t, f.t, f.F) - c.F_model, np.interp(c.t, f.t, f.sigma_F)) for c in curves
-    ]
-    return [Residual(*one) for one in series]
+    force, sigma = ([np.interp(c.t, f.t, column) for c in curves] for column in (f.F, f.sigma_F))
+    return [Residual(_abscissa(run, c.t), F - c.F_model, s) for c, F, s in zip(curves, force, sigma, strict=True)]
 
 
 def _draw_residual(ax: Axes, parts: Sequence[Residual], *, with_band: bool = True, **look: Any) -> None:
@@ -313,8 +308,7 @@ def modelled_force(model: ModelResults, curve: Curve, run: RunResults | None = N
         to be resolved: only its impulse is known.
 
     """
-    steps = np.diff(curve.t, prepend=curve.t[0])
-    known = steps <= MAX_GAP_STEPS * np.median(steps)
+    known = style.unbroken(curve.t)
     own = next((motion for motion in model.motion if motion.run == curve.run), None)
     if curve.F_filtered is None and own is not None:
         known &= ~np.isin(curve.t, own.t[own.blow])
@@ -334,17 +328,16 @@ def _draw_measured_force(ax: Axes, run: RunResults) -> None:
     ax.plot(_abscissa(run, f.t), F, color=style.MEASURED_COLOUR, lw=1.0, label="measured")
 
 
-def _panel_title(model: ModelResults, name: str) -> str:
-    row = next((r for r in model.summary["per_run"] if r["run"] == name), None)
+def _panel_title(model: ModelResults, run: RunResults) -> str:
+    row = next((r for r in model.summary["per_run"] if r["run"] == run.name), None)
     if row is None or row["errors"].get("rms_displacement_um") is None:
-        return name
+        return run.name
     remark = ", not fitted" if row["role"] == "validation" else ""
-    return f"{name}: {format_number(row['errors']['rms_displacement_um'])} µm{remark}"
+    return f"{run.name}: {format_number(row['errors']['rms_displacement_um'])} µm{remark}"
 
 
 def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str, axis: str) -> None:
     """Shade each span over an axis, with its share; a label that would overlap an earlier one is left out."""
-    top = ax.get_xaxis_transform()
     low, high = ax.get_xlim()
     labelled: list[float] = []
     for s in spans:
@@ -353,9 +346,13 @@ def _mark_spans(ax: Axes, spans: Sequence[dict[str, Any]], color: str, axis: str
         if any(abs((a + b) / 2 - t) < MIN_LABEL_DISTANCE * (high - low) for t in labelled):
             continue
         labelled.append((a + b) / 2)
-        share = format_share(s["share_of_error"])
-        label = ax.text((a + b) / 2, 0.98, share, transform=top, ha="center", va="top", fontsize=9, fontweight="bold")
-        label.set_bbox({"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6})
+        _write_over(ax, (a + b) / 2, 0.98, format_share(s["share_of_error"]), va="top", fontweight="bold")
+
+
+def _write_over(ax: Axes, x: float, height: float, text: str, **look: Any) -> None:
+    """Write a text over curves: at a place of the x axis, and at a share of the height of the panel."""
+    box = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
+    ax.text(x, height, text, transform=ax.get_xaxis_transform(), ha="center", fontsize=9, bbox=box, **look)
 
 
 def _share_y(panels: Sequence[Axes]) -> None:
@@ -384,10 +381,9 @@ class HeldOutError:
 def errors_of_models(models: Sequence[ModelResults], unit: str) -> list[HeldOutError]:
     """Held-out errors of the models that have one, each named by what it adds to the model before."""
     key = "heldout_rms_um" if unit == "µm" else "heldout_rms_N"
-    known = [m for m in models if m.summary["errors"].get(key) is not None]
     steps = zip([None, *models], models, strict=False)
-    names = {model.name: _step(before, model) for before, model in steps}
-    return [HeldOutError(names[m.name], float(m.summary["errors"][key])) for m in known]
+    found = ((_step(before, model), model.summary["errors"].get(key)) for before, model in steps)
+    return [HeldOutError(label, float(error)) for label, error in found if error is not None]
 
 
 def _step(previous: ModelResults | None, model: ModelResults) -> str:
@@ -422,7 +418,7 @@ def history(models: Sequence[AnyModel]) -> Figure:
 
 
 def _history_title(errors: Sequence[HeldOutError], noise: float | None, unit: str) -> str:
-    against = "" if noise is None else f", noise {format_number(noise)} {unit}"
+    against = _noise_words(noise, unit)
     if not errors:
         return "No held-out error was computed"
     before, after = errors[0].value, errors[-1].value
@@ -441,14 +437,14 @@ def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None,
         colour = style.VERMILION if k == 0 and len(errors) > 1 else style.BLUE
         ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
         if is_named or k in (0, len(errors) - 1):
-            ax.annotate(format_number(one.value), (k, one.value), (0, 9), textcoords="offset points", ha="center",
-                        fontweight="bold", bbox={"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85})  # fmt: skip
+            box = {"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85}
+            number: dict[str, Any] = {"ha": "center", "fontsize": 10, "fontweight": "bold", "bbox": box}
+            style.note(ax, format_number(one.value), (k, one.value), (0, 9), **number)
     known = values
     if noise is not None and noise > MIN_NOISE_SHOWN * values.min(initial=np.inf):
         known = np.append(values, noise)
         ax.axhline(noise, color="black", ls=(0, (4, 2)), lw=1.2, zorder=0.5)
-        ax.annotate("noise", (0, noise), (4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
-                    fontsize=9)  # fmt: skip
+        style.note(ax, "noise", (0, noise), (4, 3), xycoords=("axes fraction", "data"))
     low, top = known.min(initial=np.inf), known.max(initial=0.0)
     if top > ERROR_LOG_AXIS_RATIO * low > 0:
         style.log_axis(ax, "y")
@@ -497,16 +493,13 @@ def modelled(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
     """
     model, runs = as_model(model), as_runs(runs)
     own = {motion.run: motion for motion in model.motion}
-    shown = [name for name in worst_runs(model, runs) if name in own][:MAX_MODELLED_RUNS]
+    shown = [run for run in worst_runs(model, runs) if run.name in own][:MAX_MODELLED_RUNS]
     if not shown:
         raise ValueError(f'expected a model with its own motion but "{model.name}" has none; fit it again')
-    by_name = {run.name: run for run in runs}
-    labels = (axis_label("time t", "ms"), axis_label("a", "m/s^2"), axis_label("a − model", "m/s^2"),
-              axis_label("friction F", "N"))  # fmt: skip
+    labels = ("time t / ms", "a / (m/s²)", "a − model / (m/s²)", "friction F / N")
     figure, cells = panel_grid(len(shown), (5.4, 0.8), modelled_title(model), labels)
-    for cell, name in zip(cells, shown, strict=True):
-        _draw_modelled_run(cell, own[name], by_name[name], _impulses(model, name))
-    style.legend_below(figure)
+    for cell, run in zip(cells, shown, strict=True):
+        _draw_modelled_run(cell, own[run.name], run, _impulses(model, run.name))
     return figure
 
 
@@ -551,10 +544,7 @@ def _draw_modelled_run(cell: Sequence[Axes], motion: ModelledMotion, run: RunRes
         ax.set_xlim(t[0], t[-1])
     cell[0].set_title(motion.run + (", not fitted" if motion.role == "validation" else ""), fontweight="normal")
     if impulses and np.any(motion.blow):
-        middle = float(np.mean(t[motion.blow]))
-        cell[0].text(middle, 0.04, impulses, transform=cell[0].get_xaxis_transform(), ha="center", fontsize=9).set_bbox(
-            {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6}
-        )
+        _write_over(cell[0], float(np.mean(t[motion.blow])), 0.04, impulses)
 
 
 def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -> None:
@@ -568,7 +558,6 @@ def _draw_model(ax: Axes, motion: ModelledMotion, values: Array, sigma: Array) -
 
 def _impulses(model: ModelResults, run: str) -> str:
     """Impulses of a run's collisions as text."""
-    motion = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
-    return ", ".join(
-        f"J = {format_number(1e3 * c['impulse_N_s'])} ± {format_number(1e3 * c['std'], 1)} mN s" for c in motion
-    )
+    known = [c for c in model.summary.get("collisions", []) if c["run"] == run and c["impulse_N_s"] is not None]
+    sizes = ((format_number(1e3 * c["impulse_N_s"]), format_number(1e3 * c["std"], 1)) for c in known)
+    return ", ".join(f"J = {impulse} ± {std} mN s" for impulse, std in sizes)

@@ -15,7 +15,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_interval, format_number, format_unit
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model
-from frictrack.present.plots.style import axis_scale, new_figure, panel_grid, styled
+from frictrack.present.plots.style import axis_scale, panel_grid, styled
 from frictrack.records import Array
 from frictrack.search import Convergence
 
@@ -51,14 +51,14 @@ def convergence(model: AnyModel, runs: Sequence[AnyRun] = ()) -> Figure:
             f"expected a fit by a global search to draw its convergence but got {model.summary['search']}; fit with "
             'search = "mga", for example'
         )
-    figure = new_figure(6.2, _convergence_title(model.summary, found))
-    panels = figure.subplots(3, len(found), squeeze=False, sharex="col", height_ratios=HEIGHT_RATIOS)
-    for column, (group, one) in zip(panels.T, found.items(), strict=True):
-        _draw_search(column, one)
-        column[0].set_title("" if len(found) == 1 else group)
-    for ax, label in zip(panels[:, 0], ("misfit", "diversity", "place within the bounds"), strict=True):
-        ax.set_ylabel(label)
-    figure.align_ylabels(panels[:, 0])
+    title, labels = (
+        _convergence_title(model.summary, found),
+        ("generation", "misfit", "diversity", "place within the bounds"),
+    )
+    figure, cells = panel_grid(len(found), (6.2, 0.0), title, labels, sharex="col", height_ratios=HEIGHT_RATIOS)
+    for cell, (group, one) in zip(cells, found.items(), strict=True):
+        _draw_search(cell, one)
+        cell[0].set_title("" if len(found) == 1 else group)
     return figure
 
 
@@ -88,7 +88,7 @@ def _draw_search(column: Sequence[Axes], one: Convergence) -> None:
     low, high = one.bounds.T
     for name, place, look in zip(one.parameters, ((one.x - low) / (high - low)).T, style.RUN_STYLES, strict=False):
         below.plot(generation, place, label=name, drawstyle="steps-post", **look)
-    below.set(ylim=(-0.02, 1.02), xlabel="generation")
+    below.set_ylim(-0.02, 1.02)
     below.legend(loc="upper left", bbox_to_anchor=(0, -0.28), ncols=4, fontsize=8)
     for ax in column:
         for start in generation[1:][np.diff(one.start) > 0]:
@@ -119,7 +119,6 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
     figure, cells = panel_grid(len(found), (2.3, 0.8), _profiles_title(found), labels, sharey=True)
     for (ax,), (name, profile) in zip(cells, found.items(), strict=True):
         _panel(ax, name, profile, summary["parameters"].get(name, {}))
-    style.legend_below(figure)
     return figure
 
 

@@ -17,14 +17,8 @@ from frictrack.records import Array
 
 UNSEEN = -1.0  # value of a pair of which one effect is not detectable
 SEPARATION_LEVELS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
-SEPARATION_COLOURS = (
-    "#e3e5e7",
-    "#8c2d04",
-    "#fe9929",
-    "#d9f0d3",
-    "#7fbf7b",
-    "#1b7837",
-)  # browns: not separated; greens: separated
+# browns: not separated; greens: separated
+SEPARATION_COLOURS = ("#e3e5e7", "#8c2d04", "#fe9929", "#d9f0d3", "#7fbf7b", "#1b7837")
 SEPARATION_LABELS = ("not detectable", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
 
 
@@ -46,11 +40,9 @@ def remaining_pairs(plan: Mapping[str, Any]) -> Figure:
     ax.barh(range(len(left)), left, height=0.62, color=style.SKY, edgecolor=style.MEASURED_COLOUR, lw=0.6)
     for i, n in enumerate(left):
         gone = "" if i == 0 else f"   ({left[i - 1] - n} fewer)"
-        ax.annotate(f"{n}{gone}", (n, i), xytext=(5, 0), textcoords="offset points", va="center", fontsize=9)
-    ax.set_yticks(range(len(names)), names)
-    ax.invert_yaxis()
+        style.note(ax, f"{n}{gone}", (n, i), (5, 0), va="center")
+    style.name_rows(ax, names)
     ax.set_xlim(0, 1.15 * max(total, 1))
-    ax.tick_params(axis="y", length=0)
     ax.set_xlabel("pairs of effects that cannot be distinguished")
     return figure
 
@@ -128,22 +120,14 @@ def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
         ends = [max(e, MIN_SHOWN_BIC) for e in step["expected_if_true"].values()]
         ax.plot([min(ends), max(ends)], [row, row], color="#999999", lw=1.0, zorder=1)
     for k, name in enumerate(names):
-        points = [
-            (max(s["expected_if_true"][name], MIN_SHOWN_BIC), r)
-            for r, s in enumerate(steps)
-            if name in s["expected_if_true"]
-        ]
-        look = style.RUN_STYLES[k % len(style.RUN_STYLES)]["color"]
-        x, y = zip(*points, strict=True)
-        ax.plot(x, y, linestyle="none", marker=MARKERS[k % len(MARKERS)], color=look, ms=8, label=f"if {name} is true")
+        rows = [row for row, step in enumerate(steps) if name in step["expected_if_true"]]
+        evidence = [max(steps[row]["expected_if_true"][name], MIN_SHOWN_BIC) for row in rows]
+        color, marker = style.RUN_STYLES[k % len(style.RUN_STYLES)]["color"], MARKERS[k % len(MARKERS)]
+        ax.plot(evidence, rows, ls="none", marker=marker, color=color, ms=8, label=f"if {name} is true")
     ax.axvline(MIN_DELTA_BIC, color=style.MEASURED_COLOUR, lw=1.0, linestyle="--")
-    ax.annotate(
-        "distinguished", (MIN_DELTA_BIC, -0.62), xytext=(4, 0), textcoords="offset points", fontsize=9, va="center"
-    )
+    style.note(ax, "distinguished", (MIN_DELTA_BIC, -0.62), (4, 0), va="center")
     ax.set_xscale("log")
-    ax.set_ylim(len(steps) - 0.5, -0.85)
-    ax.set_yticks(range(len(steps)), [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)])
-    ax.tick_params(axis="y", length=0)
+    style.name_rows(ax, [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)], top=-0.85)
     ax.set_xlabel("expected difference of BIC from the nearest of the others")
     figure.legend(loc="outside right upper")
     return figure
@@ -192,12 +176,10 @@ def _panel(ax: Axes, trend: Mapping[str, Any]) -> None:
     ax.set_title(trend["name"])
     ax.set_ylabel(format_unit(trend["unit"]) or "relative")
     ax.set_xlabel(trend["along"])
-    low, high = np.quantile(value, [0.0, 1.0])
-    reach = max(
-        float(np.max(BAND_SIGMAS * np.nan_to_num(std))) if len(at) <= MAX_ERROR_BARS else 0.0, 0.08 * (high - low)
-    )
+    low, high = value.min(), value.max()
+    bars = BAND_SIGMAS * np.nan_to_num(std).max() if len(at) <= MAX_ERROR_BARS else 0.0
     spread = high - low or abs(high) or 1.0
-    reach = min(reach, 2.0 * spread)  # one very uncertain study must not flatten the others
+    reach = min(max(bars, 0.08 * (high - low)), 2.0 * spread)  # one very uncertain study must not flatten the others
     ax.set_ylim(low - reach, high + reach)
 
 

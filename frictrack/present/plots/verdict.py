@@ -13,14 +13,7 @@ from matplotlib.figure import Figure
 
 from frictrack.base.number_format import format_number
 from frictrack.present.plots import style
-from frictrack.present.plots.evidence import (
-    at_reference_load,
-    draw_common,
-    draw_runs,
-    force_label,
-    force_limits,
-    mean_per_run,
-)
+from frictrack.present.plots.evidence import at_reference_load, draw_missing_force, draw_runs, force_title, worst_runs
 from frictrack.present.plots.inputs import AnyModel, Summarised, as_model
 from frictrack.present.plots.model import (
     MAX_STEPS_NAMED,
@@ -31,10 +24,10 @@ from frictrack.present.plots.model import (
     residual_unit,
     residuals,
 )
-from frictrack.present.plots.style import axis_label, new_figure, styled
+from frictrack.present.plots.style import axis_label, motion_label, new_figure, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results
-from frictrack.results.names import AXES, joined_name, plain_name
+from frictrack.results.names import joined_name, plain_name
 from frictrack.results.verdicts import describe_verdict
 
 DRAWN_AXES = ("x", "v", "t")
@@ -156,30 +149,30 @@ def data_of_study(results: Results) -> VerdictData:
     diagnosis, unit, name = shown.diagnosis or {}, residual_unit(current), plain_name(shown.name)
     figures, runs = shown.figures if diagnosis else {}, {run.name: run for run in results.runs}
     before = _stored(figures, "before", name, unit, shown) or _of_model(shown, runs, figures)
-    after = None if shown is current else _of_model(current, runs, figures, shown.summary["model"])
+    later = None if shown is current else _of_model(current, runs, figures, shown.summary["model"])
     errors = errors_of_models(results.models, unit)
     tried = _errors_tried(diagnosis, unit) if shown is current else []
     if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
         errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
-    after = after or _stored(figures, "after", f"with {_named(diagnosis.get('missing') or [])}, as tried", unit)
     noise = noise_um(current) if unit == "µm" else diagnosis.get("noise_N")
-    return VerdictData(name, diagnosis, figures, before, after, errors, noise, unit)
+    return VerdictData(name, diagnosis, figures, before, later or _tried(diagnosis, figures, unit), errors, noise, unit)
 
 
 def data_of_diagnosis(found: Summarised, better: AnyModel | None = None) -> VerdictData:
     """Select the data of a diagnosis, and of a later fit if there is one."""
     diagnosis, figures = found.summary(), found.figures
-    unit = "N" if diagnosis.get("noise_N") is not None else "µm"
+    noise, unit = (diagnosis["noise_um"], "µm") if diagnosis.get("noise_N") is None else (diagnosis["noise_N"], "N")
     name, errors = joined_name(diagnosis["model"]), _errors_tried(diagnosis, unit)
-    before = _stored(figures, "before", name, unit)
-    if better is None:
-        after = _stored(figures, "after", f"with {_named(diagnosis.get('missing') or [])}, as tried", unit)
-    else:
+    before, after = _stored(figures, "before", name, unit), _tried(diagnosis, figures, unit)
+    if better is not None:
         later = as_model(better)
-        errors = [*errors[:1], *errors_of_models([later], unit)]
-        after = _of_model(later, {}, figures, diagnosis["model"])
-    noise = diagnosis["noise_um" if unit == "µm" else "noise_N"]
+        after, errors = _of_model(later, {}, figures, diagnosis["model"]), errors[:1] + errors_of_models([later], unit)
     return VerdictData(name, diagnosis, figures, before, after, errors, noise, unit)
+
+
+def _tried(diagnosis: Mapping[str, Any], figures: Figures, unit: str) -> Residuals | None:
+    """Residual with the effects that a diagnosis found, as it tried them."""
+    return _stored(figures, "after", f"with {_named(diagnosis.get('missing') or [])}, as tried", unit)
 
 
 def _rms(model: ModelResults | None, unit: str, values: Array) -> float:
@@ -257,7 +250,6 @@ HEIGHT_IN = 3.3
 MAX_RUNS_DRAWN = 8  # one by one; of more runs the worst residuals, and of the force only the common part
 MAX_LIMITS = 8
 ERRORS_WIDTH_IN = 3.3  # of the panel of errors
-MAX_GAP_SHARE = 0.05  # of an axis; a line has a gap where the step is longer
 BEFORE, AFTER = style.VERMILION, style.BLUE
 FAILS_STYLE: dict[str, Any] = {"fc": style.ORANGE, "alpha": 0.22, "lw": 0, "label": "fails here"}
 
@@ -292,7 +284,11 @@ def verdict(found: Results | Summarised, better: AnyModel | None = None, *, titl
     _draw_force(middle, data)
     if data.before is not None and "residual_force" in data.figures:
         middle.set_xlim(left.get_xlim())
-    _draw_errors(right, data)
+    if data.errors:
+        draw_held_out(right, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
+        right.set_title(_errors_title(data))
+    else:
+        _say(right, "No held-out error was computed")
     style.legend_below(figure, handlelength=1.8, columnspacing=1.4)
     return figure
 
@@ -315,7 +311,7 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> None:
     if data.before is None:
         _say(ax, "No residual is stored; diagnose again")
         return
-    shown = _worst_runs(data.before)
+    shown = worst_runs(data.before.rows, "values", "sigma", MAX_RUNS_DRAWN)
     for whole, colour in ((data.before, BEFORE if data.fails else AFTER), (data.after, AFTER)):
         if whole is not None:
             label = whole.name + (_how_many(whole) if whole is data.before else "")
@@ -324,15 +320,15 @@ def _draw_residuals(ax: Axes, data: VerdictData) -> None:
     ax.axhspan(-band, band, color=style.NOISE_COLOUR, lw=0, zorder=0.6, label=f"noise, {style.BAND_LABEL}")
     ax.axhline(0, color="#666666", lw=0.7, zorder=1)
     _shade_spans(ax, data)
-    ax.set(xlabel=_x_label(data.axis), ylabel=axis_label("residual", data.unit), title=_residual_title(data))
+    ax.set(xlabel=motion_label(data.axis), ylabel=axis_label("residual", data.unit), title=_residual_title(data))
     ax.margins(x=0.01)
 
 
-def _worst_runs(residuals: Residuals) -> Array:
-    """The runs to draw: of many, those with the largest residual over its noise."""
-    rows = residuals.rows
-    names, mean = mean_per_run(rows["run"], (rows["values"] / rows["sigma"]) ** 2)
-    return names[np.argsort(-mean, kind="stable")[:MAX_RUNS_DRAWN]]
+def _draw_lines(ax: Axes, rows: Mapping[str, Array], axis: str, column: str, shown: Array, **look: Any) -> None:
+    """Draw a column of some runs in one look, as a bitmap if the points are many."""
+    kept = np.isin(rows["run"], shown)
+    look["rasterized"] = np.count_nonzero(kept) > 4 * style.MAX_POINTS
+    draw_runs(ax, rows, axis, column, dict.fromkeys(np.unique(rows["run"][kept]), look))
 
 
 def _residual_title(data: VerdictData) -> str:
@@ -350,25 +346,6 @@ def _how_many(residuals: Residuals) -> str:
     """How many runs are drawn, if not all."""
     n = len(np.unique(residuals.rows["run"]))
     return f", {MAX_RUNS_DRAWN} worst of {n} runs" if n > MAX_RUNS_DRAWN else ""
-
-
-def _x_label(axis: str) -> str:
-    return axis_label(AXES[axis].label, AXES[axis].unit)
-
-
-def _draw_lines(
-    ax: Axes, rows: Mapping[str, Array], axis: str, column: str, shown: Array, factor: Any = 1.0, **look: Any
-) -> None:
-    """Draw a column over an axis, one line for each of some runs, with gaps where the axis jumps."""
-    kept = np.isin(rows["run"], shown)
-    gap = MAX_GAP_SHARE * max(float(np.ptp(rows[axis][kept])), 1e-12)
-    many = np.count_nonzero(kept) > 4 * style.MAX_POINTS
-    values = factor * rows[column]
-    for k in np.unique(rows["run"][kept]):
-        mine = rows["run"] == k
-        at = rows[axis][mine]
-        broken = np.abs(np.diff(at, prepend=at[0])) > gap
-        ax.plot(at, np.where(broken, np.nan, values[mine]), rasterized=many, **look)
 
 
 def _shade_spans(ax: Axes, data: VerdictData) -> None:
@@ -406,27 +383,23 @@ def _draw_force(ax: Axes, data: VerdictData) -> None:
 
 
 def _draw_missing_force(ax: Axes, data: VerdictData) -> None:
-    whole, axis = at_reference_load(data.figures["residual_force"]), data.axis
-    factor, unit = style.axis_scale(whole["F"], "N")
-    n = len(np.unique(whole["run"]))
-    if n <= MAX_RUNS_DRAWN:
-        draw_runs(ax, whole, axis, factor, [{"color": "#8C8C8C", "label": "missing force, each run"}] * n)
-    if n > 1:
-        draw_common(ax, data.figures.get(f"common_{axis}"), factor)
-    after = data.after
+    whole, after = at_reference_load(data.figures["residual_force"]), data.after
+    runs = np.unique(whole["run"])
+    look: dict[str, Any] = {"color": "#8C8C8C", "lw": 1.0, "alpha": 0.9, "label": "missing force, each run"}
+    looks = dict.fromkeys(runs, look) if len(runs) <= MAX_RUNS_DRAWN else {}
+    common = data.figures.get(f"common_{data.axis}") if len(runs) > 1 else None
+    label = draw_missing_force(ax, whole, data.axis, common, looks)
     if after is not None and "force" in after.rows:
         names = np.unique(after.rows["run"])
         shown = names[np.unique(np.linspace(0, len(names) - 1, MAX_RUNS_DRAWN).astype(int))]  # spread over all
-        per_load = factor / _load_of(whole, after.rows["run"])
+        per_load = style.axis_scale(whole["F"], "N")[0] / _load_of(whole, after.rows["run"])
+        rows = after.rows | {"force": per_load * after.rows["force"]}
         effects = after.name.removeprefix("with ").removesuffix(", as tried")
-        look: dict[str, Any] = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2)), "zorder": 5}
+        look = {"color": AFTER, "lw": 1.5, "ls": (0, (4, 1.2)), "zorder": 5}
         look["label"] = f"force of {effects}{', each run' if len(names) > 1 else ''}"
-        _draw_lines(ax, after.rows, axis, "force", shown, per_load, **look)
+        _draw_lines(ax, rows, data.axis, "force", shown, **look)
     _shade_spans(ax, data)
-    low, high = force_limits(whole)
-    ax.axhline(0, color="#666666", lw=0.7, zorder=1)
-    ax.set_ylim(factor * low, factor * high)
-    ax.set(xlabel=_x_label(axis), ylabel=axis_label(force_label(whole), unit), title=_force_title(data))
+    ax.set(ylabel=label, title=force_title(data.diagnosis.get("repeats") or []))
 
 
 def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
@@ -435,13 +408,6 @@ def _load_of(whole: Mapping[str, Array], run: Array) -> Array:
         return np.ones(len(run))
     by_run = {k: whole["load"][whole["run"] == k][0] for k in np.unique(whole["run"])}
     return np.array([by_run.get(k, 1.0) for k in run])
-
-
-def _force_title(data: VerdictData) -> str:
-    repeats = data.diagnosis.get("repeats") or []
-    if repeats and repeats[0]["holds"]:
-        return f"The missing force repeats with {AXES[repeats[0]['axis']].name}"
-    return "The missing force"
 
 
 def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> None:
@@ -455,14 +421,11 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> None:
     factor, unit = style.axis_scale(np.array(sizes), "N")
     ax.plot([factor * s for s in sizes], range(len(shown)), "o", ms=7, color=AFTER)
     for k, size in enumerate(sizes):
-        ax.annotate(format_number(factor * size, 2), (factor * size, k), (7, 0), textcoords="offset points",
-                    va="center", fontsize=9)  # fmt: skip
-    ax.set_yticks(range(len(shown)), [name.replace("_", " ") for _, name in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
+        style.note(ax, format_number(factor * size, 2), (factor * size, k), (7, 0), va="center")
+    style.name_rows(ax, [name.replace("_", " ") for _, name in shown])
     style.log_axis(ax, "x")
     ax.set_xlim(0.6 * factor * min(sizes), 4.0 * factor * max(sizes))
     ax.grid(axis="y", color="#E4E7EA", lw=0.8)
-    ax.tick_params(axis="y", length=0)
     ax.set_xlabel(axis_label("smallest force that would be detected", unit))
     ax.set_title("What these runs would have shown")
 
@@ -470,21 +433,13 @@ def _draw_limits(ax: Axes, limits: Mapping[str, Mapping[str, Any]]) -> None:
 # ---- the held-out errors
 
 
-def _draw_errors(ax: Axes, data: VerdictData) -> None:
-    if not data.errors:
-        _say(ax, "No held-out error was computed")
-        return
-    draw_held_out(ax, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
-    ax.set_title(_errors_title(data, np.array([one.value for one in data.errors])))
-
-
-def _errors_title(data: VerdictData, values: Array) -> str:
-    if len(values) == 1:
+def _errors_title(data: VerdictData) -> str:
+    first, last = data.errors[0].value, data.errors[-1].value
+    if len(data.errors) == 1:
         return "Error and noise"
-    if values[-1] >= values[0]:
+    if last >= first:
         return "Error does not fall"
-    reached = data.noise is not None and values[-1] < 1.2 * data.noise
-    return "Error falls to the noise" if reached else "Error falls"
+    return "Error falls to the noise" if data.noise is not None and last < 1.2 * data.noise else "Error falls"
 
 
 # ---- common to the panels

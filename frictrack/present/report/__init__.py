@@ -8,5 +8,4 @@ report.print_pdf(page)  # report.pdf
 
 from frictrack.present.report.markup import SvgEmbedder, mark_code, mark_equation, page_template
 from frictrack.present.report.page import print_pdf, render, write, write_campaign, write_plan
-from frictrack.present.report.tables import CandidateCard, candidate_cards, inseparable, separating_experiments
 from frictrack.present.report.texts import failed_checks, is_good, study_verdict

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from datetime import datetime
 from functools import cache
+from inspect import isfunction
 from itertools import count
 from typing import Any
 
@@ -13,21 +14,9 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Te
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from frictrack.base import number_format
 from frictrack.base.glossary import hover_pattern, meaning_of
-from frictrack.base.number_format import (
-    MINUS,
-    describe_change,
-    format_change,
-    format_number,
-    format_quantity,
-    format_range,
-    format_share,
-    format_size,
-    format_unit,
-    join_words,
-    lower_first,
-    upper_first,
-)
+from frictrack.base.number_format import MINUS, lower_first
 from frictrack.present import plots
 from frictrack.results.candidates import CandidateRow
 
@@ -111,21 +100,10 @@ ID_ATTRIBUTES = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 def _templates(*packages: str) -> Environment:
     loader = ChoiceLoader([PackageLoader("frictrack", package) for package in (*packages, "present/report")])
     pages = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    pages.filters |= {
-        "number": format_number,
-        "quantity": format_quantity,
-        "size": format_size,
-        "unit": format_unit,
-        "range": format_range,
-        "share": format_share,
-        "change": format_change,
-        "change_to": describe_change,
-        "join_words": join_words,
-        "upper_first": upper_first,
-        "lower_first": lower_first,
-        "code": mark_code,
-        "evidence": describe_evidence,
-    }
+    # every function of `number_format` is a filter, without "format_" in its name; those of Jinja stay
+    functions = {name: one for name, one in vars(number_format).items() if isfunction(one)}
+    pages.filters = {name.removeprefix("format_"): one for name, one in functions.items()} | pages.filters
+    pages.filters |= {"code": mark_code, "evidence": describe_evidence}
     return pages
 
 

@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from frictrack.base import glossary
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
-from frictrack.base.glossary import symbols_in
 from frictrack.present import plots
-from frictrack.present.report import tables, texts
-from frictrack.present.report.markup import SvgEmbedder, explain_words, mark_equation, now, page_template
-from frictrack.results import ModelResults, Results, RunResults, verdicts
-from frictrack.results.candidates import MAIN_KINDS, candidate_rows
-from frictrack.results.names import AXES
-from frictrack.results.rows import held_out_error
+from frictrack.present.report import markup, tables, texts
+from frictrack.present.report.markup import SvgEmbedder, explain_words, now, page_template
+from frictrack.results import ModelResults, Results, RunResults, candidates, names, rows, verdicts
 
+MODULES = {  # whose functions the template calls
+    module.__name__.rpartition(".")[2]: module
+    for module in (glossary, plots, markup, tables, texts, candidates, names, verdicts)
+}
 MAX_FILMS = 4  # films of which the first frame is shown
 
 
@@ -80,30 +81,19 @@ def render(results: Results, key: str = "") -> str:
     judged, earlier = _judged_models(results)
     filmed = [run for run in results.runs if run.film is not None and run.track is not None]
     html = page_template("page.html.j2").render(
-        plots=plots,
-        tables=tables,
-        texts=texts,
+        **MODULES,
+        result_rows=rows,
         results=results,
         model=results.current,
         key=key,
-        check_first=verdicts.CHECK_FIRST,
         written=now(),
         figure=figure,
         figures=figures,
-        mark_equation=mark_equation,
-        symbols_in=symbols_in,
         verdict=texts.study_verdict(results),
         judged=judged,
         earlier=earlier,
         failed=plots.failed_model(results),
         headline=lambda model: verdicts.describe_verdict(model.diagnosis, plots.plain_name(model.name)),
-        main_kinds=MAIN_KINDS,
-        axes=AXES,
-        candidate_rows=candidate_rows,
-        held_out_error=held_out_error,
-        force_without_effect=verdicts.force_without_effect,
-        describe_formula=verdicts.describe_formula,
-        describe_unnamed=verdicts.describe_unnamed,
         filmed=filmed,
         films=[_first_frame(run, wide=len(filmed) == 1) for run in filmed[:MAX_FILMS]],
         budgets={run.name: run.budget for run in results.runs if run.budget},
@@ -134,7 +124,8 @@ BROWSERS = (
     r"C:\Program Files\Google\Chrome\Application\chrome.exe",
     r"C:\Program Files (x86)\Microsoft\Edge\Application\msedge.exe",
 )
-OFFLINE = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
+OPTIONS = ("--headless", "--disable-gpu", "--disable-background-networking", "--disable-component-update",
+           "--disable-sync", "--no-first-run", "--no-pdf-header-footer")  # fmt: skip
 MAX_PRINT_SECONDS = 120.0  # a browser usually takes two seconds
 
 
@@ -165,14 +156,7 @@ def print_pdf(page: Path) -> Path:
         )
     target = page.with_suffix(".pdf")
     with atomic_write(target) as part, tempfile.TemporaryDirectory() as profile:
-        command = [
-            browser,
-            "--headless",
-            "--disable-gpu",
-            *OFFLINE,
-            f"--user-data-dir={profile}",
-            "--no-pdf-header-footer",
-        ]
+        command = [browser, *OPTIONS, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium has no sandbox for root; the page is our own
         command += [f"--print-to-pdf={part}", page.resolve().as_uri()]
@@ -181,10 +165,8 @@ def print_pdf(page: Path) -> Path:
         except subprocess.TimeoutExpired as e:
             raise FrictrackError(f"{browser} did not print {page.name} within {MAX_PRINT_SECONDS:g} s") from e
         if done.returncode or not part.exists() or part.stat().st_size == 0:
-            lines = done.stderr.decode(errors="replace").strip().splitlines()
-            raise FrictrackError(
-                f"{browser} could not print {page.name}: {lines[-1] if lines else 'it gave no reason'}"
-            )
+            reason = (done.stderr.decode(errors="replace").strip().splitlines() or ["it gave no reason"])[-1]
+            raise FrictrackError(f"{browser} could not print {page.name}: {reason}")
     return target
 
 

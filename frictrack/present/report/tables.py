@@ -9,18 +9,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from frictrack.base.number_format import (
-    DASH,
-    format_number,
-    format_size,
-)
+from frictrack.base.number_format import DASH, format_number, format_size
+from frictrack.present.plots import parameter_unit
 from frictrack.present.plots.style import axis_label
-from frictrack.present.report.markup import mark_code
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
 from frictrack.results.names import plain_name
 from frictrack.results.rows import (
     FAILING_HEADS,
+    MEASUREMENT_HEADS,
     error_rows,
     failing_rows,
     interval_with_unit,
@@ -146,18 +143,16 @@ def interval_table(model: ModelResults) -> TextTable:
     """Table of the standard deviation, the profile interval and the bootstrap interval of every parameter."""
     summary = model.summary
     profiles, bootstrap = summary.get("profiles", {}), summary.get("bootstrap", {}).get("parameters", {})
-    rows = [
-        (
-            code_cell(name),
-            parameter_row(p).value,
-            interval_with_unit([profiles[name][end] for end in ("low", "high")], p["unit"]) if name in profiles else "",
-            interval_with_unit(bootstrap[name]["interval"], p["unit"]) if name in bootstrap else "",
-            format_size(bootstrap[name]["std"], p["unit"]) if name in bootstrap else "",
-            "; ".join(profiles.get(name, {})[key] for key in ("why_low", "why_high") if key in profiles.get(name, {})),
-        )
-        for name, p in summary["parameters"].items()
-        if (name in profiles or name in bootstrap) and not PER_RUN_NAME.match(name)
-    ]
+    rows = []
+    for name, p in summary["parameters"].items():
+        profile, drawn, unit = profiles.get(name), bootstrap.get(name), p["unit"]
+        if (profile or drawn) and not PER_RUN_NAME.match(name):
+            by_profile = interval_with_unit((profile["low"], profile["high"]), unit) if profile else ""
+            by_draws = (
+                (interval_with_unit(drawn["interval"], unit), format_size(drawn["std"], unit)) if drawn else ("", "")
+            )
+            why = "; ".join((profile or {})[key] for key in ("why_low", "why_high") if key in (profile or {}))
+            rows.append((code_cell(name), parameter_row(p).value, by_profile, *by_draws, why))
     heads = ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws", "")
     return make_table(heads, rows, (1, 2, 3, 4))
 
@@ -166,8 +161,7 @@ def run_table(model: ModelResults) -> TextTable:
     """Table of the runs of a fit: friction level, noise, errors, and the parameters that differ between runs."""
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
-        m = PER_RUN_NAME.match(name)
-        if m:
+        if m := PER_RUN_NAME.match(name):
             per_run.setdefault(m["name"], {})[m["run"]] = parameter_row(p).value
     rows = []
     for row in model.summary["per_run"]:
@@ -218,13 +212,11 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
     for run in runs:
         if run.film is None or run.track is None:
             continue
-        t, found = run.track, run.track.found
-        at = "" if t.target is None else "[" + ", ".join(f"{v:.0f}" for v in t.target) + "]"
-        pitch, error = run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
-        rows.append(
-            (run.name, run.source, f"{run.film.fps:g}", f"{int(found.sum())} of {len(t)}", code_cell(at),
-             format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
-        )  # fmt: skip
+        t, pitch, error = run.track, run.displacement.pixel_pitch, 100 * run.displacement.relative_scale_error
+        at = "" if t.target is None else f"[{', '.join(f'{v:.0f}' for v in t.target)}]"
+        scale = (format_number(1e6 * pitch if pitch else None, 4), format_number(error, 2) if error else "")
+        found = f"{int(t.found.sum())} of {len(t)}"
+        rows.append((run.name, run.source, f"{run.film.fps:g}", found, code_cell(at), *scale))
     heads = ("run", "film", "frames per s", "frames with target", "target", "µm/px", "scale error / %")
     return make_table(heads, rows, (2, 3, 5, 6))
 
@@ -232,85 +224,10 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
     """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
     rows = [(run.name, *measurement_cells(run.quality)) for run in runs if run.quality]
-    heads = ("run", "σ / px", "σ / µm", "match score", "peak locking / px", "backward / px", "reference / px",
-             "shake / px", "blur / px", "exposure / µs")  # fmt: skip
-    return make_table(heads, rows, range(1, len(heads)))
+    return make_table(("run", *MEASUREMENT_HEADS), rows, range(1, len(MEASUREMENT_HEADS) + 1))
 
 
-DEFAULTS: dict[str, Any] = {"expected_delta_bic": None, "expected_if_true": {}, "key": "", "kind": "film"}
-
-
-def separating_experiments(diagnosis: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
-    """Select the proposed experiments that would distinguish effects, best first.
-
-    Parameters
-    ----------
-    diagnosis : mapping or None
-        A diagnosis; None before one was made.
-
-    Returns
-    -------
-    list of mappings
-        The experiments. Keys that an older file lacks have default values.
-
-    """
-    steps = [step for step in (diagnosis or {}).get("next_experiment") or [] if step["separates"]]
-    return [DEFAULTS | {"tells": f"{', '.join(step['separates'])} apart"} | dict(step) for step in steps]
-
-
-def inseparable(diagnosis: Mapping[str, Any] | None) -> list[str]:
-    """Describe the effects that no run can distinguish, and what else can."""
-    return [step["what"] for step in (diagnosis or {}).get("next_experiment") or [] if not step["separates"]]
-
-
-TEXT_KEYS = ("what", "looks_like", "here", "confirm")
 MAX_OTHERS_SHOWN = 3  # where no candidate was found
-ACTS_ON = {"force": "a force on the mass", "measurement": "an error of the measurement"}
-
-
-@dataclass(frozen=True)
-class CandidateCard:
-    """The texts about one candidate effect.
-
-    Attributes
-    ----------
-    row : CandidateRow
-        Its row in the list of candidates.
-    acts_on : str
-        Whether it is a force or an error of the measurement.
-    words : mapping
-        What it is, what it looks like, where it shows here, how to confirm it.
-    numbers : tuple
-        Its parameters and the evidence.
-    rivals : tuple of str
-        Effects that these runs cannot distinguish from it.
-
-    """
-
-    row: CandidateRow
-    acts_on: str
-    words: Mapping[str, Markup]
-    numbers: tuple[str, ...]
-    rivals: tuple[str, ...]
-
-
-def candidate_cards(rows: Sequence[CandidateRow]) -> list[CandidateCard]:
-    """Describe candidates, one card each."""
-    return [
-        CandidateCard(
-            row=row,
-            acts_on=ACTS_ON.get(row.source["acts_on"], ""),
-            words={key: mark_code(row.source["words"].get(key, "")) for key in TEXT_KEYS},
-            numbers=(*row.parameters, row.evidence, *_held_out_words(row)),
-            rivals=tuple(row.source["indistinguishable_from"]) if row.passes else (),
-        )
-        for row in rows
-    ]
-
-
-def _held_out_words(row: CandidateRow) -> list[str]:
-    how = "whole runs" if row.source.get("heldout") == "run" else "every other frame"
-    return [f"held-out error {row.held_out} ({how})"] if row.held_out else []
 
 
 def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]:
@@ -319,38 +236,21 @@ def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]
     shown = [row for row in rows if row.kind in MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
 
     def table(listed: Sequence[CandidateRow]) -> TextTable:
-        cells = [
-            (
-                Markup('<span class="mark {}"></span><code>{}</code>').format(row.kind, row.effect),
-                row.standing,
-                row.held_out,
-                row.share,
-                row.p,
-                format_number(row.delta_bic),
-            )
+        name = Markup('<span class="mark {}"></span><code>{}</code>').format
+        cells = (
+            (name(row.kind, row.effect), row.standing, row.held_out, row.share, row.p, format_number(row.delta_bic))
             for row in listed
-        ]
-        return make_table(heads, cells, (2, 3, 4, 5))
+        )
+        return make_table(heads, list(cells), (2, 3, 4, 5))
 
     return table(shown), table([row for row in rows if row not in shown])
 
 
 def detection_limit_table(diagnosis: Mapping[str, Any]) -> TextTable:
     """Table of the smallest size of each effect that 95 of 100 repeats would detect."""
-    rows = [
-        (
-            code_cell(name),
-            DASH if limit["value"] is None else format_size(limit["value"], limit["unit"]),
-            limit.get("reason") or _worst_setting(name, limit),
-        )
-        for name, limit in diagnosis["detection_limits"].items()
-    ]
+    rows = []
+    for name, limit in diagnosis["detection_limits"].items():
+        size = DASH if limit["value"] is None else format_size(limit["value"], limit["unit"])
+        at = (f"{key} {format_size(value, parameter_unit(name, key))}" for key, value in limit.get("at", {}).items())
+        rows.append((code_cell(name), size, limit.get("reason") or ", ".join(at)))
     return make_table(("effect", "detectable from", "at the least favourable"), rows, (1,))
-
-
-def _worst_setting(effect: str, limit: Mapping[str, Any]) -> str:
-    from frictrack import effects  # noqa: PLC0415 - only for the units
-
-    kind = effects.known().get(effect.split(":", maxsplit=1)[0])
-    units = {} if kind is None else {p.name: p.unit for p in kind.parameters}
-    return ", ".join(f"{name} {format_size(value, units.get(name, ''))}" for name, value in limit.get("at", {}).items())

@@ -23,12 +23,7 @@ from frictrack.results.candidates import candidate_rows
 from frictrack.results.names import AXES, plain_name
 from frictrack.results.rows import held_out_error
 
-EFFECT_NAMES = {
-    "coulomb": "Coulomb friction",
-    "stribeck": "Stribeck friction",
-    "viscous": "viscous friction",
-    "drag": "drag",
-}
+EFFECT_NAMES = {"coulomb": "Coulomb friction", "stribeck": "Stribeck friction", "viscous": "viscous friction"}
 NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 
 
@@ -121,13 +116,9 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
     found = [row for row in candidate_rows(first.diagnosis) if len(added) == 1 and row.effect == added[0][2]]
     why = Markup(" ({})").format(describe_evidence(found[0])) if found else Markup("")
-    yield Markup("{} lacked {}{}: with {} the held-out error {}.").format(
-        plain_name(first.name),
-        Markup(effects),
-        why,
-        "it" if len(added) == 1 else "them",
-        describe_change(old, new, unit),
-    )
+    them, change = "it" if len(added) == 1 else "them", describe_change(old, new, unit)
+    lacked = Markup("{} lacked {}{}").format(plain_name(first.name), Markup(effects), why)
+    yield Markup("{}: with {} the held-out error {}.").format(lacked, them, change)
 
 
 def _residual(model: ModelResults) -> str:
@@ -162,10 +153,11 @@ def scale_error(results: Results) -> float:
         0.0 if all forces were measured or the error is not known.
 
     """
-    inferred = [
-        r for r in results.runs if r.sensors is None or (r.sensors.drive is None and r.sensors.friction_N is None)
-    ]
-    return max((r.displacement.relative_scale_error for r in inferred), default=0.0)
+
+    def is_inferred(run: RunResults) -> bool:
+        return run.sensors is None or (run.sensors.drive is None and run.sensors.friction_N is None)
+
+    return max((run.displacement.relative_scale_error for run in results.runs if is_inferred(run)), default=0.0)
 
 
 def has_measured_friction(results: Results) -> bool:
@@ -311,21 +303,14 @@ def failed_checks(run: RunResults) -> list[str]:
     """Describe the self-checks that one film fails."""
     q = run.quality
     lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
+    backward, blur = (q[key] or 0.0 for key in ("forward_backward_sigmas", "blur_px"))
+    is_locked = locking and sigma and locking > max(3 * q["peak_locking_std_px"], MIN_LOCKING_SIGMAS * sigma)
     checks = (
         (lost, verdicts.describe_lost(lost, q["frames"])),
         (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
-        (
-            locking and sigma and locking > 3 * q["peak_locking_std_px"] and locking > MIN_LOCKING_SIGMAS * sigma,
-            f"peak locking shifts positions by {_px(locking)}",
-        ),
-        (
-            q["forward_backward_sigmas"] and q["forward_backward_sigmas"] > MIN_BACKWARD_SIGMAS,
-            f"positions tracked backward differ by {_px(q['forward_backward_px'])}",
-        ),
-        (
-            q["blur_px"] and q["blur_px"] > MIN_BLUR_PX,
-            f"the target moves {_px(q['blur_px'])} during the exposure of a frame",
-        ),
+        (is_locked, f"peak locking shifts positions by {_px(locking)}"),
+        (backward > MIN_BACKWARD_SIGMAS, f"positions tracked backward differ by {_px(q['forward_backward_px'])}"),
+        (blur > MIN_BLUR_PX, f"the target moves {_px(blur)} during the exposure of a frame"),
     )
     timing = [f"{r['what']}: {r['value']}, {r['verdict']}" for r in q["timebase"] if not is_good(r["verdict"])]
     scale = [note for note in run.displacement.notes if "by the motion" in note or "from the motion" in note]
@@ -372,20 +357,12 @@ def settings_table(results: Results) -> TextTable:
     rows = []
     for run in results.runs:
         s = run.settings
-        mass = s.get("mass")
-        rows.append(
-            (
-                run.name,
-                run.source,
-                format_quantity(mass[0], mass[1], "kg") if isinstance(mass, tuple | list) else str(mass or ""),
-                f"{s['fps']:g} Hz" if "fps" in s else "",
-                _scale(s.get("scale", "")),
-                f"{run.motion.cutoff:.0f} Hz" if np.isfinite(run.motion.cutoff) else "",
-                "; ".join(
-                    f"{k} = {v}" for k, v in s.items() if k not in KEYS_WITH_COLUMN and (k, v) != ("reference", "auto")
-                ),
-            )
-        )
+        mass = format_quantity(s["mass"][0], s["mass"][1], "kg") if run.mass is not None else str(s.get("mass") or "")
+        fps, cutoff = s.get("fps"), run.motion.cutoff
+        rates = (f"{fps:g} Hz" if fps else "", f"{cutoff:.0f} Hz" if np.isfinite(cutoff) else "")
+        more = {k: v for k, v in s.items() if k not in KEYS_WITH_COLUMN and (k, v) != ("reference", "auto")}
+        further = "; ".join(f"{k} = {v}" for k, v in more.items())
+        rows.append((run.name, run.source, mass, rates[0], _scale(s.get("scale", "")), rates[1], further))
     return make_table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
 
 
@@ -431,18 +408,12 @@ def hash_table(results: Results) -> TextTable:
 
     """
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
-    rows = [
-        (
-            run.name,
-            _hash(run.film.hash if run.film else ""),
-            *(_hash(run.hashes.get(stage, "")) for stage in stages),
-        )
-        for run in results.runs
-    ]
+    hashes = ((run.film.hash if run.film else "", *map(run.hashes.get, stages)) for run in results.runs)
+    rows = [(run.name, *map(_hash, own)) for run, own in zip(results.runs, hashes, strict=True)]
     return make_table(("run", "film (sha256)", *stages), rows)
 
 
-def _hash(full: str) -> Cell:
+def _hash(full: str | None) -> Cell:
     return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
 
 

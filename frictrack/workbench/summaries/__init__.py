@@ -1,6 +1,6 @@
 """Say everything that the page shows about a study, as plain JSON; no web framework, and nothing is computed.
 
-state = state_of(read_snapshot(Path("study.toml")))
+state = state_of(SnapshotReader(Path("study.toml")).read())
 
 snapshot   read study file, results, history and recordings as their files are
 fields     mass, frame rate, scale: the value as read, warnings, errors
@@ -12,5 +12,5 @@ state      all of it, with the runs, what is missing before the analysis can run
 
 from frictrack.workbench.summaries.fields import check_fields, new_study, refuse_implausible
 from frictrack.workbench.summaries.models import candidate_curves, effect_library, searches
-from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader, read_snapshot
+from frictrack.workbench.summaries.snapshot import Snapshot, SnapshotReader
 from frictrack.workbench.summaries.state import change_words, state_of

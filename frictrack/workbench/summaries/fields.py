@@ -15,7 +15,7 @@ from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, implausible_entries
 from frictrack.results.verdicts import CHECK_FIRST
 from frictrack.study import RunTable, needs_film, read_frame_rate, to_si
-from frictrack.workbench.summaries.snapshot import Snapshot, file_version, surveyed_source
+from frictrack.workbench.summaries.snapshot import Snapshot, source_version, surveyed_source
 
 KEYS = ("mass", "fps", "scale")
 NAMES = {"mass": "Mass", "fps": "Frame rate", "scale": "Scale"}
@@ -46,7 +46,7 @@ def study_fields(snapshot: Snapshot, run: RunTable | None = None) -> dict[str, F
         error (sentences; a value with an error cannot be used), needed (nothing can be measured before it is given).
 
     """
-    return {key: _field_of(snapshot, key, run) for key in KEYS}
+    return {key: _questioned(snapshot, _field_of(snapshot, key, run), run) for key in KEYS}
 
 
 def check_fields(
@@ -110,10 +110,9 @@ def refuse_implausible(table: str, key: str, value: Any) -> None:
         What was expected, what came, what to type instead.
 
     """
-    if key in KEYS and table in ("study", "camera", "run") and value is not None:
-        error = _read_typed(key, value)["error"]
-        if error:
-            raise UsageError(error)
+    is_typed = key in KEYS and table in ("study", "camera", "run") and value is not None
+    if is_typed and (error := _read_typed(key, value)["error"]):
+        raise UsageError(error)
 
 
 def missing_fields(snapshot: Snapshot) -> list[str]:
@@ -140,12 +139,12 @@ def _field_of(snapshot: Snapshot, key: str, run: RunTable | None = None) -> Fiel
         reading = _read(key, written)
         if runs and all(one.plausible for one in runs):  # marked as checked in the study file
             reading["warning"] = None
-        return _questioned(snapshot, _field(key, written, source, reading, text="" if own is None else None), run)
+        return _field(key, written, source, reading, text="" if own is None else None)
     rates = {_stated_rate(one) for one in runs if one.video}
     rate = rates.pop() if len(rates) == 1 else None
     if key == "fps" and rate:
-        return _questioned(snapshot, _field(key, "", "film", _read("fps", rate)), run)
-    return _questioned(snapshot, _field(key, needed=any(_is_missing(one, key) for one in runs)), run)
+        return _field(key, "", "film", _read("fps", rate))
+    return _field(key, needed=any(_is_missing(one, key) for one in runs))
 
 
 def _questioned(snapshot: Snapshot, field: Field, run: RunTable | None) -> Field:
@@ -160,18 +159,13 @@ def _questioned(snapshot: Snapshot, field: Field, run: RunTable | None) -> Field
 
 
 def _typed_field(key: str, typed: Any, run: str | None, snapshot: Snapshot | None) -> Field:
-    if typed is None or not str(typed).strip():
-        known = snapshot is not None and snapshot.study is not None
-        return _field(key, needed=not known or _is_needed_without(snapshot, key, run))
-    return _field(key, typed, "run" if run else "study", _read_typed(key, typed))
-
-
-def _is_needed_without(snapshot: Snapshot | None, key: str, run: str | None) -> bool:
-    """Return whether a value must be given if the field is left empty."""
-    assert snapshot is not None
-    assert snapshot.study is not None
+    if typed is not None and str(typed).strip():
+        return _field(key, typed, "run" if run else "study", _read_typed(key, typed))
+    if snapshot is None or snapshot.study is None:
+        return _field(key, needed=True)
     common = snapshot.raw.get(TABLE_OF_KEY[key], {}).get(key) if run else None
-    return common is None and any(_needs(one, key) for one in snapshot.study.runs if run in (None, one.name))
+    runs = [one for one in snapshot.study.runs if run in (None, one.name)]
+    return _field(key, needed=common is None and any(_needs(one, key) for one in runs))
 
 
 def _field(
@@ -205,7 +199,7 @@ def _is_missing(run: RunTable, key: str) -> bool:
 
 def _table_needs_mass(run: RunTable) -> bool:
     """Return whether the table of a run needs a mass; its headers are read once for each version of the file."""
-    place = (str(run.table), file_version(run.table), run.columns.get("friction"), run.sensor is None)
+    place = (str(run.table), source_version(run.table), run.columns.get("friction"), run.sensor is None)
     if place not in _MASS_NEEDED:
         try:
             _MASS_NEEDED[place] = table_needs_mass(run.model_copy(update={"mass": None}))
@@ -247,9 +241,8 @@ def _read_mass(value: Any) -> tuple[str, dict[str, Any]]:
     if value == "fit":
         return "fitted from the measured drive", {}
     mass, std = to_si(value, "kg", "mass", above=0.0)
-    return f"{format_plus_minus(mass, std) if std else max(f'{mass:g}', format_number(mass), key=len)} kg", {
-        "mass": mass
-    }
+    number = format_plus_minus(mass, std) if std else max(f"{mass:g}", format_number(mass), key=len)
+    return f"{number} kg", {"mass": mass}
 
 
 def _read_rate(value: Any) -> tuple[str, dict[str, Any]]:

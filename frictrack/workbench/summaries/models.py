@@ -8,24 +8,16 @@ from functools import lru_cache
 from typing import Any
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import describe_change, format_change, format_number, upper_first
+from frictrack.base.number_format import describe_change, format_number, upper_first
 from frictrack.effects import catalogue
 from frictrack.flow import ResultsReader, effect_of_formula, user_effects
 from frictrack.present import plots
 from frictrack.present.plots import has_law, residual_unit
-from frictrack.present.report import (
-    CandidateCard,
-    candidate_cards,
-    inseparable,
-    mark_code,
-    separating_experiments,
-    study_verdict,
-)
-from frictrack.results import ModelResults, Results, to_builtins
-from frictrack.results.candidates import candidate_rows
-from frictrack.results.names import AXES, numbered_name
+from frictrack.present.report import mark_code, study_verdict
+from frictrack.results import ModelResults, Results, to_builtins, verdicts
+from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.names import numbered_name
 from frictrack.results.rows import held_out_error, parameter_row
-from frictrack.results.verdicts import describe_formula, force_without_effect
 from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns
@@ -102,14 +94,9 @@ def list_models(snapshot: Snapshot) -> list[dict[str, Any]]:
 def model_errors(model: ModelResults) -> dict[str, Any]:
     """Select the errors of a model that the page shows: of the residual, and of predicted frames or runs."""
     errors, unit = model.summary["errors"], residual_unit(model)
-    heldout, heldout_unit = held_out_error(errors)
-    return {
-        "reduced_chi2": errors.get("reduced_chi2"),
-        "rms": errors.get("rms_displacement_um" if unit == "µm" else "rms_N"),
-        "rms_unit": unit,
-        "heldout": heldout,
-        "heldout_unit": heldout_unit,
-    }
+    rms = errors.get("rms_displacement_um" if unit == "µm" else "rms_N")
+    held_out = dict(zip(("heldout", "heldout_unit"), held_out_error(errors), strict=True))
+    return {"reduced_chi2": errors.get("reduced_chi2"), "rms": rms, "rms_unit": unit, **held_out}
 
 
 # --- the current model
@@ -190,12 +177,7 @@ def _effect(name: str, library: Mapping[str, Any], model: ModelResults, study: S
                 "bounds": about["bounds"] if about else None,
             }
         )
-    return {
-        "name": name,
-        "equation": entry.get("equation", ""),
-        "what": entry.get("what", ""),
-        "parameters": parameters,
-    }
+    return {"name": name, "parameters": parameters} | {key: entry.get(key, "") for key in ("equation", "what")}
 
 
 def _values(model: ModelResults, effect: str) -> dict[str, dict[str, Any]]:
@@ -246,11 +228,7 @@ def candidate_curves(snapshot: Snapshot, effect: str) -> PlotData | None:
     if tried is None:
         return None
     columns = candidate_columns(results.runs, results.current, tried)
-    about = {
-        "name": effect,
-        "errors": error_change(results.current, tried),
-        "fitted": True,
-    }
+    about = {"name": effect, "errors": error_change(results.current, tried), "fitted": True}
     return PlotData(len(columns["with"]), columns, [], [], to_builtins(about))
 
 
@@ -297,14 +275,14 @@ def summarise_diagnosis(snapshot: Snapshot) -> dict[str, Any] | None:
     if results is None or results.diagnosis is None or study is None:
         return None
     found = results.diagnosis
-    left = force_without_effect(found) or {}
-    cards = candidate_cards(candidate_rows(found))
+    left, steps = verdicts.force_without_effect(found) or {}, verdicts.next_experiments(found)
+    useful = [step for step in steps if step.separates]
     return _verdict(results, found) | {
-        "candidates": [_card(card, results, snapshot.attempted.get(card.row.effect)) for card in cards],
+        "candidates": [_card(row, results, snapshot.attempted.get(row.effect)) for row in candidate_rows(found)],
         "formulas": [_formula(one, study) for one in left.get("formulas", [])[:MAX_FORMULAS]],
-        "unexplained": _unexplained(left),
-        "next": [_experiment(step) for step in separating_experiments(found)],
-        "next_words": [_plain(line) for line in inseparable(found)],
+        "unexplained": f"{upper_first(verdicts.describe_unexplained(left))}." if left else None,
+        "next": [{"title": _plain(step.what), "words": f"{upper_first(_plain(step.words))}."} for step in useful],
+        "next_words": [_plain(step.what) for step in steps if not step.separates],
     }
 
 
@@ -322,15 +300,13 @@ def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     headline = verdict.headline
     chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
     repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
+    numbers = [f"Reduced chi-squared {chi2}; p of the lack of fit {p}.", found.get("repeats_words")]
     return {
         "verdict": found["verdict"],
         "title": headline,
         "brief": headline if verdict.kind == "undetermined" else headline.partition(": ")[0],  # for the bar
         "sentences": [str(sentence.striptags()) for sentence in verdict.sentences],
-        "numbers": [
-            f"Reduced chi-squared {chi2}; p of the lack of fit {p}.",
-            *filter(None, [found.get("repeats_words")]),
-        ],
+        "numbers": [line for line in numbers if line],
         "complete": found.get("complete", True),  # False while only the verdict is known
         "rests_on_repairs": found.get("rests_on_repairs") or None,
         # where the model fails most: over the axis along which the misfit repeats
@@ -343,8 +319,7 @@ def _plain(text: str) -> str:
     return str(mark_code(text).striptags())
 
 
-def _card(card: CandidateCard, results: Results, tried: ModelResults | None) -> dict[str, Any]:
-    row = card.row
+def _card(row: CandidateRow, results: Results, tried: ModelResults | None) -> dict[str, Any]:
     errors = None
     if tried is not None and results.current is not None and not row.added_to:
         errors = error_change(results.current, tried)
@@ -354,9 +329,9 @@ def _card(card: CandidateCard, results: Results, tried: ModelResults | None) -> 
         "name": row.effect,
         "rank": row.standing,
         "passes": row.passes,
-        **{key: str(text.striptags()) for key, text in card.words.items()},
-        "rivals": list(card.rivals),
-        "numbers": list(card.numbers),
+        **{key: _plain(row.source["words"].get(key, "")) for key in ("what", "looks_like", "here", "confirm")},
+        "rivals": row.rivals,
+        "numbers": [*row.parameters, *row.numbers],
         "fitted": tried is not None,
         "error_with": row.held_out or None,
         "errors": errors,
@@ -364,24 +339,8 @@ def _card(card: CandidateCard, results: Results, tried: ModelResults | None) -> 
     }
 
 
-def _unexplained(left: Mapping[str, Any]) -> str | None:
-    """A sentence on the force that no effect explains."""
-    if not left:
-        return None
-    if left.get("words"):
-        return f"{upper_first(left['words'])}."
-    return f"A force that no effect of the library explains repeats best with {AXES[left['axis']].name}."
-
-
 def _formula(found: Mapping[str, Any], study: Study) -> dict[str, Any]:
     """Describe a formula that can be added to the model as an effect of the study."""
     effect = effect_of_formula(found, [table.effect for table in study.effects])
-    share = f"{100 * found['share']:.1f} % of the misfit, evidence {format_change(found['delta_bic'])}"
-    words = "; ".join([share, *describe_formula(found)])
+    words = "; ".join([verdicts.formula_evidence(found), *verdicts.describe_formula(found)])
     return {"formula": found["formula"], "words": words, "effect": effect, "needs": list(found.get("beside", []))}
-
-
-def _experiment(step: Mapping[str, Any]) -> dict[str, Any]:
-    evidence = step["expected_delta_bic"]
-    expected = f"; expected delta BIC at least {format_number(evidence, 2)}" if evidence is not None else ""
-    return {"title": _plain(step["what"]), "words": f"Distinguishes {_plain(step['tells'])}{expected}."}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from frictrack.flow import (
 )
 from frictrack.results import ModelResults, Results
 from frictrack.study import Study, find_recordings, read_toml
+from frictrack.workbench.films import file_version
 
 MAX_RECORDINGS = 1000  # surveyed recordings that are kept
 
@@ -62,14 +63,7 @@ class Snapshot:
 
 
 class SnapshotReader:
-    """Read snapshots of one study; what has not changed is read once.
-
-    Parameters
-    ----------
-    path
-        The study file.
-
-    """
+    """Read snapshots of one study file; what has not changed is read once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -77,7 +71,7 @@ class SnapshotReader:
         self._last = Snapshot(path)
 
     def read(self) -> Snapshot:
-        """Read the files as they are now; after an error, what was read last stays in the snapshot."""
+        """Read the files as they are now; nothing is raised: after an error, what was read last stays."""
         recordings = tuple(_survey(path) for path in _recordings(self.path.parent))
         if not self.path.exists():
             vanished = self._last.study is not None or self._last.error is not None
@@ -98,16 +92,6 @@ class SnapshotReader:
         return self._last
 
 
-@cache
-def _reader(path: Path) -> SnapshotReader:
-    return SnapshotReader(path)
-
-
-def read_snapshot(path: Path) -> Snapshot:
-    """Read the files of a study as they are now; nothing is computed and nothing is raised."""
-    return _reader(path).read()
-
-
 def _recordings(folder: Path) -> list[Path]:
     try:
         return find_recordings(folder)
@@ -121,12 +105,8 @@ def _survey(path: Path) -> Surveyed:
         state = path.stat()
     except OSError as e:
         return Surveyed(path, problem=e.strerror or str(e))
-    return _surveyed(path, state.st_mtime_ns, state.st_size, _entries(path))
-
-
-def _entries(path: Path) -> int:
-    """Number of files in a folder of pictures; 0 for a file."""
-    return len(os.listdir(path)) if path.is_dir() else 0
+    pictures = len(os.listdir(path)) if path.is_dir() else 0
+    return _surveyed(path, state.st_mtime_ns, state.st_size, pictures)
 
 
 @lru_cache(maxsize=MAX_RECORDINGS)
@@ -142,12 +122,9 @@ def surveyed_source(path: Any) -> Surveyed | None:
     return _survey(path) if isinstance(path, Path) and path.exists() else None
 
 
-def file_version(path: Any) -> str:
-    """Return a text that changes when the content of a recording changes; "" for one at an address."""
-    if not isinstance(path, Path) or not path.exists():
-        return ""
-    state = path.stat()
-    return f"{state.st_mtime_ns:x}-{state.st_size:x}"
+def source_version(path: Any) -> str:
+    """Return a text that changes when the recording of a run does; "" for one at an address, or one that is gone."""
+    return file_version(path) if isinstance(path, Path) and path.exists() else ""
 
 
 def list_recordings(snapshot: Snapshot) -> list[dict[str, Any]]:

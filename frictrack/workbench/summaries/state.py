@@ -10,7 +10,7 @@ from typing import Any
 
 from frictrack.base.number_format import format_number, join_words, lower_first, upper_first
 from frictrack.effects import models
-from frictrack.flow import Change, contact_sheet_path, undo_stacks
+from frictrack.flow import Change, Surveyed, contact_sheet_path, undo_stacks
 from frictrack.measure.repairing import suspect_spans
 from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
@@ -28,17 +28,11 @@ from frictrack.workbench.summaries.models import (
     report_state,
     summarise_diagnosis,
 )
-from frictrack.workbench.summaries.snapshot import Snapshot, file_version, list_recordings, surveyed_source
+from frictrack.workbench.summaries.snapshot import Snapshot, list_recordings, source_version, surveyed_source
 
 AUTHORS = {"cli": "command line", "page": "page", "python": "Python"}
-KEY_NAMES = {
-    "fps": "frame rate",
-    "free": "free section",
-    "cutoff": "cut-off",
-    "causal": "forward only",
-    "repair": "repairs",
-    "fix": "fixed values",
-}
+KEY_NAMES = {"fps": "frame rate", "free": "free section", "cutoff": "cut-off", "causal": "forward only",
+             "repair": "repairs", "fix": "fixed values"}  # fmt: skip
 ALL_RUNS = ("study", "camera", "motion")  # tables whose keys hold for all runs
 MAX_VALUE_TEXT = 60  # characters
 
@@ -231,16 +225,11 @@ def _film(run: RunTable, results: RunResults | None) -> dict[str, Any] | None:
     """Return frames, size, frame rate and version of a film; None for a table."""
     if not run.video:
         return None
-    seen = surveyed_source(run.video)
     stored = results.film if results else None
-    fps = stored.fps if stored else run.fps or (seen.fps if seen else None)
-    return {
-        "frames": seen.n_frames if seen else stored.n_frames if stored else 0,
-        "width": seen.shape[1] if seen else 0,
-        "height": seen.shape[0] if seen else 0,
-        "fps": fps,
-        "version": file_version(run.video),
-    }
+    seen = surveyed_source(run.video) or Surveyed(Path(), n_frames=stored.n_frames if stored else 0)
+    fps = stored.fps if stored else run.fps or seen.fps
+    size = dict(zip(("height", "width"), seen.shape, strict=True))
+    return {"frames": seen.n_frames, "fps": fps, "version": source_version(run.video)} | size
 
 
 def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
@@ -291,9 +280,7 @@ def suspect_frames(run: RunResults) -> list[dict[str, int | str]]:
         "from" and "to", numbers of frames in the film, both included, and "words"; at most `MAX_SUSPECT_SPANS`.
 
     """
-    if run.track is None:
-        return []
-    spans = suspect_spans(run.track, run.tracks.get("backward"))[:MAX_SUSPECT_SPANS]
+    spans = suspect_spans(run.track, run.tracks.get("backward"))[:MAX_SUSPECT_SPANS] if run.track else ()
     return [{"from": span.first, "to": span.last, "words": span.words} for span in spans]
 
 
@@ -325,7 +312,7 @@ def _motion(run: RunResults) -> dict[str, Any]:
 def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
     """Return the cut-off frequencies to choose from, each with the noise that passes and the signal that is lost."""
     factor, unit = (run.mass, "N") if run.mass else (1.0, "m/s²")
-    separated = factor * trade.structural
+    separated = format_number(factor * trade.structural)
     return {
         "asked": run.settings.get("cutoff"),
         "chosen": trade.chosen,
@@ -333,18 +320,15 @@ def _cutoff(run: RunResults, trade: CutoffTradeOff) -> dict[str, Any]:
         "noise": [float(f"{factor * v:.4g}") for v in trade.noise],
         "lost": [float(f"{factor * v:.4g}") for v in trade.lost],
         "unit": unit,
-        "separated": separated,
-        "words": f"total error with trend, vibrations and events separated {format_number(separated)} {unit}",
+        "words": f"total error with trend, vibrations and events separated {separated} {unit}",
     }
 
 
 def readiness(snapshot: Snapshot, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Say whether Run can be pressed: can_run, the missing fields by name, and what to do, as a sentence (words)."""
     missing, words = _what_is_missing(snapshot, runs)
-    if words is None:
-        done = "Run measures the films, fits the model and names what it lacks."
-        return {"can_run": True, "missing": [], "words": done}
-    return {"can_run": False, "missing": missing, "words": words}
+    done = "Run measures the films, fits the model and names what it lacks."
+    return {"can_run": words is None, "missing": missing, "words": words or done}
 
 
 def _what_is_missing(snapshot: Snapshot, runs: Sequence[Mapping[str, Any]]) -> tuple[list[str], str | None]:

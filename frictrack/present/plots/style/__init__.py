@@ -11,12 +11,13 @@ M. Okabe, K. Ito (2008): Color Universal Design, https://jfly.uni-koeln.de/color
 
 from __future__ import annotations
 
+import gc
 import io
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache, wraps
+from functools import wraps
 from html import escape
 from threading import RLock
 from typing import Any, ParamSpec
@@ -25,25 +26,20 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_mixed import MixedModeRenderer
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import text_to_path
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictrack.base.number_format import format_unit
-from frictrack.present.plots.style.tick_rows import collection_paused, ticks_in_rows
+from frictrack.present.plots.style.tick_rows import ticks_in_rows
 from frictrack.records import Array, Friction, Mask, Motion, away_from_ends
+from frictrack.results.names import AXES
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 MEASURED_COLOUR, MODEL_COLOUR, NOISE_COLOUR, FREE_COLOUR = "#333333", VERMILION, "#CFE3F1", "#EAF3EA"
-REPAIRED_COLOUR = PURPLE  # ticks of frames that the user repaired
-REPAIRED_STYLE: Any = {
-    "color": REPAIRED_COLOUR, "marker": "|", "markersize": 6, "linestyle": "none", "label": "repaired by the user"
-}  # fmt: skip
+REPAIRED_STYLE: Any = {"color": PURPLE, "marker": "|", "ms": 6, "ls": "none", "label": "repaired by the user"}
 RUN_STYLES: list[dict[str, Any]] = [
     {"color": color, "linestyle": dash}
     for dash in ("-", (0, (5, 1.5)), (0, (1, 1)))
@@ -107,6 +103,7 @@ BAND_SIGMAS = 2.0  # half width of every band, standard deviations
 BAND_LABEL = f"± {BAND_SIGMAS:g} std"
 MAX_POINTS = 1500  # of a band; a page cannot show more
 MAX_COLUMNS = 4  # of a grid of panels
+MAX_GAP_STEPS = 1.5  # median time steps; a line has a gap where the step is longer
 MAX_FINE_RATIO = 200.0  # of the ends of a logarithmic axis with ticks at 1, 2 and 5
 PREFIXED_UNITS = ("m", "s", "N", "N s", "m/s")  # units whose thousandths and millionths are common
 
@@ -142,6 +139,18 @@ def draw_band(ax: Axes, x: Array, middle: Array, sigma: Array, **style: Any) -> 
     ax.fill_between(x, middle - sigma, middle + sigma, linewidth=0, **style)
 
 
+def note(ax: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **look: Any) -> None:
+    """Write a text beside a point of a panel, shifted by some points (1/72 inch)."""
+    ax.annotate(text, at, shift, textcoords="offset points", **({"fontsize": 9} | look))
+
+
+def name_rows(ax: Axes, names: Sequence[str], top: float = -0.6) -> None:
+    """Name the rows of a panel, at the places 0, 1, ..., the first on top."""
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, top)
+    ax.tick_params(axis="y", length=0)
+
+
 def masked(values: Array, mask: Mask) -> Array:
     """Replace the values outside a mask by NaN, so that a line has gaps there.
 
@@ -152,6 +161,12 @@ def masked(values: Array, mask: Mask) -> Array:
 
     """
     return np.where(mask, values, np.nan)
+
+
+def unbroken(t: Array) -> Mask:
+    """Find the frames (n,) that follow the one before: a line has a gap where the step is longer than usual."""
+    steps = np.diff(t, prepend=t[0])
+    return np.asarray(steps <= MAX_GAP_STEPS * np.median(steps))
 
 
 def unsmeared_frames(friction: Friction, guard: int) -> Mask:
@@ -178,19 +193,6 @@ def unsmeared(motion: Motion) -> Mask:
     return away_from_ends(np.ones(len(motion), dtype=bool), motion.guard)
 
 
-def panel_columns(n: int) -> int:
-    """Columns of a grid of n panels: at most four, in rows as even as possible.
-
-    Examples
-    --------
-    >>> [panel_columns(n) for n in (1, 2, 3, 4, 5, 6, 8)]
-    [1, 2, 3, 4, 3, 3, 4]
-
-    """
-    rows = -(-n // MAX_COLUMNS)
-    return -(-n // rows) if n else 1
-
-
 def log_axis(ax: Axes, which: str) -> None:
     """Make the "x" or the "y" axis logarithmic, with plain numbers at the ticks; over many decades only at powers."""
     low, high = getattr(ax.dataLim, f"interval{which}")
@@ -200,6 +202,11 @@ def log_axis(ax: Axes, which: str) -> None:
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
+
+
+def motion_label(axis: str) -> str:
+    """Label one of the axes over which a misfit or a force may repeat."""
+    return axis_label(AXES[axis].label, AXES[axis].unit)
 
 
 def axis_scale(values: Array, unit: str) -> tuple[float, str]:
@@ -265,18 +272,38 @@ def mark_repaired(ax: Axes, x: Array, codes: np.ndarray[Any, Any] | None) -> Non
 
 PAGE_WIDTH_IN = 12.0  # inches: a figure over the whole page
 SVG_DPI = 72  # of matplotlib's SVG; laid out at the same, so that texts are measured once
-RASTER_DPI = 200  # of what is drawn as a bitmap in an SVG
+RASTER_DPI = 200  # of a PNG file, and of what is drawn as a bitmap in an SVG
+_MEASURING = RendererSVG(1, 1, io.StringIO(), image_dpi=SVG_DPI)  # measures texts once for the layout of all figures
 P = ParamSpec("P")
 _RC_LOCK = RLock()  # the settings of matplotlib are common to all threads
 
 
+@contextmanager
+def _common_style() -> Iterator[None]:
+    """Set up matplotlib for all figures; collecting garbage would take a sixth of the time, and a figure makes none."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with _RC_LOCK, mpl.rc_context(RC_PARAMS):
+            yield
+    finally:
+        if collects:
+            gc.enable()
+
+
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were."""
+    """Decorate a function that draws: it uses the common style and leaves the settings of matplotlib as they were.
+
+    What has a label is explained below the panels, unless the function drew a legend itself.
+    """
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused():
-            return draw(*args, **kwargs)
+        with _common_style():
+            figure = draw(*args, **kwargs)
+            if not (figure.legends or any(ax.get_legend() for ax in figure.axes)):
+                legend_below(figure)
+            return figure
 
     return drawn
 
@@ -373,8 +400,8 @@ def panel_grid(
 
     """
     x_label, *y_labels = labels
-    columns, each = panel_columns(n), len(y_labels)
-    rows = -(-n // columns)
+    rows, each = -(-n // MAX_COLUMNS), len(y_labels)
+    columns = -(-n // rows)
     if "height_ratios" in subplots:
         subplots["height_ratios"] = [*subplots["height_ratios"]] * rows
     in_cells = subplots.get("sharex") == "cell" and subplots.pop("sharex")
@@ -406,10 +433,13 @@ def svg(figure: Figure) -> str:
         same text.
 
     """
-    canvas = _SvgCanvas(figure)
+    buffer, canvas = io.StringIO(), FigureCanvasSVG(figure)
+    vars(canvas)["get_renderer"] = lambda: _MEASURING
     figure.set_dpi(SVG_DPI)
     with _laid_out(figure):
-        text = canvas.to_svg()
+        figure.set_dpi(RASTER_DPI)  # of what is drawn as a bitmap in it
+        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = text.replace("<svg ", '<svg style="max-width: 100%; height: auto" ', 1)  # fits where the page is narrower
     return re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m[0]), text)  # half the size
@@ -427,47 +457,11 @@ def file_content(figure: Figure, form: str) -> bytes:
     return png(figure, dpi=RASTER_DPI) if form == "png" else pdf(figure)
 
 
-class _SvgCanvas(FigureCanvasSVG):
-    """Canvas of a figure whose sizes of texts are those of all figures: most texts stand in several of them."""
-
-    def get_renderer(self) -> RendererSVG:
-        """Return a renderer that measures texts for the layout."""
-        return self._renderer(io.StringIO())
-
-    def to_svg(self) -> str:
-        """Draw the figure; return its SVG file."""
-        buffer = io.StringIO()
-        width, height = self.figure.get_size_inches()
-        renderer: Any = MixedModeRenderer(self.figure, width, height, RASTER_DPI, self._renderer(buffer))
-        self.figure.draw(renderer)
-        renderer.finalize()
-        return buffer.getvalue()
-
-    def _renderer(self, buffer: io.StringIO) -> RendererSVG:
-        width, height = (SVG_DPI * length for length in self.figure.get_size_inches())
-        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        return _SvgRenderer(width, height, buffer, image_dpi=RASTER_DPI, metadata=nothing)
-
-
-class _SvgRenderer(RendererSVG):
-    """SVG renderer that measures every text once, whatever figure it stands in."""
-
-    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> Any:
-        """Return width, height and descent of a text, px."""
-        return _text_size(s, prop.copy(), ismath)
-
-
-@lru_cache(4096)
-def _text_size(text: str, font: FontProperties, ismath: Any) -> Any:
-    return text_to_path.get_text_width_height_descent(text, font, ismath)
-
-
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
     """Lay a figure out once and draw it fast inside this context; `savefig` would draw it twice for the layout."""
-    with _RC_LOCK, mpl.rc_context(RC_PARAMS), collection_paused(), ticks_in_rows(figure):
-        engine = figure.get_layout_engine()
-        if engine is not None:
+    with _common_style(), ticks_in_rows(figure):
+        if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
         yield

@@ -8,7 +8,6 @@ same.
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -29,7 +28,7 @@ class _Row:
 
     def __init__(self, axis: Axis, tick: Tick, places: Array, labels: Sequence[str]) -> None:
         self.axis, self.tick, self.places, self.labels = axis, tick, places, labels
-        self._sizes: list[Array] | None = None  # of the labels about their anchors, px
+        self._sizes: Array | None = None  # corners of the labels about their anchors, (k, 2, 2), px
 
     def draw(self, renderer: Any) -> None:
         """Draw grid lines, marks and labels."""
@@ -51,17 +50,20 @@ class _Row:
         mark.draw(renderer)
 
     def boxes(self, renderer: Any) -> tuple[list[Bbox], list[Bbox]]:
-        """Boxes of the labels on either side of the axes, px."""
+        """Box around the labels on either side of the axes, px; none without labels."""
         return self._boxes(self.tick.label1, renderer), self._boxes(self.tick.label2, renderer)
 
     def _boxes(self, text: Any, renderer: Any) -> list[Bbox]:
         if not (text.get_visible() and text.get_in_layout()):
             return []
-        anchors = [text.get_transform().transform(text.get_unitless_position()) for _ in self._moved(text)]
+        places = np.array([text.get_unitless_position() for _ in self._moved(text)])
+        if not len(places):
+            return []
+        anchors = text.get_transform().transform(places)[:, None]
         if self._sizes is None:
-            boxes = [text.get_window_extent(renderer) for _ in self._moved(text)]
-            self._sizes = [box.get_points() - at for box, at in zip(boxes, anchors, strict=True)]
-        return [Bbox(size + at) for size, at in zip(self._sizes, anchors, strict=True)]
+            self._sizes = np.array([text.get_window_extent(renderer).get_points() for _ in self._moved(text)]) - anchors
+        corners = self._sizes + anchors
+        return [Bbox([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])]
 
     def _moved(self, text: Any) -> Iterator[None]:
         """Move a label to every place that has one, if it is visible at all."""
@@ -77,18 +79,6 @@ class _Row:
     @property
     def _is_x(self) -> bool:
         return isinstance(self.axis, XAxis)
-
-
-@contextmanager
-def collection_paused() -> Iterator[None]:
-    """Pause the collection of garbage: a figure makes none, and checking all its artists costs a sixth of its time."""
-    running = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if running:
-            gc.enable()
 
 
 @contextmanager
@@ -140,19 +130,15 @@ class _AxisInRows:
 
 def _rows(axis: Axis) -> Iterator[_Row]:
     """Rows of major and minor ticks that lie in the view."""
-    kinds: tuple[Any, ...] = (
-        (axis.get_major_locator(), axis.get_majorticklocs, axis.get_major_formatter(), axis.get_major_ticks),
-        (axis.get_minor_locator(), axis.get_minorticklocs, axis.get_minor_formatter(), axis.get_minor_ticks),
-    )
-    for locator, places, formatter, ticks in kinds:
-        if isinstance(locator, NullLocator):
+    for kind in ("major", "minor"):
+        if isinstance(getattr(axis, f"get_{kind}_locator")(), NullLocator):
             continue
-        found = np.atleast_1d(np.asarray(places(), dtype=np.float64))
-        labels = formatter.format_ticks(found)
+        found = np.atleast_1d(np.asarray(getattr(axis, f"get_{kind}ticklocs")(), dtype=np.float64))
+        labels = getattr(axis, f"get_{kind}_formatter")().format_ticks(found)
         shown = _in_view(axis, found)
         if np.any(shown):
             kept = [text for text, show in zip(labels, shown, strict=True) if show]
-            yield _Row(axis, ticks(1)[0], found[shown], kept)
+            yield _Row(axis, getattr(axis, f"get_{kind}_ticks")(1)[0], found[shown], kept)
 
 
 def _in_view(axis: Axis, places: Array) -> Array:
