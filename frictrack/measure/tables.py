@@ -194,7 +194,7 @@ def _rounding(data: TableData) -> float:
         return rounding if rounding > MIN_ROUNDING * float(np.mean(steps)) else 0.0
     intervals = np.diff(sampling.frame_numbers(data.t))
     as_rows, as_gaps = np.abs(np.diff(moved, 2)), intervals[1:-1] * np.abs(np.diff(moved / intervals, 2))
-    wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
+    wide = (intervals[1:-1] == 2) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
     return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
 
 
