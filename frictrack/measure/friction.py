@@ -187,7 +187,7 @@ def impact(run: Run) -> str:
     section, (start, stop) = _section(run), _main_motion(run)
     bounces = [one for one in section.bounces if start < one.before]
     bounce = bounces[0] if bounces else None
-    hit = _impact(run, start, stop)
+    hit = _impact(run, max(start, section.flights[0][0]), stop)
     rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
     if not rows:
         return ""
@@ -470,14 +470,17 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
 
     Speed that returns soon after was not lost; a frame was. A swing that decays turns faster than it does on average.
     """
-    v, a = run.motion.v, np.abs(run.motion.a)
-    window = _impact_frames(run)
+    t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
+    window, interval = _impact_frames(run), _interval(run)
     i = np.arange(first, min(stop + 1, len(v) - 1))
-    j = np.minimum(i + window, len(v) - 1)
-    offsets = [k * round(IMPACT_TIME_S / _interval(run)) for k in range(3)]
-    direction = np.sign(v[i])
-    speed_before = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in offsets], axis=0)
-    speed_after = np.max([direction * v[np.minimum(j + k, len(v) - 1)] for k in offsets], axis=0)
+
+    def speeds(frames: int) -> Array:  # of the frame so many usual intervals later: the rate may change
+        rows = np.searchsorted(t, t[i] + (frames - 0.5) * interval)
+        return np.asarray(np.sign(v[i]) * v[np.minimum(rows, len(v) - 1)])
+
+    offsets = [k * round(IMPACT_TIME_S / interval) for k in range(3)]
+    speed_before = np.min([np.abs(speeds(-k)) for k in offsets], axis=0)
+    speed_after = np.max([speeds(window + k) for k in offsets], axis=0)
     loss = speed_before - speed_after
     hits = i[(loss > 0.5 * speed_before) & (loss > _sudden_speed_loss(run, first, stop)) & ~_events_at_ends(run)[i]]
     around = [(max(k - 2 * window, first), min(k + 3 * window, stop)) for k in hits]

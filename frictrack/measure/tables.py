@@ -159,6 +159,11 @@ def _table_sigma(displacement: Displacement) -> Array:
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
+    if data.x is not None and np.any(lost := sampling.placeholders(data.x)):
+        rows, value = np.flatnonzero(~lost), float(data.x[lost][0])
+        note = f"{_count(int(np.sum(lost)), 'row holds', 'rows hold')} {value:.6g} instead of a position: left out"
+        seen = with_even_clock(replace(select_rows(data, rows), notes=(*data.notes, note)), fps)
+        return replace(seen, numbers=rows[seen.numbers])
     n = len(data.t)
     if data.x is not None:
         x, turned = sampling.unwrapped(data.x)
