@@ -398,11 +398,11 @@ def _stride(solution: Solution) -> int:
 
 
 def _thin_piece(piece: Piece, every: int) -> Piece:
-    """A piece with every few of its frames."""
+    """A piece with every few of its frames; where a mass turns, its panels stay as short."""
     rows = slice(None, None, every)
     angle = None if piece.angle is None else piece.angle[rows]
     kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
-    return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
+    return replace(piece, angle=angle, **kept).refined(piece.per_frame * (every if piece.slack else 1))
 
 
 def _limit_spans(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:

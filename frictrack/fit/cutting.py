@@ -56,7 +56,8 @@ from frictrack.simulate.dynamics import Panels
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
 OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
-TURNING_SHARE, MAX_PANELS_AT_REVERSALS = 0.25, 16  # of what a panel gains, within which friction turns; per frame
+TURNING_SHARE = 0.25  # of the speed that a panel gains at a reversal, within which dry friction turns
+MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 30_000  # standard deviations of the noise; panels of a swing
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
@@ -161,10 +162,10 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
 def _swinging(piece: Piece, gain: float) -> Piece:
     """The same piece through its reversals, at which the mass gains a speed, m/s, in one frame.
 
-    In a panel this gain moves it by less than the noise, so that no step hides how dry friction turns there.
+    In a panel this gain moves it by a small part of the noise, so that no step hides how dry friction turns there.
     """
     moved = gain * float(np.median(np.diff(piece.t))) / float(np.median(piece.sigma))
-    fine = int(np.clip(np.ceil(np.sqrt(moved)), 1, MAX_PANELS_AT_REVERSALS))
+    fine = int(np.clip(np.ceil(np.sqrt(moved / MAX_MOVED_SIGMAS)), 1, max(MAX_PANELS // len(piece.t), 1)))
     return replace(piece.refined(fine), turns=True, slack=TURNING_SHARE * gain / fine)
 
 
