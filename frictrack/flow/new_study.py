@@ -194,7 +194,7 @@ def _survey_table(path: Path) -> Surveyed:
         words,
         runs=runs,
         camera_keys=tuple(key for key in needed if key not in said),
-        positions=None if needed else _free_course(read[0]),
+        positions=None if needed or force else _free_course(read[0]),
         stated=said,
         needs_mass=not measured and "mass" not in said,
     )

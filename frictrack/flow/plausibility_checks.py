@@ -152,8 +152,8 @@ def _error_messages(errors: Sequence[plausibility.Finding]) -> list[str]:
 def slide_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
     """Return findings on the motion of one run, with the headers of its own table."""
     found = plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video))
-    for key, header in pipeline.run.columns.items():
-        own = COLUMNS[key][0], base_name(header).lstrip("-")
+    for key, (standard, _) in COLUMNS.items():
+        own = standard, base_name(pipeline.run.columns.get(key, standard)).lstrip("-")
         found = tuple(
             replace(one, words=one.words.replace(*own), correction=one.correction.replace(*own)) for one in found
         )

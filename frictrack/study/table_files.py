@@ -207,6 +207,8 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
         )
         data = data[:end]
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
+    if table_layout.decimal_sign((cell for row in data for cell in row if isinstance(cell, str)), ",") == ",":
+        data = [tuple(cell.replace(",", ".") if isinstance(cell, str) else cell for cell in row) for row in data]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
     above = "\n".join(" ".join(row) for row in texts[:at])

@@ -28,6 +28,7 @@ TABLES = (
     ".hdf5",
     ".nc",
     ".npy",
+    ".npz",
     ".mat",
 )  # from .txt on: perhaps others
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
