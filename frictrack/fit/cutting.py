@@ -57,7 +57,7 @@ MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values
 OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
 TURNING_SHARE = 0.25  # of the speed that a panel gains at a reversal, within which dry friction turns
-MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 30_000  # standard deviations of the noise; panels of a swing
+MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 20_000  # standard deviations of the noise; panels of a run that swings
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
@@ -150,7 +150,7 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
         rows = rows[run.displacement.valid[rows] & np.isfinite(run.displacement.x[rows])]
         if len(rows) >= MIN_FRAMES:
             piece = _piece(run, index, rows, noise, context)
-            made.append(_swinging(piece, slack) if slack else piece)
+            made.append(_swinging(piece, slack, max(MAX_PANELS // len(run.motion), 1)) if slack else piece)
     if not made:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
@@ -159,13 +159,13 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
     return made
 
 
-def _swinging(piece: Piece, gain: float) -> Piece:
+def _swinging(piece: Piece, gain: float, finest: int) -> Piece:
     """The same piece through its reversals, at which the mass gains a speed, m/s, in one frame.
 
     In a panel this gain moves it by a small part of the noise, so that no step hides how dry friction turns there.
     """
     moved = gain * float(np.median(np.diff(piece.t))) / float(np.median(piece.sigma))
-    fine = int(np.clip(np.ceil(np.sqrt(moved / MAX_MOVED_SIGMAS)), 1, max(MAX_PANELS // len(piece.t), 1)))
+    fine = int(np.clip(np.ceil(np.sqrt(moved / MAX_MOVED_SIGMAS)), 1, finest))
     return replace(piece.refined(fine), turns=True, slack=TURNING_SHARE * gain / fine)
 
 
