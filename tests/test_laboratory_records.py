@@ -131,6 +131,15 @@ def test_the_angle_of_a_wheel_is_its_way_by_the_radius() -> None:
     assert "(25 mm/rad)" in angle.displacement.notes[0]
 
 
+def test_times_of_numpy_and_pandas_know_their_unit() -> None:
+    pd = pytest.importorskip("pandas")
+    t = np.arange(0, 0.5, 1e-3)
+    since = (1e6 * t).round().astype("timedelta64[us]")
+    for times in (since, np.datetime64("2024-03-31T01:59:59") + since):
+        assert ft.Run.from_arrays(times, noisy(slide(t)), mass=MASS).motion.t == pytest.approx(t, abs=1e-9)
+    assert read_frame(pd.DataFrame({"t_s": since, "x_m": slide(t)})).t == pytest.approx(t, abs=1e-9)
+
+
 def test_titles_between_records_below_one_another_begin_new_runs(tmp_path: Path) -> None:
     t = np.arange(0, 0.4, 1e-3)
     rows = "".join(f"{a:.3f}\t{1e3 * b:.3f}\n" for a, b in zip(t, slide(t), strict=True))

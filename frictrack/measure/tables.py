@@ -461,6 +461,9 @@ def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tu
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
         unit = (COLUMNS | POINT_COLUMNS)[name][1]
+        moments = np.asarray(values)
+        if moments.dtype.kind in "mM" and moments.size:  # their type knows their unit
+            values = (moments - (moments.flat[0] if moments.dtype.kind == "M" else 0)) / np.timedelta64(1, "s")
         array = np.asarray(parse_quantity(values, unit, name)[0] if isinstance(values, str) else values, np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]

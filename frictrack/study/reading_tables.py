@@ -474,6 +474,8 @@ def _numbers(series: pd.Series[Any]) -> Array:
     """Return the numbers of a column, time codes as seconds; NaN for other texts."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
+    if series.dtype.kind == "m":
+        return np.asarray(series.dt.total_seconds(), dtype=float)
     with np.errstate(over="ignore"):
         try:
             numbers = pd.to_numeric(series, errors="coerce")
