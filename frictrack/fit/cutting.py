@@ -56,7 +56,7 @@ from frictrack.simulate.dynamics import Panels
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
 OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
-TURNING_SHARE = 0.25  # of the speed that a panel gains at a reversal, within which dry friction turns
+TURNING_SHARE = 0.5  # of the speed that a panel gains at a reversal, within which dry friction turns
 MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 20_000  # standard deviations of the noise; panels of a run that swings
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
