@@ -123,7 +123,7 @@ def test_ms_and_mm_are_noticed(capsys: pytest.CaptureFixture[str], caplog: pytes
     study(TABLE_STUDY)
     assert typed(capsys, "motion study.toml")[0] == 0
     assert "less than in a ball bearing, over" in caplog.text
-    assert 'probably t_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}' in caplog.text
+    assert 'probably t holds ms and x mm: give columns = {t = "t (ms)", x = "x (mm)"}' in caplog.text
     study(TABLE_STUDY + 'columns = {t = "t_s (ms)", x = "x_m (mm)"}\n')
     caplog.clear()
     assert typed(capsys, "motion study.toml")[0] == 0
@@ -136,7 +136,7 @@ def test_wrong_units_of_a_table_are_noticed_before_films_are_tracked(capsys: pyt
     study(TABLE_STUDY + FILM_RUN)
     code, err = refused(capsys, "motion study.toml")
     assert code == 1
-    assert 'probably t_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}' in err
+    assert 'probably t holds ms and x mm: give columns = {t = "t (ms)", x = "x (mm)"}' in err
 
 
 # ---- study files

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
-from frictrack.diagnose.model_selection import CAMERA_EFFECTS
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
@@ -195,7 +194,7 @@ def held_remarks(model: Solution, grown: Solution) -> list[str]:
 
 def camera_remarks(runs: Sequence[Run], named: Sequence[Effect]) -> list[str]:
     """Return one remark if errors of a camera are named for tables, which any sensor may have measured."""
-    names = [effect.title for effect in named if effect.kind in CAMERA_EFFECTS]
+    names = [effect.title for effect in named if effect.of_camera]
     if not names or any(run.pixel_pitch is not None for run in runs):
         return []
     are, them = ("is an error", "it") if len(names) == 1 else ("are errors", "them")

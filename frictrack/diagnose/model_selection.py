@@ -18,7 +18,6 @@ from frictrack.records import Array
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
 MAX_BIC_EQUAL = 6.0  # evidence of 20 to 1, below which neither of two causes is excluded ("strong" from there on)
 MAX_BIC_BARE_MENTION = 2.0  # "not worth more than a bare mention" (Kass & Raftery 1995)
-CAMERA_EFFECTS = ("camera_shake", "lens", "out_of_plane", "rolling_shutter")  # kinds; a clock may fail in any sensor
 PRIOR_CAMERA = 0.3  # prior probability of an error of a camera where only tables are known, over that of a cause
 PRIOR_ONE_MORE = 0.3  # prior probability of one effect more, over that of so many
 MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the limits above

@@ -30,7 +30,6 @@ from frictrack.diagnose.explanations import (
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
 from frictrack.diagnose.model_selection import (
-    CAMERA_EFFECTS,
     MAX_CHI2_NEAR,
     PRIOR_CAMERA,
     information_criterion,
@@ -181,7 +180,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
 
     def handicap(effect: Effect) -> float:
         contradicted = sensor is not None and effect.acts_on != sensor.acts_on
-        unseen = not seen and effect.kind in CAMERA_EFFECTS
+        unseen = not seen and effect.of_camera
         return contradicted * MAX_CHI2_NEAR - unseen * 2 * log(PRIOR_CAMERA)
 
     space = Explanations(start, own, handicap)
@@ -398,11 +397,11 @@ def _stride(solution: Solution) -> int:
 
 
 def _thin_piece(piece: Piece, every: int) -> Piece:
-    """A piece with every few of its frames."""
+    """A piece with every few of its frames; where a mass turns, its panels stay as short."""
     rows = slice(None, None, every)
     angle = None if piece.angle is None else piece.angle[rows]
     kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
-    return replace(piece, angle=angle, slack=piece.slack * every, **kept).refined(piece.per_frame)
+    return replace(piece, angle=angle, **kept).refined(piece.per_frame * (every if piece.slack else 1))
 
 
 def _limit_spans(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:

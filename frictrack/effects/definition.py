@@ -450,6 +450,8 @@ class Effect:
         Whether a verdict "complete" needs runs that would show it.
     may_pull : bool
         Whether it can pull the mass along, so that motion without a drive needs no incline.
+    of_camera : bool
+        Whether only a camera makes it, so that it is less likely where only tables are known.
     moves_picture : bool
         Whether it moves everything in the picture, so that a fixed reference in the film shows it.
     film_fault : bool
@@ -507,6 +509,7 @@ class Effect:
     in_base_law: bool = False
     basic: bool = False
     may_pull: bool = False
+    of_camera: bool = False
     moves_picture: bool = False
     film_fault: bool = False
     noted_as: tuple[str, ...] = ()

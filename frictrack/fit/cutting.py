@@ -42,19 +42,22 @@ from frictrack.measure.calibration import significant_motion
 from frictrack.measure.friction import (
     MIN_MOTION_SIGMAS,
     MIN_MOVING_SIGMAS,
+    drive_noise,
     free_section,
     is_moving,
     join_swings,
     moving_sections,
     release_time,
 )
-from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level, white_noise
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
 from frictrack.records import GRAVITY, Array, Mask, Run
 from frictrack.simulate.dynamics import Panels
 
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
 OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
+TURNING_SHARE = 0.5  # of the speed that a panel gains at a reversal, within which dry friction turns
+MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 20_000  # standard deviations of the noise; panels of a run that swings
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
@@ -146,13 +149,24 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
         rows = np.arange(span.start, span.stop)
         rows = rows[run.displacement.valid[rows] & np.isfinite(run.displacement.x[rows])]
         if len(rows) >= MIN_FRAMES:
-            made.append(replace(_piece(run, index, rows, noise, context), turns=slack > 0, slack=slack))
+            piece = _piece(run, index, rows, noise, context)
+            made.append(_swinging(piece, slack, max(MAX_PANELS // len(run.motion), 1)) if slack else piece)
     if not made:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
             "look at its velocity, or give free = [t0, t1]"
         )
     return made
+
+
+def _swinging(piece: Piece, gain: float, finest: int) -> Piece:
+    """The same piece through its reversals, at which the mass gains a speed, m/s, in one frame.
+
+    In a panel this gain moves it by a small part of the noise, so that no step hides how dry friction turns there.
+    """
+    moved = gain * float(np.median(np.diff(piece.t))) / float(np.median(piece.sigma))
+    fine = int(np.clip(np.ceil(np.sqrt(moved / MAX_MOVED_SIGMAS)), 1, finest))
+    return replace(piece.refined(fine), turns=True, slack=TURNING_SHARE * gain / fine)
 
 
 def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
@@ -363,7 +377,7 @@ def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> 
 
 def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
     """The same pieces of a run, pushed by the errors of its drive: as stated, or its scatter if that pushes nothing."""
-    sigma = 0.0 if run.drive is None else white_noise(run.drive) if run.sigma_drive is None else run.sigma_drive
+    sigma = drive_noise(run)
     if not sigma:
         return pieces
 

@@ -25,10 +25,12 @@ from frictrack.measure.plausibility import (
 )
 from frictrack.measure.points import points_of_table
 from frictrack.records import Array
+from frictrack.sampling import unwrapped
 from frictrack.study import (
     COLUMNS,
     NewRun,
     Study,
+    TableData,
     TableFile,
     columns_line,
     guess_points,
@@ -192,10 +194,15 @@ def _survey_table(path: Path) -> Surveyed:
         words,
         runs=runs,
         camera_keys=tuple(key for key in needed if key not in said),
-        positions=None if needed else read[0].x,
+        positions=None if needed or force else _free_course(read[0]),
         stated=said,
         needs_mass=not measured and "mass" not in said,
     )
+
+
+def _free_course(data: TableData) -> Array | None:
+    """Return the positions of a table, m, as one course; None where a drive moves the mass."""
+    return None if data.x is None or data.drive is not None else unwrapped(data.x)[0]
 
 
 def _runs_of_table(table: TableFile) -> list[Mapping[str, str]]:

@@ -25,7 +25,7 @@ from frictrack.measure.friction import free_section
 from frictrack.records import Displacement, Run, Track
 from frictrack.results import to_builtins
 from frictrack.sampling import copies
-from frictrack.study import Study, name_of_table, read_toml
+from frictrack.study import COLUMNS, Study, base_name, name_of_table, read_toml
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
@@ -150,8 +150,14 @@ def _error_messages(errors: Sequence[plausibility.Finding]) -> list[str]:
 
 
 def slide_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
-    """Return findings on the motion of one run."""
-    return list(plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)))
+    """Return findings on the motion of one run, with the headers of its own table."""
+    found = plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video))
+    for key, (standard, _) in COLUMNS.items():
+        own = standard, base_name(pipeline.run.columns.get(key, standard)).lstrip("-")
+        found = tuple(
+            replace(one, words=one.words.replace(*own), correction=one.correction.replace(*own)) for one in found
+        )
+    return list(found)
 
 
 def acceleration_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:

@@ -14,14 +14,8 @@ import numpy as np
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number, format_plus_minus
-from frictrack.measure.friction import friction
-from frictrack.measure.motion import (
-    Derivatives,
-    FilterMethod,
-    stencil_start,
-    unit_responses,
-    white_noise,
-)
+from frictrack.measure.friction import drive_noise, friction
+from frictrack.measure.motion import Derivatives, FilterMethod, stencil_start, unit_responses
 from frictrack.records import Array, Filtered, Mask, Motion, Run
 
 if TYPE_CHECKING:
@@ -357,9 +351,8 @@ class _RunErrors:
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
-        n, t, stated = float(np.sum(self.free)), self.run.motion.t, self.run.sigma_drive
-        level = white_noise(drive) if stated is None else stated
-        known_from = "white noise of the record, from its fifth differences" if stated is None else "stated"
+        n, t, level = float(np.sum(self.free)), self.run.motion.t, drive_noise(self.run)
+        known_from = "white noise of the record, from its differences" if self.run.sigma_drive is None else "stated"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")
         if offset_std:

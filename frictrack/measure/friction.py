@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import white_noise
+from frictrack.measure.motion import noise_of_smooth, white_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
@@ -26,6 +26,7 @@ MAX_PAUSE_SHARE = 0.1  # of the shorter neighbouring span: longest pause at the 
 MAX_SWING_RATIO = 3.0  # acceleration at a reversal over the median; an impact exceeds it
 MIN_MOTION_SIGMAS = 5.0  # |v| over sigma_v that a span of moving frames must reach to be a motion
 PUSH_SPEED_SHARE = 0.8  # of the highest speed; a record that begins slower contains the push
+MAX_PUSHED_SHARE = 0.02  # of the highest speed of a swing that was let go, which its later motion does not explain
 IMPACT_TIME_S = 4e-3  # within which an impact takes half of the speed
 IMPACT_RATIO = 5.0  # deceleration of an impact over the median
 EVENT_REACH_FRAMES = 3  # beyond an event that differences still contain it
@@ -130,13 +131,10 @@ def _swing_acceleration(run: Run, before: slice, after: slice) -> float | None:
         return None
     around = slice(max(before.stop - shorter, before.start), after.start + shorter)
     acceleration, typical = float(np.max(a[turn])), float(np.median(a[around]))
-    significant = float(np.min(a[turn])) > MIN_MOVING_SIGMAS * float(np.max(run.motion.sigma_a[turn]))
-    # or the velocity passes its uncertain range as fast as it changes around
+    # the velocity passes its uncertain range as fast as it changes around, but for one frame that is in it anyway
     uncertain = 2 * MIN_MOVING_SIGMAS * float(np.max(run.motion.sigma_v[turn]))
-    passes = (turn.stop - turn.start - 2) * typical * _interval(run) < MAX_SWING_RATIO * uncertain
-    is_swing = (
-        (significant or passes) and run.displacement.valid[turn].all() and acceleration < MAX_SWING_RATIO * typical
-    )
+    passes = (turn.stop - turn.start - 3) * typical * _interval(run) < MAX_SWING_RATIO * uncertain
+    is_swing = passes and run.displacement.valid[turn].all() and acceleration < MAX_SWING_RATIO * typical
     return acceleration if is_swing else None
 
 
@@ -189,7 +187,7 @@ def impact(run: Run) -> str:
     section, (start, stop) = _section(run), _main_motion(run)
     bounces = [one for one in section.bounces if start < one.before]
     bounce = bounces[0] if bounces else None
-    hit = _impact(run, start, stop)
+    hit = _impact(run, max(start, section.flights[0][0]), stop)
     rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
     if not rows:
         return ""
@@ -251,12 +249,18 @@ def friction(run: Run) -> Friction:
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
-    sigma_drive = white_noise(drive) if run.sigma_drive is None else run.sigma_drive
     sigma_scale = run.displacement.relative_scale_error * run.inertia * run.motion.a
     sigma_weight = run.sigma_mass * (1.0 + float(run.rolling)) * acceleration
-    variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + sigma_drive**2
+    variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + drive_noise(run) ** 2
     force = drive - run.inertia * acceleration
     return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
+
+
+def drive_noise(run: Run) -> float:
+    """White noise of the drive of a run, N, as stated, else what it scatters about any smooth course."""
+    if run.drive is None or run.sigma_drive is not None:
+        return run.sigma_drive or 0.0
+    return noise_of_smooth(np.asarray(run.drive, dtype=float))
 
 
 def has_measured_force(run: Run) -> bool:
@@ -366,7 +370,7 @@ def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
     speed = np.where(usable, np.abs(run.motion.v), 0.0)[start : stop + 1]
     fastest = int(np.argmax(speed))
     before = speed[: fastest + 1]
-    if run.has_incline:
+    if run.has_incline or _is_let_go(run, start, start + fastest, stop):
         release, event = start, f"the beginning of motion at {t[start]:.4g} s"
         was_at_rest = bool(np.any(run.displacement.valid[:start]))
     else:
@@ -379,6 +383,20 @@ def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
         first = min(push[1] + EVENT_REACH_FRAMES, release + filter_frames, stop)
         return first, release, f"{event}, after the push at {t[first]:.4g} s,"
     return min(release + filter_frames, stop), release, f"{event} and {filter_frames} frames for the filter"
+
+
+def _is_let_go(run: Run, start: int, fastest: int, stop: int) -> bool:
+    """Whether a swing was let go: what then brings it back explains the highest speed, without a push."""
+    x, v, a = run.motion.x[start : stop + 1], run.motion.v[start : stop + 1], run.motion.a[start : stop + 1]
+    before = np.arange(len(x)) < fastest - start
+    if np.sum(before) < MIN_FREE_FRAMES or np.all(v * v[fastest - start] >= 0):
+        return False  # it never comes back
+    shape = (x - np.mean(x)) / np.ptp(x)
+    terms = np.column_stack([np.ones_like(x), shape, shape**3, np.sign(v), v, v * np.abs(v)])
+    known = run.displacement.valid[start : stop + 1] & ~before
+    law = np.linalg.lstsq(terms[known], a[known], rcond=None)[0]
+    pushed = np.sum((a - terms @ law)[before]) * _interval(run)
+    return bool(abs(pushed) < MAX_PUSHED_SHARE * abs(v[fastest - start]))
 
 
 def _find_end(run: Run, first: int, stop: int, bounces: Sequence[_Bounce]) -> tuple[int, str]:
@@ -452,14 +470,17 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
 
     Speed that returns soon after was not lost; a frame was. A swing that decays turns faster than it does on average.
     """
-    v, a = run.motion.v, np.abs(run.motion.a)
-    window = _impact_frames(run)
+    t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
+    window, interval = _impact_frames(run), _interval(run)
     i = np.arange(first, min(stop + 1, len(v) - 1))
-    j = np.minimum(i + window, len(v) - 1)
-    offsets = [k * round(IMPACT_TIME_S / _interval(run)) for k in range(3)]
-    direction = np.sign(v[i])
-    speed_before = np.min([np.abs(v[np.maximum(i - k, 0)]) for k in offsets], axis=0)
-    speed_after = np.max([direction * v[np.minimum(j + k, len(v) - 1)] for k in offsets], axis=0)
+
+    def speeds(frames: int) -> Array:  # of the frame so many usual intervals later: the rate may change
+        rows = np.searchsorted(t, t[i] + (frames - 0.5) * interval)
+        return np.asarray(np.sign(v[i]) * v[np.minimum(rows, len(v) - 1)])
+
+    offsets = [k * round(IMPACT_TIME_S / interval) for k in range(3)]
+    speed_before = np.min([np.abs(speeds(-k)) for k in offsets], axis=0)
+    speed_after = np.max([speeds(window + k) for k in offsets], axis=0)
     loss = speed_before - speed_after
     hits = i[(loss > 0.5 * speed_before) & (loss > _sudden_speed_loss(run, first, stop)) & ~_events_at_ends(run)[i]]
     around = [(max(k - 2 * window, first), min(k + 3 * window, stop)) for k in hits]

@@ -159,6 +159,11 @@ def _table_sigma(displacement: Displacement) -> Array:
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
+    if data.x is not None and np.any(lost := sampling.placeholders(data.x)):
+        rows, value = np.flatnonzero(~lost), float(data.x[lost][0])
+        note = f"{_count(int(np.sum(lost)), 'row holds', 'rows hold')} {value:.6g} instead of a position: left out"
+        seen = with_even_clock(replace(select_rows(data, rows), notes=(*data.notes, note)), fps)
+        return replace(seen, numbers=rows[seen.numbers])
     n = len(data.t)
     if data.x is not None:
         x, turned = sampling.unwrapped(data.x)
@@ -194,7 +199,7 @@ def _rounding(data: TableData) -> float:
         return rounding if rounding > MIN_ROUNDING * float(np.mean(steps)) else 0.0
     intervals = np.diff(sampling.frame_numbers(data.t))
     as_rows, as_gaps = np.abs(np.diff(moved, 2)), intervals[1:-1] * np.abs(np.diff(moved / intervals, 2))
-    wide = (intervals[1:-1] > 1) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
+    wide = (intervals[1:-1] == 2) & (np.maximum(as_rows, as_gaps) > MIN_JUMP_SIGMAS * np.median(as_rows))
     return rounding if np.any(as_rows[wide] < 0.5 * as_gaps[wide]) else 0.0
 
 
@@ -456,6 +461,9 @@ def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tu
     """Convert to an array (n,) of floats, and list what is wrong with it."""
     try:
         unit = (COLUMNS | POINT_COLUMNS)[name][1]
+        moments = np.asarray(values)
+        if moments.dtype.kind in "mM" and moments.size:  # their type knows their unit
+            values = (moments - (moments.flat[0] if moments.dtype.kind == "M" else 0)) / np.timedelta64(1, "s")
         array = np.asarray(parse_quantity(values, unit, name)[0] if isinstance(values, str) else values, np.float64)
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.distributions import MEDIAN_TO_SIGMA, chi2_ppf, noise_of_differences, robust_std
-from frictrack.records import Array, Displacement, Mask
+from frictrack.records import Array, Displacement, Mask, stretches
 from frictrack.sampling.clock import (
     MIN_NOISE_SHARE,
     consecutive_noise,
@@ -312,10 +312,38 @@ def _leaps_beyond_motion(series: _Positions, burst: Rows, good: Mask) -> bool:
 MAX_LISTED_FRAMES = 8  # frames that a finding names
 MIN_ROWS = 8  # known rows that can be checked
 MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
+MIN_LEAP_STEPS, MAX_RETURN_STEPS = 10.0, 3.0  # usual steps: of a leap to a placeholder; of the course under it, per row
 MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold
 MIN_COMMON_ROWS = 32  # rows that both must hold
 CLIP_SIGMAS = 4.0  # robust deviations at which a difference is clipped: an outlier must not make two records agree
 Rows = NDArray[np.int64]
+
+
+def placeholders(x: Array) -> Mask:
+    """Find rows that hold one value again and again, to which the course jumps and from which it returns.
+
+    Instruments write 0, -999 or their last digit so where they see nothing. `x` (n,): positions. Returns a mask (n,).
+
+    Examples
+    --------
+    >>> x = np.arange(20.0)
+    >>> x[5:9] = -999.0
+    >>> np.flatnonzero(placeholders(x)).tolist()
+    [5, 6, 7, 8]
+
+    """
+    steps, lost = np.abs(np.diff(x)), np.zeros(len(x), dtype=bool)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    for run in stretches(np.append(steps == 0, False)):
+        first, stop = run.start, run.stop + 1
+        if first == 0 or stop == len(x):
+            continue
+        near = max(usual, *steps[max(first - 4, 0) : first - 1], *steps[stop : stop + 3])
+        inward, outward = x[first] - x[first - 1], x[stop] - x[stop - 1]
+        leaps = inward * outward < 0 and min(abs(inward), abs(outward)) > MIN_LEAP_STEPS * near
+        if leaps and abs(inward + outward) <= MAX_RETURN_STEPS * near * (stop - first + 1):
+            lost[x == x[first]] = True
+    return lost
 
 
 def screened(displacement: Displacement, numbers: Rows | None = None) -> Displacement:

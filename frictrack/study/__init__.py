@@ -18,9 +18,18 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units, may_hold, stated_unit
+    from frictrack.study.column_names import (
+        base_name,
+        columns_line,
+        find_header,
+        guess_points,
+        has_units,
+        may_hold,
+        stated_unit,
+    )
     from frictrack.study.loading import Study, load, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
+        ANGLE_NOTE,
         TableData,
         propose_columns,
         read_frame,

@@ -99,6 +99,20 @@ def is_angle(header: str) -> bool:
     return _number_and_unit(stated_unit(header) or "")[1] in ANGLES
 
 
+def radius(header: str) -> tuple[float, float] | None:
+    """Return the radius, m, of a wheel whose angle a column holds, and the angle, rad, that the header counts by.
+
+    Examples
+    --------
+    >>> radius("Wheel (25 mm/rad)"), radius("Wheel (deg)")
+    ((0.025, 1.0), None)
+
+    """
+    length, _, angle = (stated_unit(header) or "").partition("/")
+    size = ANGLES.get(angle.strip())
+    return None if size is None else (unit_size(length, "m", header) / size, size)
+
+
 def is_speed(header: str) -> bool:
     """Return whether a column holds speeds, by its unit.
 
@@ -216,7 +230,7 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
     base = UNIT.sub("", written).strip()
     if base != written and base in present:
         return base
-    alike = [header for header in present if base_name(header) == written]
+    alike = [header for header in present if base_name(header) == (base if radius(written) else written)]
     return alike[0] if len(alike) == 1 else None
 
 

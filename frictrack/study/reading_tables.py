@@ -55,7 +55,7 @@ EPOCH_S = (9e8, 4.2e9)  # since 1970: the years 1998 to 2103
 MAX_EPOCH_STEP_S = 10.0  # between rows whose times count from 1970
 ANGLE_NOTE = (
     "the positions are angles: x counts radians, mass stands for the moment of inertia in kg m^2, forces for torques "
-    "in N m"
+    "in N m; for the way of a wheel of 25 mm radius, write its unit as (25 mm/rad)"
 )
 NO_COLUMNS: Mapping[str, str] = {}
 CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
@@ -320,7 +320,14 @@ def _read(
     raise_faults(faults, name)
     notes += (ANGLE_NOTE,) * column_names.is_angle(columns.get("x", ""))
     values |= {"notes": notes} if notes else {}
+    values |= _way_of_wheel(values.get("x"), columns.get("x", ""))
     return _integrated(values) if of_speeds else values
+
+
+def _way_of_wheel(x: Array | None, header: str) -> dict[str, Array]:
+    """Return the way (n,) of a wheel whose angle begins anew with every turn, m, where the header states a radius."""
+    radius = column_names.radius(header)
+    return {} if x is None or radius is None else {"x": np.unwrap(x, period=2 * np.pi * radius[0])}
 
 
 def _integrated(values: dict[str, Any]) -> dict[str, Any]:
@@ -440,6 +447,8 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
 
 def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
     """Return the size of the column's unit in SI units."""
+    if wheel := column_names.radius(written) if unit == "m" else None:
+        return wheel[0] * column_names.ANGLES.get(column_names.stated_unit(header) or "", wheel[1])
     named = column_names.stated_unit(written if column_names.UNIT.search(written) else header)
     if unit == "m/s" and column_names.TURNS.fullmatch(named or header):
         raise FrictrackError(
@@ -465,6 +474,8 @@ def _numbers(series: pd.Series[Any]) -> Array:
     """Return the numbers of a column, time codes as seconds; NaN for other texts."""
     import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
 
+    if series.dtype.kind == "m":
+        return np.asarray(series.dt.total_seconds(), dtype=float)
     with np.errstate(over="ignore"):
         try:
             numbers = pd.to_numeric(series, errors="coerce")

@@ -81,9 +81,11 @@ def _stacked_records(frame: pd.DataFrame) -> pd.DataFrame:
         t, x = (pd.to_numeric(frame[names[key]], errors="coerce").to_numpy(float) for key in "tx")
     except OverflowError:  # a number beyond all numbers of the machine, of which the reader of rows tells the row
         return frame
+    rows = np.flatnonzero(np.isfinite(t) & np.isfinite(x))  # titles may stand between the records
+    end, t, x = len(t), t[rows], x[rows]
     steps, moved = np.diff(t), np.abs(np.diff(x))
     starts = np.flatnonzero(steps < 0) + 1
-    ends = [0, *starts.tolist(), len(t)]
+    ends = [0, *rows[starts].tolist(), end]
     if len(ends) < 3 or np.min(np.diff(ends)) < MIN_ROWS_OF_RECORD:
         return frame
     far = MAX_JUMP_STEPS * np.fmax(moved[starts - 2], moved[starts])  # a clock that rolls over leaves the place
@@ -205,6 +207,8 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
         )
         data = data[:end]
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
+    if table_layout.decimal_sign((cell for row in data for cell in row if isinstance(cell, str)), ",") == ",":
+        data = [tuple(cell.replace(",", ".") if isinstance(cell, str) else cell for cell in row) for row in data]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
     above = "\n".join(" ".join(row) for row in texts[:at])

@@ -292,6 +292,11 @@ def _groups(line: str, separator: str) -> tuple[str, ...]:
 def _decimal(lines: Iterable[str], separator: str) -> str:
     """Return the decimal sign of the first number that has one; between commas a decimal comma stands in quotes."""
     cells = (cell for line in lines for cell in split(line, separator))
+    return decimal_sign(cells, separator)
+
+
+def decimal_sign(cells: Iterable[str], separator: str) -> str:
+    """Return the decimal sign of the first number that has one, a point if none has; 1,234 is none with commas."""
     if separator == ",":
         cells = (cell for cell in cells if not _THOUSANDS.fullmatch(cell))
     return next((sign[1] for cell in cells if (sign := FRACTION.match(cell))), ".")

@@ -18,18 +18,8 @@ from frictrack.base.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
-TABLES = (
-    *SURE_TABLES,
-    *TRACKS,
-    ".txt",
-    ".dat",
-    ".xml",
-    ".h5",
-    ".hdf5",
-    ".nc",
-    ".npy",
-    ".mat",
-)  # from .txt on: perhaps others
+MAYBE_TABLES = (".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".npz", ".mat")
+TABLES = (*SURE_TABLES, *TRACKS, *MAYBE_TABLES)
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -194,7 +184,7 @@ def _is_recording(path: Path) -> bool:
         return is_picture_folder(path) or is_table(path)
     if path.name.startswith(".") or path.suffix.lower() not in (*FILMS, *TABLES):
         return False
-    if path.suffix.lower() in TABLES and path.suffix.lower() not in (*SURE_TABLES, *TRACKS):
+    if path.suffix.lower() in MAYBE_TABLES:
         return _holds_times_and_positions(path)
     return path.suffix.lower() not in (".tif", ".tiff") or _many_pages(path)
 

@@ -51,5 +51,6 @@ direct_check = DirectCheck(
 )
 moves_picture = True
 film_fault = True
+of_camera = True
 noted_as = ("camera shake of",)
 source = "textbook"

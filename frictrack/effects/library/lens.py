@@ -49,4 +49,5 @@ direct_check = DirectCheck(
     "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
 )
 film_fault = True
+of_camera = True
 source = "Brown 1966, radial term"

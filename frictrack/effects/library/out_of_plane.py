@@ -33,4 +33,5 @@ direct_check = DirectCheck(
     "rule", "Film a rule that lies along the course: its marks stand equally far apart everywhere", rule_signal
 )
 film_fault = True
+of_camera = True
 source = "pinhole camera, to second order: Hartley & Zisserman 2004, section 8.1"

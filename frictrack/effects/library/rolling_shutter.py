@@ -27,6 +27,7 @@ acts_on = "measurement"
 equation = "y: tau v x"
 parameters = (Parameter("tau", "s/m", linear=True, role="amplitude"),)
 varies_with = "xv"
+of_camera = True
 what = "The lines of the picture are read one after the other, along the course: far places are seen later."
 looks_like = "a false deceleration that grows with the speed and hardly depends on the mass, in either direction"
 mistaken_for = "time base, viscous friction (where all runs have one mass)"

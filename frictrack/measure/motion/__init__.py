@@ -31,6 +31,7 @@ from frictrack.measure.motion.noise import (
     difference_order,
     difference_variance,
     noise_level,
+    noise_of_smooth,
     slow_spectrum,
     white_noise,
 )

@@ -36,6 +36,7 @@ from frictrack.sampling import frame_numbers, uneven_noise
 
 DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
+HIGHER_ORDERS, FALL_SIGMAS = (8, 12, 16, 24), 3.0  # tried while the level falls by more than its deviations
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
 MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from the usual one by more of it
 MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
@@ -122,12 +123,30 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
             return noise_level(x[rows], measured, None if relative is None else relative[rows])
     complete = {order: _complete_differences(valid, order) for order in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
     order = difference_order(*(int(np.sum(whole)) for whole in complete.values()))
-    whole = complete[order]
-    if not np.any(whole):
+    if not np.any(complete[order]):
         return np.nan, np.nan
+    return _level_of_differences(x, valid, relative, order)
+
+
+def _level_of_differences(x: Array, valid: Mask, relative: Array | None, order: int) -> tuple[float, float]:
+    """White noise of a series (n,) from differences of one order, and its relative standard deviation."""
+    whole = _complete_differences(valid, order)
     d = np.diff(np.where(valid, x, 0.0), order)[whole] / _expected(relative, valid, order)[whole]
     kept = d[np.abs(d) <= OUTLIER_SIGMAS * robust_std(d)]
     return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
+
+
+def noise_of_smooth(x: Array) -> float:
+    """White noise of a series (n,) that may change fast: the order of differences rises while they hold signal."""
+    level, valid = white_noise(x), np.isfinite(x)
+    for order in HIGHER_ORDERS:
+        if np.sum(_complete_differences(valid, order)) < MIN_FRAMES:
+            break
+        higher, error = _level_of_differences(x, valid, None, order)
+        if higher > (1 - FALL_SIGMAS * error) * level:  # of white noise, all orders find the same
+            break
+        level = higher
+    return level
 
 
 def white_noise(x: Array, valid: Mask | None = None) -> float:

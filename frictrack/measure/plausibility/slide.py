@@ -15,6 +15,7 @@ import numpy as np
 
 from frictrack.measure.friction import has_measured_force, is_moving, split_by_direction
 from frictrack.records import Array, Run, stretches
+from frictrack.study import ANGLE_NOTE
 
 WARNING, ERROR = "warning", "error"
 CONFIRM = 'if it is right, set plausible = "checked"'
@@ -379,6 +380,8 @@ def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
     units of the table. An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand
     explains.
     """
+    if ANGLE_NOTE in run.displacement.notes:
+        return ()  # of a moment of inertia, and torques, no range is known
     slide = estimate_slide(run)
     # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
     check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()

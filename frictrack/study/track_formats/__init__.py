@@ -39,6 +39,7 @@ FORMATS = (
     ),
     TrackFormat("LabVIEW", (".tdms",), instruments.read_tdms),
     TrackFormat("MATLAB", (".mat",), instruments.read_matlab),
+    TrackFormat("NumPy", (".npz",), instruments.read_npz),
     TrackFormat("Tracker", (".trk", ".trz"), video_projects.read_tracker_project),
     TrackFormat("Kinovea", (".kva",), video_projects.read_kinovea_project),
     TrackFormat("Kinovea", (".xml",), video_projects.read_kinovea_project, video_projects.is_kinovea_project),

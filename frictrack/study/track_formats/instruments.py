@@ -1,4 +1,4 @@
-"""Read what instruments and MATLAB write: LabVIEW texts (.lvm), LabVIEW binary files (.tdms) and variables (.mat).
+"""Read what instruments and MATLAB write: LabVIEW texts (.lvm), LabVIEW binary files (.tdms), variables (.mat, .npz).
 
 Every recording of a file becomes columns of one table: its times ``t (s)``, if the file states them, and its channels
 with their units. Several recordings stand side by side, each with its name and a colon before its headers.
@@ -12,6 +12,7 @@ National Instruments, Specification for the LabVIEW Measurement File (.lvm), htt
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Iterator, Mapping
 from io import StringIO
 from pathlib import Path
@@ -124,7 +125,23 @@ def _waveforms(channels: list[Any]) -> Channels:
 
 def read_matlab(path: Path) -> TableFile:
     """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
-    variables = dict(read_arrays(path))
+    return _table_of_variables("MATLAB", dict(read_arrays(path)))
+
+
+def read_npz(path: Path) -> TableFile:
+    """Read the arrays of a file of `numpy.savez`, as the variables of a MATLAB file."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            size = sum(part.file_size for part in packed.infolist())
+        if size > MAX_UNPACKED_BYTES:
+            raise ValueError(f"{size / 1e6:.0f} MB when unpacked")
+        with np.load(path, allow_pickle=False) as arrays:
+            return _table_of_variables("NumPy", {name: arrays[name] for name in arrays.files})
+    except Exception as e:  # damaged parts make it fail in many ways
+        raise ValueError(str(e) or type(e).__name__) from e
+
+
+def _table_of_variables(program: str, variables: dict[str, Any]) -> TableFile:
     texts = [list(map(str, variables.pop(name))) for name in list(variables) if variables[name].dtype.kind == "U"]
     vectors = {name: values for name, values in variables.items() if np.size(values) >= MIN_VALUES}
     recordings: dict[str, Channels] = {}
@@ -135,7 +152,7 @@ def read_matlab(path: Path) -> TableFile:
         columns = dict(zip(headers, np.atleast_2d(np.transpose(values)), strict=True))
         recordings.setdefault(label, {}).update(columns)
     rate = next((float(np.ravel(value)[0]) for name, value in variables.items() if _is_rate(name, value)), None)
-    return _table("MATLAB", recordings, rate)
+    return _table(program, recordings, rate)
 
 
 def _is_rate(name: str, value: Any) -> bool:
