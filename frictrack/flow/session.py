@@ -19,10 +19,11 @@ from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
 from frictrack.effects import models
-from frictrack.flow import store
+from frictrack.flow import sensor_stage, store, stored_results, study_edits
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.plausibility_checks import Findings, find_duplicate_runs, withhold_verdict
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
@@ -34,7 +35,6 @@ from frictrack.study import Study, suggest
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
-    from frictrack.flow.plausibility_checks import Findings
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -132,22 +132,19 @@ class Session:
             If the command is unknown, fails, or the study is not at the expected revision.
 
         """
-        from frictrack.flow.study_edits import EDITS  # noqa: PLC0415 - loads tomlkit
-
         self.commands.check_revision()
         models: dict[str, Callable[..., Any]] = {"fit": self.fit, "add": self.add, "remove": self.remove}
-        if command in EDITS:
+        if command in study_edits.EDITS:
             return self._edit_study(command, **arguments)
         if command not in models:
-            hint = suggest(command, (*models, *EDITS))
+            hint = suggest(command, (*models, *study_edits.EDITS))
             raise UsageError(f"expected a command but got {command!r}; {hint}")
         result: dict[str, Any] = models[command](**arguments)
         return result
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        from frictrack.flow.study_edits import EDITS, OpenStudy  # noqa: PLC0415
-
-        result = EDITS[command](OpenStudy(self.study, self.commands, self.models), **arguments)
+        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
+        result = study_edits.EDITS[command](opened, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
@@ -210,8 +207,6 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
-        from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
-
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
             asked.setdefault("over", "all")
@@ -438,8 +433,6 @@ class Session:
     ) -> dict[str, Any]:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
-        from frictrack.flow.plausibility_checks import withhold_verdict  # noqa: PLC0415
-        from frictrack.flow.sensor_stage import auxiliary_signals  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
@@ -454,7 +447,7 @@ class Session:
             own=configured_effects(self.study.effects),
             functions=self.study.functions,
             costs=self.study.costs,
-            auxiliary=auxiliary_signals(self.runs),
+            auxiliary=sensor_stage.auxiliary_signals(self.runs),
             rng=json.loads(provenance.settings)["seed"],
             alpha=alpha,
             progress=self.progress,
@@ -495,15 +488,13 @@ class Session:
 
     def _defined(self, effect: str) -> str:
         """Return the name of an effect; that of a formula is written into the study file first."""
-        from frictrack.flow.study_edits import choose_formula, formula_number  # noqa: PLC0415
-
-        number = formula_number(effect)
+        number = study_edits.formula_number(effect)
         if number is None:
             return effect
         group, request = self.models.current()
         found = self.models.stored_summary(f"models/{group}/diagnosis")
         taken = [table.effect for table in self.study.effects]
-        keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
+        keys = study_edits.choose_formula(number, found, taken, request.model(self.study.effects).names)
         self._edit_study("define", effect=keys)
         return str(keys["effect"])
 
@@ -586,23 +577,17 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
-        from frictrack.flow.stored_results import (  # noqa: PLC0415
-            read_results,
-            report_key,
-            results_key,
-            stored_report_key,
-        )
-
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
         inputs = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
-        key = report_key(inputs, results_key(self.models, self.runs), self.models.current()[0])
-        if anew or (written := stored_report_key(path)) is None or written[0] != key:
+        results = stored_results.results_key(self.models, self.runs)
+        key = f"{inputs} {results} {self.models.current()[0]}"
+        if anew or (written := stored_results.stored_report_key(path)) is None or written[0] != key:
             self.progress(0, 0, f"writing {path.name}")
             from frictrack.present import report  # noqa: PLC0415 - takes seconds to import and draw
 
-            report.write(replace(read_results(self.study), notes=notes), path, key)
+            report.write(replace(stored_results.read_results(self.study), notes=notes), path, key)
         return path
 
     def _report_inputs(self) -> list[Path]:
@@ -660,10 +645,8 @@ class Session:
             Seed of the diagnosis; None for that of the last one.
 
         """
-        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
-
         notes = self._update_all(seed)
-        return replace(read_results(self.study), notes=notes)
+        return replace(stored_results.read_results(self.study), notes=notes)
 
     def _update_all(self, seed: int | None) -> tuple[str, ...]:
         """Compute all that is missing or outdated; return notes, also on what could not be computed."""

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack import measure, tracking
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import first_words, format_number, format_plus_minus
@@ -27,9 +28,8 @@ from frictrack.flow.plausibility_checks import duplicate_notes, find_duplicate_r
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.store import Provenance
+from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.flow.tried_models import TriedModels, model_results, stored_models
-from frictrack.measure.error_budget import budget
-from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
 from frictrack.results.names import plain_name
@@ -54,12 +54,10 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
         return {}
     film = pipeline.get("recording") if pipeline.run.video else None
     if film is not None:
-        from frictrack.flow.track_quality import residual_shake  # noqa: PLC0415
-
         left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
         shake = {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))
         known = (known or film_quality(pipeline)) | shake
-    found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
+    found = measure.error_budget.budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
     return dict(to_builtins(found.summary()))
 
 
@@ -67,8 +65,6 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
     """Return `track_quality` of a film as JSON; empty for a table of positions."""
     if not pipeline.run.video:
         return {}
-    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415 - loads OpenCV; tables do without
-
     pitch = pipeline.get("displacement").pixel_pitch
     found = track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
     return dict(to_builtins(found))
@@ -88,17 +84,13 @@ def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, An
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Describe how well a film was measured, and where its pictures are."""
-    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415
-    from frictrack.measure.repairing import suspect_spans  # noqa: PLC0415
-    from frictrack.tracking import target_line  # noqa: PLC0415
-
     displacement, notes = _displacement_and_notes(pipeline)
     pitch = displacement.pixel_pitch if displacement else None
     track, tracks = pipeline.final_track, pipeline.get("tracks")
     return {
         **track_quality(pipeline.get("recording"), track, tracks, pitch),
-        "suspects": [vars(span) for span in suspect_spans(track, tracks.get(BACKWARD))],
-        "target": target_line(track),
+        "suspects": [vars(span) for span in measure.repairing.suspect_spans(track, tracks.get(BACKWARD))],
+        "target": tracking.target_line(track),
         "contact_sheet": str(contact_sheet_path(pipeline.study, pipeline.run.name)),
         "overlay": str(overlay_path(pipeline)) if overlay_path(pipeline).exists() else None,
         "notes": notes,
@@ -183,13 +175,8 @@ def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
 # --- what is outdated
 
 
-def report_key(inputs: str, results: str, group: str) -> str:
-    """Return the key in the head of a report: hash of all inputs, hash of the results, name of the current model."""
-    return f"{inputs} {results} {group}"
-
-
 def stored_report_key(path: Path) -> re.Match[str] | None:
-    """Return the key in the head of a report, its parts as groups 1 (results) and 2 (current model)."""
+    """Return the key in the head of a report: hash of all inputs, hash of the results (group 1), current model (2)."""
     if not path.exists():
         return None
     with path.open("rb") as file:
@@ -439,7 +426,7 @@ def preview_motion(run: RunResults, cutoff: float) -> Array:
     choice = FilterChoice(given.get("filter", STRUCTURAL), cutoff, given.get("order"), causal=bool(given.get("causal")))
     course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
     acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
-    return derivatives(low_pass(course, method=choice, acceleration=acceleration))
+    return measure.motion.derivatives(measure.motion.low_pass(course, method=choice, acceleration=acceleration))
 
 
 def _is_measured(pipeline: RunPipeline) -> bool:

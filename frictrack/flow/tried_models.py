@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from frictrack import effects
+from frictrack import effects, measure
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
@@ -150,10 +150,8 @@ class TriedModels:
     @cached_property
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
-        from frictrack.measure.friction import with_earlier_runs  # noqa: PLC0415
-
         pauses = [pipeline.run.pause for pipeline in self.pipelines]
-        return with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
+        return measure.friction.with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
 
     # --- which models there are
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import samples
+from frictrack import measure, samples
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.flow import store
 from frictrack.flow.command_history import ALPHA_FIRST, CommandHistory
@@ -26,7 +26,6 @@ from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
 from frictrack.flow.tried_models import FitRequest
-from frictrack.measure.calibration import parse_scale
 from frictrack.results import to_builtins
 from frictrack.results.candidates import candidate_rows
 from frictrack.study import Study
@@ -186,7 +185,7 @@ def _setup_without_runs(study: Study) -> ExperimentSetup:
         raise UsageError(f"{study.path.name}, plan: " + "; ".join(faults))
     assert study.mass is not None
     assert study.fps is not None
-    pitch = parse_scale(study.scale)[0]
+    pitch = measure.calibration.parse_scale(study.scale)[0]
     if not np.isfinite(pitch):
         raise FrictrackError(
             "expected a scale that is known before filming but got one that needs a picture; give its rough value, "

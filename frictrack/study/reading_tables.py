@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.number_format import first_words
@@ -20,9 +21,6 @@ from frictrack.study import column_names
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
 from frictrack.study.table_files import open_table
 from frictrack.study.table_layout import TableFile, TrackColumns
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
@@ -463,8 +461,6 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: CameraU
 
 def _numbers(series: pd.Series[Any]) -> Array:
     """Return the numbers of a column, time codes as seconds; NaN for other texts."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     with np.errstate(over="ignore"):
         try:
             numbers = pd.to_numeric(series, errors="coerce")
@@ -484,8 +480,6 @@ def _numbers(series: pd.Series[Any]) -> Array:
 
 def _seconds_of_day(series: pd.Series[Any]) -> Array:
     """Return the seconds of dates with times since the midnight before the first; NaN for other texts."""
-    import pandas as pd  # noqa: PLC0415
-
     texts = series.astype(str).str.replace(",", ".")
     iso = bool(_ISO_DATE.match(str(texts.iloc[0]).strip()))
     orders = ({"format": "ISO8601"},) if iso else ({"format": "mixed", "dayfirst": first} for first in (True, False))

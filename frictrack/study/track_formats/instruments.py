@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
 from frictrack.study.track_formats.picture_tracks import read_arrays
@@ -69,8 +70,6 @@ def _segments(parts: list[str]) -> Iterator[tuple[str, str]]:
 
 def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channels:
     """Return the channels of one recording."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     decimal = said.get("Decimal_Separator", ["."])[0]
     names = body.partition("\n")[0].split(separator)
     frame = pd.read_csv(
@@ -148,8 +147,6 @@ def _with_unit(name: str, unit: str) -> str:
 
 def _table(program: str, recordings: Mapping[str, Channels], rate: float | None = None) -> TableFile:
     """Return the table of some recordings; a shorter one has empty cells at its end."""
-    import pandas as pd  # noqa: PLC0415
-
     filled = {name: channels for name, channels in recordings.items() if channels}
     if not filled:
         raise ValueError("it holds no channel with numbers")

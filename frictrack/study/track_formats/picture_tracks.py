@@ -34,9 +34,10 @@ from collections.abc import Mapping, Sequence
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from frictrack.records import Array
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile
@@ -48,9 +49,6 @@ from frictrack.study.track_formats.track_table import (
     with_likely_points,
 )
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))  # rows of the header
 
 
@@ -61,8 +59,6 @@ def is_deeplabcut_text(path: Path) -> bool:
 
 def read_deeplabcut_text(path: Path) -> TableFile:
     """Read the points of a table of DeepLabCut, by frame; unlikely ones count as missing."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     levels = _levels(path) or LEVELS[0]
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
@@ -169,8 +165,6 @@ def is_dice_file(path: Path) -> bool:
 
 def read_dice(path: Path) -> TableFile:
     """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
     if (size := sum(one.stat().st_size for one in files)) > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB of solutions")
@@ -185,8 +179,6 @@ def read_dice(path: Path) -> TableFile:
 
 def _solution(path: Path) -> pd.DataFrame:
     """Return the rows of one file, with the number of the frame and of the subset."""
-    import pandas as pd  # noqa: PLC0415
-
     header = _dice_header(path)
     if not (names := header.names):
         raise ValueError(f"{path.name} has no column {FRAME} or {SUBSET}")
