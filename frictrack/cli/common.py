@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from frictrack import flow
 from frictrack.base.number_format import describe_change
 
 if TYPE_CHECKING:
@@ -83,16 +84,14 @@ def options(
 
 
 @contextmanager
-def open_session(study: Path, workers: int = 1) -> Iterator[Session]:
+def open_session(study: Path, workers: int = 1) -> Iterator[flow.Session]:
     """Open a study for work; its progress is a `ProgressDisplay` on stderr."""
     with progress_bars() as progress, _film_workers(workers) as pool:
         progress(0, 0, f"reading {study}")
-        from frictrack.flow import Session, open_study  # noqa: PLC0415 - the first bar does not wait for it
-
-        opened = open_study(study)
+        opened = flow.open_study(study)
         count = "1 run" if len(opened.runs) == 1 else f"{len(opened.runs)} runs"
         progress(0, 0, f"study {opened.name}, {count}")
-        yield Session(opened, progress, author="cli", pool=pool)
+        yield flow.Session(opened, progress, author="cli", pool=pool)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.cli.common import Json, Seed, Workers, app, command, look_at, print_result, progress_bars, watch_batch
 
@@ -78,9 +79,7 @@ def explain(
 
 def _own_effects(study: Path) -> list[Any]:
     """Return the effects that a study file defines."""
-    from frictrack.flow import open_study, user_effects  # noqa: PLC0415
-
-    return user_effects(open_study(study).effects)
+    return flow.user_effects(flow.open_study(study).effects)
 
 
 @command()
@@ -210,10 +209,8 @@ def verify(
     frictrack verify campaign
 
     """
-    from frictrack.flow import verify as look  # noqa: PLC0415
-
     with progress_bars() as progress:
-        result = look(paths, progress)
+        result = flow.verify(paths, progress)
     print_result(result, as_json, "verify")
     if not result["sound"]:
         n = len(result["faults"])
@@ -234,9 +231,7 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
     """
     with progress_bars() as progress:
         progress(0, 0, "opening the sample study in frictrack_demo")
-        from frictrack.flow import demo as show_it  # noqa: PLC0415 - the first line does not wait for it
-
-        result = show_it(Path("frictrack_demo"), seed, progress)
+        result = flow.demo(Path("frictrack_demo"), seed, progress)
     print_result(result, as_json, "demo", result["report"], look_at("demo"))
 
 

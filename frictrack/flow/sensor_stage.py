@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack import measure, study
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.records import Array, Displacement, Motion, Run, Track
 from frictrack.results import BACKWARD, Sensors
@@ -268,9 +268,8 @@ def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
         return None
     displacement: Displacement = pipeline.get("displacement")
     motion: Motion = pipeline.get("motion")
-    try:
-        release = measure.friction.release_time(replace(pipeline.to_run(), drive=None, friction_N=None))
-    except FrictrackError:  # nothing slides, which the friction stage reports
+    release = result_or_none(measure.friction.release_time, replace(pipeline.to_run(), drive=None, friction_N=None))
+    if release is None:  # nothing slides, which the friction stage reports
         return None
     released = int(np.argmin(np.abs(motion.t - release)))
     speed = float(motion.v[released]), float(motion.sigma_v[released])

@@ -23,7 +23,7 @@ from frictrack.flow import sensor_stage, store, stored_results, study_edits
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.plausibility_checks import Findings, find_duplicate_runs, withhold_verdict
+from frictrack.flow.plausibility_checks import find_duplicate_runs, withhold_verdict
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Json = dict[str, Any]
 
 
 def exclusive(method: Callable[Concatenate[Session, P], T]) -> Callable[Concatenate[Session, P], T]:
@@ -101,20 +102,12 @@ class Session:
     def _load(self, study: Study) -> None:
         self.study = study
         self._measured = MeasuredRuns(study, self.progress, self._pool)
+        self.runs = self._measured.pipelines  # in the order of the study file
+        self.findings = self._measured.findings  # the implausible numbers that were found so far
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
         self.predictions = Predictions(study.output)
         self.path = study.output / "study.h5"
-
-    @property
-    def runs(self) -> list[RunPipeline]:
-        """The runs, in the order of the study file."""
-        return self._measured.pipelines
-
-    @property
-    def findings(self) -> Findings:
-        """The implausible numbers of the study that were found so far."""
-        return self._measured.findings
 
     def apply(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Run one command that changes the study; the command history, jobs and scripts use this method.
@@ -412,9 +405,8 @@ class Session:
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
                 announce(whole(found))
                 announce = _ignore
-            how: dict[str, Any] = {"quick": quick, "announce": lambda verdict: announce(whole(verdict))}
-            provenance = self.models.provenance(key, json.dumps({"seed": seed}))
-            found = self._diagnose(group, provenance, test.alpha, **how)
+            made = self.models.provenance(key, json.dumps({"seed": seed}))
+            found = self._diagnose(group, made, lambda one: announce(whole(one)), alpha=test.alpha, quick=quick)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         if test.named is None:
@@ -422,38 +414,22 @@ class Session:
         self.predictions.resolve(found, self._fitted_runs())
         return whole(found)
 
-    def _diagnose(
-        self,
-        group: str,
-        provenance: Provenance,
-        alpha: float,
-        *,
-        quick: bool,
-        announce: Callable[[dict[str, Any]], None],
-    ) -> dict[str, Any]:
+    def _diagnose(self, group: str, provenance: Provenance, announce: Callable[[Json], None], **how: Any) -> Json:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
-        def keep(diagnosis: Diagnosis) -> dict[str, Any]:
+        def keep(diagnosis: Diagnosis) -> Json:
             summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
             links = {"diagnosis": f"/{inside}"}
             return self.models.keep_summary(inside, summary, provenance, links, figures=diagnosis.figures)
 
         self.progress(0, 0, f"diagnosing {group}")
-        diagnosis = diagnose(
-            self.models.fit(group),
-            own=configured_effects(self.study.effects),
-            functions=self.study.functions,
-            costs=self.study.costs,
-            auxiliary=sensor_stage.auxiliary_signals(self.runs),
-            rng=json.loads(provenance.settings)["seed"],
-            alpha=alpha,
-            progress=self.progress,
-            quick=quick,
-            on_verdict=lambda verdict: announce(keep(verdict)),
-        )
+        how |= {"functions": self.study.functions, "costs": self.study.costs, "progress": self.progress}
+        how |= {"own": configured_effects(self.study.effects), "auxiliary": sensor_stage.auxiliary_signals(self.runs)}
+        how |= {"rng": json.loads(provenance.settings)["seed"], "on_verdict": lambda verdict: announce(keep(verdict))}
+        diagnosis = diagnose(self.models.fit(group), **how)
         return keep(diagnosis) if diagnosis.complete else self.models.stored_summary(inside) or {}
 
     def _diagnosis_inputs(self) -> list[Any]:

@@ -6,7 +6,6 @@ used, so that stored results are read without it. A compressed film is decoded o
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from frictrack import measure, sampling, study, tracking
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.base.remote import local_path
 from frictrack.effects import models
 from frictrack.flow import sensor_stage, track_quality
@@ -135,7 +134,7 @@ def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) ->
     if rectangle is None:
         return {}
     how: dict[str, Any] = {"pool": _pool(pipeline), "progress": pipeline.progress}
-    found = _track_or_none(lambda: tracking.track_in_parallel(opened, rectangle, **how))
+    found = result_or_none(tracking.track_in_parallel, opened, rectangle, **how)  # the run can do without
     if found is None or tracking.checks.moves_with(target, found):
         return {}
     return {REFERENCE: replace(found, name=REFERENCE, notes=())}
@@ -178,16 +177,8 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
         how: dict[str, Any] = {"template": last, "progress": pipeline.progress, "pool": _pool(pipeline)}
         return tracking.track_in_parallel(opened, areas, known=known, **how)
 
-    backward = _track_or_none(follow)
+    backward = result_or_none(follow)
     return {} if backward is None else {BACKWARD: replace(backward, name=BACKWARD, picture=None, notes=())}
-
-
-def _track_or_none(make: Callable[[], Track]) -> Track | None:
-    """Return a track, or None if it cannot be made: an optional track must not stop the run."""
-    try:
-        return make()
-    except FrictrackError:
-        return None
 
 
 def plane_before_tracking(pipeline: RunPipeline) -> measure.calibration.PlaneMap | None:

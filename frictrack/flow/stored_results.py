@@ -19,7 +19,7 @@ import numpy as np
 
 from frictrack import measure, tracking
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.base.number_format import first_words, format_number, format_plus_minus
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -352,7 +352,9 @@ class ResultsReader:
     def _model(self, models: TriedModels, group: str) -> ModelResults:
         """Read a model, unless its stored content is that of the last time; files of schema 1 have no checksums."""
         checksum = store.checksum(models.path, group if group == "papers" else f"models/{group}")
-        found: ModelResults = self._keep(("model", group), checksum or object(), lambda: models.results(group))
+        found: ModelResults = self._keep(
+            ("model", group), checksum or object(), lambda: model_results(models.path, group)
+        )
         return found
 
     def _runs(
@@ -399,11 +401,8 @@ class ResultsReader:
 
 def _repair_authors(history: CommandHistory) -> dict[str, str]:
     """Return by run who changed its repairs last, and when; a change by hand in the study file is not recorded."""
-    try:
-        changes = history.undo_stacks()[0]
-    except FrictrackError:  # a damaged log must not hide the results
-        return {}
-    edits = [change for change in changes if change.command == "edit" and change.arguments.get("key") == "repair"]
+    done, _ = result_or_none(history.undo_stacks) or ([], [])  # a damaged log must not hide the results
+    edits = [change for change in done if change.command == "edit" and change.arguments.get("key") == "repair"]
     return {
         str(change.arguments["which"]): f"repairs set from {change.author} at {change.time}"
         for change in edits
@@ -446,16 +445,8 @@ def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResult
     return RunResults(
         name=pipeline.run.name,
         source=pipeline.as_written(pipeline.run.source),
-        displacement=done["displacement"],
-        filtered=done["filtered"],
-        motion=done["motion"],
-        events=done.get("events", RunEvents()),
-        cutoff=done.get("cutoff"),
-        friction=done.get("friction"),
-        film=done.get("recording"),
-        track=done.get("track"),
-        tracks=done.get("tracks", {}),
-        sensors=done["sensors"],
+        film=done.pop("recording", None),
+        **done,
         quality=quality,
         budget=run_budget(pipeline, quality) if with_budget else {},
         role=pipeline.run.role,

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from frictrack import effects, measure
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import UsageError, result_or_none
 from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
 from frictrack.effects.models import Model
@@ -360,12 +360,9 @@ class TriedModels:
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
         """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
         path = self.attempt_path(request)
-        try:
-            group = next(iter(store.names(path, "models")), None)
-            made = store.provenance(path, f"models/{group}") if group else None
-        except FrictrackError:
-            return None
-        return (path, str(group)) if made is not None and made.key == self.fit_key(request) else None
+        group = next(iter(result_or_none(store.names, path, "models") or ()), "")
+        made = result_or_none(store.provenance, path, f"models/{group}") if group else None
+        return (path, group) if made is not None and made.key == self.fit_key(request) else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
         """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
@@ -410,10 +407,6 @@ class TriedModels:
         self.bring_up_to_date(group)
         unread = ("state", *RECORDS_OF_FIT, "diagnosis")
         return _summary_of(store.read(self.path, f"models/{group}", without=unread))
-
-    def results(self, group: str) -> ModelResults:
-        """Return a stored model for the report; `group` may be ``papers``."""
-        return model_results(self.path, group)
 
 
 def stored_models(study: Study) -> TriedModels:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import is_busy
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -103,7 +103,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
 def _result_files(path: Path) -> list[Path]:
     """Return the HDF5 files of a path."""
     if path.suffix == ".toml" and path.is_file():
-        path = _output_folder(path) or path
+        path = result_or_none(results_folder, path) or path
     if path.is_dir():
         return sorted(path.rglob("[!.]*.h5"))
     return [path] if path.suffix == ".h5" and path.exists() else []
@@ -116,15 +116,9 @@ def _study_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     inside = [p for p in sorted(path.rglob("*.toml")) if _STUDY.search(p.read_text(encoding="utf-8", errors="replace"))]
-    owners = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output_folder(p) == path.absolute()]
+    results = path.absolute()
+    owners = [p for p in sorted(results.parent.glob("*.toml")) if result_or_none(results_folder, p) == results]
     return inside + owners
-
-
-def _output_folder(path: Path) -> Path | None:
-    try:
-        return results_folder(path)
-    except FrictrackError:
-        return None
 
 
 def _study_faults(models: TriedModels, sound: set[Path]) -> Iterator[Fault]:

@@ -149,10 +149,9 @@ def read_run_table(run: RunTable) -> TableData:
 
     """
     assert run.table is not None
-    pixel = (
-        None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
-    )
-    return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None, fps=run.fps)
+    scale: Any = None if isinstance(run.scale, dict | list) else run.scale
+    pixel = None if scale is None else parse_quantity(scale, "m/px", "scale")[0]
+    return read_table(local_path(run.table), run.columns, pixel=pixel, fps=run.fps)
 
 
 def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
@@ -350,9 +349,8 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
     bare = any(column_names.stated_unit(proposed[key]) is None for key in missing)
-    return f"{expected}; to name them, write {where}" + (
-        ", with the units of the file, or the size of a count, in the brackets" if bare else ""
-    )
+    units = ", with the units of the file, or the size of a count, in the brackets" if bare else ""
+    return f"{expected}; to name them, write {where}{units}"
 
 
 def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS) -> dict[str, str]:
@@ -373,25 +371,18 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     """
     present = [str(header) for header in frame.columns]
     standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
-    found = (
-        column_names.guess_columns([header for header in present if header not in standard.values()])
-        | standard
-        | dict(columns)
-    )
-    numbers = {
-        i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])
-    }  # one may be there twice
-    clocks = [
-        i for i, header in numbers.items() if column_names.may_hold(header, "t") and _rises_evenly(frame.iloc[:, i])
-    ]
+    others = [header for header in present if header not in standard.values()]
+    found = column_names.guess_columns(others) | standard | dict(columns)
+    # by place: a header may be there twice
+    numbers = {i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])}
+    clocks = [i for i, h in numbers.items() if column_names.may_hold(h, "t") and _rises_evenly(frame.iloc[:, i])]
     if "t" not in found and len(clocks) == 1:
-        found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
-            "t": present[clocks[0]]
-        }
+        clock = present[clocks[0]]
+        found = {key: header for key, header in found.items() if header != clock} | {"t": clock}
     lengths = [header for header in numbers.values() if not column_names.is_named_speed(header)]
     for key, choice in (("t", list(numbers.values())), ("x", lengths)):
-        others = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
-        if key not in found and (header := next(others, None)) is not None:
+        free = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
+        if key not in found and (header := next(free, None)) is not None:
             found[key] = header
     if "x" not in found and (speed := next((h for h in numbers.values() if column_names.is_named_speed(h)), None)):
         found["x"] = speed if column_names.stated_unit(speed) else f"{speed} (m/s)"
@@ -410,13 +401,11 @@ def _clock_unit(series: pd.Series[Any]) -> str:
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     if 0 < step < MAX_STEP_OF_DAYS:
         return "d"
-    since_1970 = (
-        unit
-        for unit, size in EPOCHS.items()
-        if step and EPOCH_S[0] < times[0] * size < EPOCH_S[1] and step * size < MAX_EPOCH_STEP_S
-    )
+    for unit, size in EPOCHS.items() if step else ():
+        if EPOCH_S[0] < times[0] * size < EPOCH_S[1] and step * size < MAX_EPOCH_STEP_S:
+            return unit
     counts_rows = step == 1.0 and _ROW_COUNTER.fullmatch(column_names.base_name(str(series.name)).strip())
-    return next(since_1970, "frames" if counts_rows else "")
+    return "frames" if counts_rows else ""
 
 
 def _rises_evenly(series: pd.Series[Any]) -> bool:

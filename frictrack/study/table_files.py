@@ -22,7 +22,7 @@ import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -190,19 +190,13 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
     below = texts[at + 1] if at + 1 < len(texts) and table_layout.is_units_row(header, texts[at + 1]) else ()
     data = rows[at + 2 if below else at + 1 :]
     if at:  # a sheet with titles may hold further tables
-        end = next(
-            (i for i, row in enumerate(data) if not any(table_layout.is_number(str(cell)) for cell in row)), len(data)
-        )
-        data = data[:end]
+        data = list(takewhile(lambda row: any(table_layout.is_number(str(cell)) for cell in row), data))
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
-    above = "\n".join(" ".join(row) for row in texts[:at])
-    return (
-        table_layout.TableFile(frame, above=above)
-        if coordinates is None
-        else _kinovea_sheet(frame, texts, *coordinates.groups())
-    )
+    if coordinates is not None:
+        return _kinovea_sheet(frame, texts, *coordinates.groups())
+    return table_layout.TableFile(frame, above="\n".join(" ".join(row) for row in texts[:at]))
 
 
 def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> table_layout.TableFile:

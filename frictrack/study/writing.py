@@ -13,23 +13,13 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
-TABLES = (
-    *SURE_TABLES,
-    *TRACKS,
-    ".txt",
-    ".dat",
-    ".xml",
-    ".h5",
-    ".hdf5",
-    ".nc",
-    ".npy",
-    ".mat",
-)  # from .txt on: perhaps others
+# from .txt on: perhaps others
+TABLES = (*SURE_TABLES, *TRACKS, ".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".mat")
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -205,9 +195,8 @@ def _holds_times_and_positions(path: Path) -> bool:
     from frictrack.study.schema import COLUMNS  # noqa: PLC0415
     from frictrack.study.table_files import open_table  # noqa: PLC0415
 
-    try:
-        table = open_table(path)
-    except FrictrackError:
+    table = result_or_none(open_table, path)
+    if table is None:
         return False
     headers = list(map(str, table.frame.columns))
     known = table.columns.keys() | guess_columns(headers) | {key for key in REQUIRED if COLUMNS[key][0] in headers}

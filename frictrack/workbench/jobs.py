@@ -26,6 +26,7 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import (
     INTERNAL_FOLDER,
@@ -231,13 +232,11 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
         If another job of this study is running that is still of use.
 
     """
-    from frictrack.flow import CommandHistory  # noqa: PLC0415 - loads the science
-
     with lock_folder(output):
         folder = make_subfolder(make_internal_folder(output), "jobs")
         earlier, busy = list_jobs(output), running_job(output)
         if busy is not None:
-            if not is_superseded(busy, spec.do, CommandHistory(output).revision):
+            if not is_superseded(busy, spec.do, flow.CommandHistory(output).revision):
                 raise BusyError(f"{busy.words} is still running; wait until it ends or cancel it")
             busy.cancel()
             busy.wait(MAX_CANCEL_SECONDS)

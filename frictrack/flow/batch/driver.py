@@ -208,13 +208,8 @@ def _entry(name: str, outcomes: Sequence[StudyOutcome]) -> dict[str, Any]:
         found = trend([laws[i] for i in same], [stated[i][1][0] for i in same], name)
     except FrictrackError as e:
         return {**head, "load": None, "trends": [], "reason": str(e), "words": [f"no trend over {name}: {e}"]}
-    return {
-        **head,
-        "load": found.load,
-        "trends": [one.summary() for one in found.trends.values()],
-        "reason": None,
-        "words": list(_words(found, unit)),
-    }
+    trends = [one.summary() for one in found.trends.values()]
+    return {**head, "load": found.load, "trends": trends, "reason": None, "words": list(_words(found, unit))}
 
 
 def _words(found: CovariateTrends, unit: str) -> Iterator[str]:

@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import FrictrackError, os_errors_as, result_or_none
 from frictrack.base.remote import RemoteFile, local_path, locate
 from frictrack.flow import RunPipeline, Session, hash_path
 from frictrack.recording import open_recording
@@ -219,9 +219,8 @@ class _Places:
         return {text: place for text, place in found.items() if place not in (None, text)}
 
     def _place(self, text: str) -> str | None:
-        try:
-            path = locate(text, self._folder)
-        except FrictrackError:  # no text that names a file
+        path = result_or_none(locate, text, self._folder)
+        if path is None:  # no text that names a file
             return None
         return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
@@ -373,20 +372,10 @@ def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
         for name, found in model.summary["parameters"].items():
             code = unit_code(found["unit"])
             low, high = found.get("interval") or (None, None)
-            yield {
-                "model": model.name,
-                "current": model.current,
-                "parameter": name,
-                "value": found["value"],
-                "standard_uncertainty": found["std"],
-                "standard_uncertainty_misfit": found.get("std_misfit"),
-                "interval_low": low,
-                "interval_high": high,
-                "unit": found["unit"],
-                "ucum": code.ucum,
-                "qudt": code.address,
-                "reason": found["reason"],
-            }
+            row = {"model": model.name, "current": model.current, "parameter": name, "value": found["value"]}
+            row |= {"standard_uncertainty": found["std"], "standard_uncertainty_misfit": found.get("std_misfit")}
+            row |= {"interval_low": low, "interval_high": high, "unit": found["unit"]}
+            yield row | {"ucum": code.ucum, "qudt": code.address, "reason": found["reason"]}
 
 
 def budget_rows(results: Results) -> Iterator[dict[str, Any]]:

@@ -104,10 +104,8 @@ def _first_line_of(header: bytes) -> str:
 
 def _header_bytes(first: str, digest: str) -> bytes:
     """Return the header of an intact file."""
-    return (
-        f"{first}\nsha256 of this line and all after byte {CHECKSUM_START}: {digest}\n".encode().ljust(HEADER_BYTES - 1)
-        + b"\n"
-    )
+    text = f"{first}\nsha256 of this line and all after byte {CHECKSUM_START}: {digest}\n"
+    return text.encode().ljust(HEADER_BYTES - 1) + b"\n"
 
 
 _BYTES = 32

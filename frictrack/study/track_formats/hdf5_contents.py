@@ -30,11 +30,7 @@ from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
 MAX_PICKLE_BYTES = 1 << 22
-MATLAB_NUMBERS = (
-    b"double",
-    b"single",
-    *(f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)),
-)
+MATLAB_NUMBERS = (b"double", b"single", *(f"{u}int{n}".encode() for u in ("", "u") for n in (8, 16, 32, 64)))
 DEEPLABCUT_KEY = "df_with_missing"
 TRACK_DIMENSIONS = ("individual", "keypoint")  # movement 0.x writes the plural
 
@@ -132,9 +128,8 @@ def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.nd
         parts: Any = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
         if hasattr(value, "_fieldnames"):
             fields = {field: getattr(value, field) for field in value._fieldnames}
-            named = (
-                str(fields.pop("Name", name)) if "Data" in fields else ""
-            )  # a signal of dSPACE: its name, unit, data
+            # a signal of dSPACE: its name, unit, data
+            named = str(fields.pop("Name", name)) if "Data" in fields else ""
             unit = f" ({fields['Unit']})" if fields.get("Unit") else ""
             signal = {f"{named}{unit}": fields["Data"]} if named and np.ndim(fields["Data"]) == 1 else {}
             yield from _fields(signal, before) if signal else _fields(fields, f"{before}{name}.")

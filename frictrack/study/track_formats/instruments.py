@@ -72,15 +72,8 @@ def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channe
     """Return the channels of one recording."""
     decimal = said.get("Decimal_Separator", ["."])[0]
     names = body.partition("\n")[0].split(separator)
-    frame = pd.read_csv(
-        StringIO(body),
-        sep=separator,
-        decimal=decimal,
-        header=None,
-        skiprows=1,
-        names=range(len(names)),
-        index_col=False,
-    )
+    how: dict[str, Any] = {"header": None, "skiprows": 1, "names": range(len(names)), "index_col": False}
+    frame = pd.read_csv(StringIO(body), sep=separator, decimal=decimal, **how)
     clocks = [i for i, name in enumerate(names) if name == "X_Value"]
     channels = [i for i, name in enumerate(names) if i not in clocks and name.strip() not in ("Comment", "")]
     units = dict(zip(channels, said.get("Y_Unit_Label", []), strict=False))
@@ -156,6 +149,6 @@ def _table(program: str, recordings: Mapping[str, Channels], rate: float | None 
         for header, values in channels.items()
     }
     frame = pd.DataFrame(cells)
-    if rate is not None:
-        frame.insert(0, SECONDS, np.arange(len(frame)) / rate) if SECONDS not in cells and "t" not in cells else None
+    if rate is not None and not cells.keys() & {SECONDS, "t"}:
+        frame.insert(0, SECONDS, np.arange(len(frame)) / rate)
     return TableFile(frame, {"t": SECONDS} if SECONDS in frame else {}, program)
