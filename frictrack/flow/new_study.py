@@ -267,7 +267,7 @@ def expand_folders(paths: Sequence[Path]) -> list[Path]:
 
 def _is_one_recording(path: Path) -> bool:
     """Return whether a path is a file, or a folder that is a recording itself."""
-    return not path.is_dir() or study.is_picture_folder(path) or study.is_table(path)
+    return not path.is_dir() or study.writing.is_picture_folder(path) or study.is_table(path)
 
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
@@ -376,7 +376,7 @@ def start_study(
 
     """
     paths = expand_folders(recordings)
-    study.refuse_existing(path)
+    study.writing.refuse_existing(path)
     read_keys(keys)
     found = [survey_recording(one) for one in paths]
     for one in found:
@@ -403,14 +403,15 @@ def _to_confirm(one: Surveyed) -> str:
     )
 
 
-def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[study.NewRun]:
+def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[study.writing.NewRun]:
     """Return the entries of its runs: the frame rate of its name, if nothing else tells it, and columns of a table."""
     rate = {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE else {}
     above = {key: one.stated[key] for key in ("mass", "fps") if key in one.stated}
     own: dict[str, Any] = {key: value for key, value in {**rate, **one.keys, **above}.items() if not keys.get(key)}
     if one.columns_to_confirm:
-        return [study.NewRun(one.path, own, f"FILL IN the {one.left_open}: {line}") for line in one.columns_to_confirm]
-    return [study.NewRun(one.path, own | ({"columns": columns} if columns else {})) for columns in one.runs]
+        comments = [f"FILL IN the {one.left_open}: {line}" for line in one.columns_to_confirm]
+        return [study.writing.NewRun(one.path, own, comment) for comment in comments]
+    return [study.writing.NewRun(one.path, own | ({"columns": columns} if columns else {})) for columns in one.runs]
 
 
 def _whole(rate: float | None) -> float | None:
@@ -445,7 +446,7 @@ def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dic
         raise UsageError(f"expected a folder with recordings, or recordings, but got {lacking[0]}")
     one_folder = len(paths) == 1 and not _is_one_recording(paths[0])
     folder = paths[0] if one_folder else paths[0].parent
-    study.refuse_existing(folder / "study.toml")
+    study.writing.refuse_existing(folder / "study.toml")
     seen = [survey_recording(path) for path in (study.list_files(folder) if one_folder else paths)]
     found = [one for one in seen if not one.problem]
     found = list(_with_sensors(found, [one for one in seen if one.sensor]))
@@ -470,7 +471,7 @@ def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dic
     path = study.write_study(folder / "study.toml", runs, known, commented=True, remarks=remarks)
     if "model" in remarks and shifts:
         spring = {"effect": "spring", "per_run": ["x_0"]}
-        replace_text(path, study.with_effect(path.read_text(encoding="utf-8"), spring))
+        replace_text(path, study.writing.with_effect(path.read_text(encoding="utf-8"), spring))
     return {
         "study": str(path),
         "runs": [one.path.name for one in found],

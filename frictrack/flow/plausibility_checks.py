@@ -21,7 +21,8 @@ from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Displacement, Run
 from frictrack.results import to_builtins
-from frictrack.study import Study, name_of_table, read_toml
+from frictrack.study import Study, read_toml
+from frictrack.study.loading import name_of_table
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5

@@ -556,7 +556,8 @@ class Session:
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
-        inputs = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
+        files = (self.study.path, self.path, *(pipeline.path for pipeline in self.runs))
+        inputs = digest([__version__, notes, warnings, *map(hash_path, files)])
         results = stored_results.results_key(self.models, self.runs)
         key = f"{inputs} {results} {self.models.current()[0]}"
         if anew or (written := stored_results.stored_report_key(path)) is None or written[0] != key:
@@ -565,10 +566,6 @@ class Session:
 
             report.write(replace(stored_results.read_results(self.study), notes=notes), path, key)
         return path
-
-    def _report_inputs(self) -> list[Path]:
-        """The files that a report depends on."""
-        return [self.study.path, self.path, *(pipeline.path for pipeline in self.runs)]
 
     def restart(self) -> None:
         """Remove the models tried; measurements are kept."""

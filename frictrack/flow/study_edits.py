@@ -60,18 +60,18 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
-    return _edit(opened, "take_in", lambda text: study.with_runs(text, folder, paths), recordings=list(recordings))
+    return _edit(opened, "take_in", lambda text: study.writing.with_runs(text, folder, paths), recordings=recordings)
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
     """Remove a run from the study file; its recording and its results stay where they are."""
-    return _edit(opened, "leave_out", lambda text: study.without_run(text, run), run=run)
+    return _edit(opened, "leave_out", lambda text: study.writing.without_run(text, run), run=run)
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
-    return _edit(opened, "define", lambda text: study.with_effect(text, keys), effect=keys)
+    return _edit(opened, "define", lambda text: study.writing.with_effect(text, keys), effect=keys)
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:

@@ -30,7 +30,7 @@ TABLES: dict[str, type[schema.Keys]] = {
     "search": schema.SearchTable,
 }
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
-ARRAY_TABLES = ("run", "effect")  # written with two brackets
+ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 RESERVED_NAME = "study"  # name of the file with the results of all runs
 MAX_STUDY_BYTES = 1 << 19  # a study file of a thousand runs has 100 kB
 MAX_DOTS_PER_LINE = 50  # outside of texts and numbers; the time to parse a dotted key grows with the square of them
@@ -383,6 +383,12 @@ def _and_more(places: list[str]) -> str:
 def _tables(raw: dict[str, Any], name: str) -> list[Any]:
     value = raw.get(name, [])
     return value if isinstance(value, list) else []
+
+
+def name_of_table(table: Mapping[str, Any], kind: str) -> str:
+    """Return the name of a table; a run without a name has that of its recording."""
+    name = table.get(ARRAY_TABLES[kind])
+    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem
 
 
 def _title(table: str, index: int, raw: Any) -> str:

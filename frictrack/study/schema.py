@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from frictrack.base.errors import FrictrackError
 from frictrack.base.polygons import Polygon, are_coordinates, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
 from frictrack.base.units import parse_quantity
@@ -178,10 +177,7 @@ def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
     """
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
-    try:
-        path = locate(raw, _folder(info))
-    except FrictrackError as e:
-        raise ValueError(str(e)) from e
+    path = locate(raw, _folder(info))
     if isinstance(path, Path) and not _exists(path):
         there = [p.name for p in path.parent.iterdir()] if _exists(path.parent / "..") else []
         near = difflib.get_close_matches(path.name, there, 1)
@@ -208,10 +204,7 @@ def _results_folder(raw: Any) -> Any:
 def _prior(raw: Any, info: ValidationInfo) -> Path:
     """Return the path of a prior file whose content is sound."""
     path = _path(raw, info)
-    try:
-        Prior.read(path)
-    except FrictrackError as e:
-        raise ValueError(str(e)) from e
+    Prior.read(path)
     return path
 
 

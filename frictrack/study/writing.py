@@ -15,6 +15,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
+from frictrack.study.loading import ARRAY_TABLES, name_of_table
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
@@ -249,9 +250,6 @@ def with_blank_line(table: Any) -> Any:
     return table
 
 
-ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
-
-
 def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
     """Set or remove one key.
 
@@ -346,9 +344,3 @@ def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -
         raise UsageError(f'expected a run of the study file but got "{which}"; it has {known}')
     tables.append(with_blank_line(tomlkit.item({ARRAY_TABLES[table]: which})))
     return tables[-1]
-
-
-def name_of_table(table: Mapping[str, Any], kind: str) -> str:
-    """Return the name of a table; a run without a name has that of its recording."""
-    name = table.get(ARRAY_TABLES[kind])
-    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem

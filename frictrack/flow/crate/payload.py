@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, os_errors_as, result_or_none
 from frictrack.base.remote import RemoteFile, local_path, locate
-from frictrack.flow import RunPipeline, Session, hash_path
+from frictrack.flow import Session, hash_path
+from frictrack.flow.pipeline import RunPipeline
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.study import Study, read_toml
