@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack import measure, study
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
 from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
@@ -85,16 +85,12 @@ def _survey_film(path: Path) -> Surveyed:
     """Open a film; a frame rate in its name counts where the file tells none."""
     from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    fps, source = None, FROM_FILE
+    film = result_or_none(open_recording, path)
+    fps, source = (rate_in_name(path.name), FROM_NAME) if film is None else (film.fps, FROM_FILE)
     try:
-        film = open_recording(path)
-        fps = film.fps
-    except FrictrackError:
-        fps, source = rate_in_name(path.name), FROM_NAME
-        try:
-            film = open_recording(path, fps=fps or 1.0)
-        except FrictrackError as e:
-            return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
+        film = film or open_recording(path, fps=fps or 1.0)
+    except FrictrackError as e:
+        return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
     height, width = film.shape
     rate = f", {fps:g} fps ({source})" if fps else ", frame rate of the camera not stated"
     words = f"{film.n_frames} frames of {width} x {height} px{rate}"

@@ -88,7 +88,6 @@ class RunPipeline:
         self._results: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
         self._inputs: dict[str, list[tuple[str, str]]] = {}
-        self._provenances: dict[str, Provenance | None] = {}
         self._unsaved: dict[str, GroupContent] = {}
         self._unsaved_since: float | None = None  # time.monotonic() when the oldest unsaved stage began; None: no block
 
@@ -186,12 +185,8 @@ class RunPipeline:
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
     def provenance(self, name: str) -> Provenance | None:
-        """Return the provenance of a stored stage; with `stored_only` it is read once."""
-        if not self.stored_only:
-            return store.provenance(self.path, name)
-        if name not in self._provenances:
-            self._provenances[name] = store.provenance(self.path, name)
-        return self._provenances[name]
+        """Return the provenance of a stored stage."""
+        return store.provenance(self.path, name)
 
     def changed_settings(self, name: str) -> dict[str, tuple[Any, Any]]:
         """Return the keys of the study file that were others when a stage was computed: values then and now."""

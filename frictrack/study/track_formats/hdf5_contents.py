@@ -191,16 +191,15 @@ def _movement(file: h5py.File) -> dict[str, Any]:
         confidence, _ = _with_dimensions(file, "confidence")
     x, y = (_by_track(np.take(position, labels["space"].index(axis), axis=1)) for axis in "xy")
     individuals, keypoints = (labels.get(kind, [""]) for kind in TRACK_DIMENSIONS)
-    return {
+    names = np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals])
+    unit = _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames"))
+    found: dict[str, Any] = {
         "program": "movement",
         "source": _text(file.attrs.get("source_software", "")),
-        "names": np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals]),
-        "at": _numbers(file, "time"),
-        "in_seconds": _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames")) == "seconds",
-        "x": x,
-        "y": y,
-        "confidence": _by_track(confidence),
+        "names": names,
     }
+    found |= {"at": _numbers(file, "time"), "in_seconds": unit == "seconds"}
+    return found | {"x": x, "y": y, "confidence": _by_track(confidence)}
 
 
 def _with_dimensions(file: h5py.File, name: str) -> tuple[np.ndarray[Any, Any], Mapping[str, list[str]]]:
@@ -230,13 +229,7 @@ def _sleap(file: h5py.File) -> dict[str, Any]:
             f"expected tracks of {len(individuals)} individuals with {len(keypoints)} nodes but got {tracks.shape}"
         )
     x, y = (tracks[:, axis].reshape(-1, tracks.shape[3]) for axis in (0, 1))
-    return {
-        "program": "SLEAP",
-        "source": "SLEAP",
-        "names": np.array([(individual, keypoint) for individual in individuals for keypoint in keypoints]),
-        "at": np.arange(tracks.shape[3], dtype=float),
-        "in_seconds": False,
-        "x": x,
-        "y": y,
-        "confidence": np.full(x.shape, np.nan),
-    }
+    names = np.array([(individual, keypoint) for individual in individuals for keypoint in keypoints])
+    found: dict[str, Any] = {"program": "SLEAP", "source": "SLEAP", "names": names}
+    found |= {"at": np.arange(tracks.shape[3], dtype=float), "in_seconds": False}
+    return found | {"x": x, "y": y, "confidence": np.full(x.shape, np.nan)}

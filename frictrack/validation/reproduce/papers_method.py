@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.effects import Path, models
 from frictrack.effects.models import Model, Values
 from frictrack.fit import Fit, fit
@@ -297,10 +297,7 @@ def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, Syntheti
 
 def fit_with_frictrack(law: str, run: Run) -> Fit | None:
     """Fit a law to one run in the displacement domain; None if the fit fails."""
-    try:
-        return fit(law, [replace(run, name=laws.RUN)])
-    except FrictrackError:
-        return None
+    return result_or_none(fit, law, [replace(run, name=laws.RUN)])
 
 
 def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:
