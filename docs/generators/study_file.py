@@ -150,7 +150,7 @@ def study_file_page() -> str:
 def _section(name: str) -> str:
     """Return the section of one table: its keys as a list of definitions."""
     kind = SECTIONS[name]
-    entries = "\n".join(_entry(kind, key) for key in kind.model_fields)
+    entries = "\n".join(_entry(kind, key) for key in described(kind) if key)  # as the docstring orders them
     return f"## {name}\n\n{prose(described(kind)[''])}\n\n{entries}"
 
 

@@ -68,13 +68,7 @@ class RunPipeline:
     """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated."""
 
     def __init__(
-        self,
-        study: Study,
-        run: RunTable,
-        stages: Stages,
-        progress: Progress = no_progress,
-        *,
-        stored_only: bool = False,
+        self, study: Study, run: RunTable, stages: Stages, progress: Progress, *, stored_only: bool = False
     ) -> None:
         self.study = study
         self.stored_only = stored_only

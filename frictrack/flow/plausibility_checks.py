@@ -6,7 +6,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
@@ -218,16 +218,12 @@ def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
 def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
     """Return a note for every run that repeats an earlier one."""
     names = list(displacements)
-    pairs = [(names[i], names[j]) for i, j in sampling.copies(list(displacements.values()))]
+    same = {(names[i], names[j]) for i, j in sampling.copies(list(displacements.values()))}
+    same |= {(one, other) for one, other in combinations(contents, 2) if contents[one] == contents[other]}
     found: dict[str, str] = {}
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            same_film = one in contents and contents[one] == contents.get(other)
-            if other not in found and ((one, other) in pairs or same_film):
-                found[other] = (
-                    f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
-                    "held-out error too low; remove one of them"
-                )
+    for one, other in (pair for pair in combinations(names, 2) if pair in same):
+        twice = f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
+        found.setdefault(other, f"{twice}held-out error too low; remove one of them")
     return found
 
 

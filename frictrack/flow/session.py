@@ -558,7 +558,7 @@ class Session:
         warnings = self.findings.messages
         files = (self.study.path, self.path, *(pipeline.path for pipeline in self.runs))
         inputs = digest([__version__, notes, warnings, *map(hash_path, files)])
-        results = stored_results.results_key(self.models, self.runs)
+        results = stored_results.results_key(self.models)
         key = f"{inputs} {results} {self.models.current()[0]}"
         if anew or (written := stored_results.stored_report_key(path)) is None or written[0] != key:
             self.progress(0, 0, f"writing {path.name}")

@@ -183,22 +183,22 @@ def stored_report_key(path: Path) -> re.Match[str] | None:
         return REPORT_KEY.search(file.read(HEAD_BYTES).decode(errors="replace"))
 
 
-def results_key(models: TriedModels, pipelines: Iterable[RunPipeline]) -> str:
+def results_key(models: TriedModels) -> str:
     """Return the hash of the results that a report shows, as they are stored: runs, current model, its diagnosis."""
     group = models.current_group
-    made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in pipelines]
+    made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in models.pipelines]
     runs = [[name, *(stage.key if stage else "" for stage in stages)] for name, *stages in made]
     return digest([group, store.checksum(models.path, f"models/{group}"), runs])
 
 
-def find_outdated(pipelines: Sequence[RunPipeline], models: TriedModels) -> tuple[OutdatedPart, ...]:
+def find_outdated(models: TriedModels) -> tuple[OutdatedPart, ...]:
     """Find outdated results: runs, models with their diagnosis, the report.
 
     The recordings are not opened: a change of their content is noticed when the work is done again.
     """
-    runs = list(_outdated_runs(pipelines))
-    current = list(_outdated_models(pipelines, models, runs))
-    return (*runs, *current, *_outdated_report(pipelines, models, current))
+    runs = list(_outdated_runs(models.pipelines))
+    current = list(_outdated_models(models, runs))
+    return (*runs, *current, *_outdated_report(models, current))
 
 
 def _outdated_runs(pipelines: Sequence[RunPipeline]) -> Iterator[OutdatedPart]:
@@ -229,9 +229,7 @@ def _value(key: str, value: Any) -> str:
     return value if key == "scale" and isinstance(value, str) else ""
 
 
-def _outdated_models(
-    pipelines: Sequence[RunPipeline], models: TriedModels, runs: Sequence[OutdatedPart]
-) -> Iterator[OutdatedPart]:
+def _outdated_models(models: TriedModels, runs: Sequence[OutdatedPart]) -> Iterator[OutdatedPart]:
     by_reason: dict[str, list[str]] = {}  # each changed key once, with the names of its runs
     for run in runs:
         by_reason.setdefault(run.reason, []).append(run.name)
@@ -239,7 +237,7 @@ def _outdated_models(
     current = models.current_group
     for group in models.groups:
         made = store.provenance(models.path, f"models/{group}") or Provenance()
-        reasons = [*_changed_inputs(pipelines, json.loads(made.inputs or "[]")), *changed_keys]
+        reasons = [*_changed_inputs(models.pipelines, json.loads(made.inputs or "[]")), *changed_keys]
         if not reasons and models.is_outdated(group):
             same_runs = made.input_hash == models.input_hash
             what = "the settings of effects in the study file" if same_runs else "masses, roles or groups of runs"
@@ -268,9 +266,7 @@ def _changed_inputs(pipelines: Sequence[RunPipeline], inputs: Sequence[Sequence[
         yield f"{_named(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
 
 
-def _outdated_report(
-    pipelines: Sequence[RunPipeline], models: TriedModels, outdated: Sequence[OutdatedPart]
-) -> Iterator[OutdatedPart]:
+def _outdated_report(models: TriedModels, outdated: Sequence[OutdatedPart]) -> Iterator[OutdatedPart]:
     """Yield the report if it does not show the results of now."""
     path, group = models.study.output / "report.html", models.current_group
     if group is None or not path.exists():
@@ -281,7 +277,7 @@ def _outdated_report(
         reason = "an earlier version of frictrack wrote it"
     elif found[2] != group:
         reason = f"it was written for {plain_name(found[2])}, but {plain_name(group)} is the current model"
-    elif found[1] != results_key(models, pipelines):
+    elif found[1] != results_key(models):
         reason = "results were computed again since it was written"
     if reason:
         yield OutdatedPart("report", "", reason, "report")
@@ -331,7 +327,7 @@ class ResultsReader:
             results = tuple(self._model(models, group) for group in models.groups)
             current = next((model for model in results if model.current), None)
             has_papers = "papers" in store.names(models.path)
-            outdated = find_outdated(pipelines, models)
+            outdated = find_outdated(models)
             # implausible numbers are old once a number of a run was changed, until it is measured
             is_changed = any(part.what in ("track", "motion") for part in outdated)
             return Results(

@@ -138,12 +138,10 @@ def _settings(tables: Iterable[EffectTable]) -> list[EffectSettings]:
 class TriedModels:
     """The models tried on a study; one of them is current."""
 
-    def __init__(
-        self, study: Study, pipelines: list[RunPipeline], progress: Progress, commands: CommandHistory
-    ) -> None:
+    def __init__(self, study: Study, pipelines: list[RunPipeline], progress: Progress, log: CommandHistory) -> None:
         self.study = study
         self.path = study.output / "study.h5"
-        self.commands = commands
+        self.commands = log
         self.progress = progress
         self.pipelines = pipelines
 

@@ -224,7 +224,7 @@ class _Reader:
         head, camera, motion = (self._table(name, 0, raw.get(name, {})) for name in ("study", "camera", "motion"))
         if motion:
             where = f"[motion], {self._line('motion', 0, '')}"
-            self.faults += [f"{where}: {fault}" for fault in schema.chosen_filter(motion).faults()]
+            self.faults += [f"{where}: {fault}" for fault in motion.filter_choice.faults()]
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         costs = self._table("costs", 0, raw.get("costs", {}))
         search = self._table("search", 0, raw["search"]) if "search" in raw else None

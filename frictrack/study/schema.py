@@ -668,8 +668,13 @@ class MotionTable(Keys):
     window: int | None = None
     causal: bool | None = None
 
+    @property
+    def filter_choice(self) -> FilterChoice:
+        """The filter of the displacement."""
+        return FilterChoice(self.filter or STRUCTURAL, self.cutoff, self.order, self.window, bool(self.causal))
 
-class RunTable(Keys):
+
+class RunTable(CameraTable, MotionTable):
     """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``.
 
     Attributes
@@ -754,9 +759,6 @@ class RunTable(Keys):
     video: Source | None = None
     table: Source | None = None
     mass: Mass | None = None
-    fps: FrameRate | None = None
-    scale: Scale | None = None
-    lens: File | None = None
     target: Target | None = None
     reference: Reference = "auto"
     targets: Targets = {}
@@ -771,11 +773,6 @@ class RunTable(Keys):
     origin_px: Pair | None = None
     x_offset: Place = 0.0
     free: Times | None = None
-    filter: str | None = None
-    cutoff: Frequency | None = None
-    order: int | None = None
-    window: int | None = None
-    causal: bool | None = None
     incline: Angle | None = None
     rolling: Rolling = 0.0
     normal_load: Load | None = None
@@ -802,16 +799,6 @@ class RunTable(Keys):
         path = self.video or self.table
         assert path is not None  # checked by `load`
         return path
-
-    @property
-    def filter_choice(self) -> FilterChoice:
-        """The filter of its displacement."""
-        return chosen_filter(self)
-
-
-def chosen_filter(keys: MotionTable | RunTable) -> FilterChoice:
-    """Return the filter that some keys describe."""
-    return FilterChoice(keys.filter or STRUCTURAL, keys.cutoff, keys.order, keys.window, bool(keys.causal))
 
 
 def _fixed(raw: Any) -> Any:

@@ -143,9 +143,7 @@ def list_payload(session: Session, *, include_recordings: bool) -> Payload:
     return Payload(tuple(found.values()), places.moved(), places.results)
 
 
-def _sources(
-    session: Session, places: _Places, include_recordings: bool
-) -> Iterator[tuple[Path, str, str, bool, bool]]:
+def _sources(session: Session, places: _Places, with_films: bool) -> Iterator[tuple[Path, str, str, bool, bool]]:
     """Yield source, place, role, whether it is of a film, and whether it is included."""
     study = session.study
     yield _absolute(study.path), study.path.name, "study", False, True
@@ -159,7 +157,7 @@ def _sources(
             places.of(path)
             for file in files:
                 place = places.of_part(path, file)
-                yield file, place, "input", is_film, not is_film or small or include_recordings
+                yield file, place, "input", is_film, not is_film or small or with_films
     for path in _result_files(session):
         yield path, f"{places.results}/{path.relative_to(_absolute(study.output)).as_posix()}", "result", False, True
 
