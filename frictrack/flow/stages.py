@@ -62,12 +62,11 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         areas, _, frame = tracking.detection.resolve_areas(opened, given, run.template or 0)
         how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
         known = _target_of_anchor(pipeline)
-        shared = known and tracking.track_same_target(opened, areas, known, **how)
-        if shared:
+        if known and (shared := tracking.track_same_target(opened, areas, known, **how)):
             found, pipeline.lesson = shared
             return found
         pipeline.lesson = tracking.learn_target(opened, areas, **how)
-        found = tracking.track_in_parallel(opened, areas, known=pipeline.lesson, **how)
+        found = tracking.track(opened, areas, known=pipeline.lesson, **how)
         if run.target is None and (fault := tracking.detection.target_fault(opened, found)):
             sheet = tracking.contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
             raise FrictrackError(f"{fault}; {sheet} shows the place")
@@ -134,7 +133,7 @@ def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) ->
     if rectangle is None:
         return {}
     how: dict[str, Any] = {"pool": _pool(pipeline), "progress": pipeline.progress}
-    found = result_or_none(tracking.track_in_parallel, opened, rectangle, **how)  # the run can do without
+    found = result_or_none(tracking.track, opened, rectangle, **how)  # the run can do without
     if found is None or tracking.checks.moves_with(target, found):
         return {}
     return {REFERENCE: replace(found, name=REFERENCE, notes=())}
@@ -175,7 +174,7 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
         known = pipeline.lesson or tracking.relearn_target(opened, forward)
         areas = tracking.Areas(rectangle, obstacles=forward.obstacles)
         how: dict[str, Any] = {"template": last, "progress": pipeline.progress, "pool": _pool(pipeline)}
-        return tracking.track_in_parallel(opened, areas, known=known, **how)
+        return tracking.track(opened, areas, known=known, **how)
 
     backward = result_or_none(follow)
     return {} if backward is None else {BACKWARD: replace(backward, name=BACKWARD, picture=None, notes=())}

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -56,10 +57,11 @@ ANGLE_NOTE = (
     "in N m"
 )
 NO_COLUMNS: Mapping[str, str] = {}
-CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
-    ("px", "m"): ("pixel", "scale", 'scale = "0.5 mm/px"'),
-    ("frames", "s"): ("interval", "frame rate", "fps = 240"),
+CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> what tells it, and an example
+    ("px", "m"): ("scale", 'scale = "0.5 mm/px"'),
+    ("frames", "s"): ("frame rate", "fps = 240"),
 }
+Camera = Mapping[str, float | None]  # "px" and "frames" in m and s; None if it is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +89,6 @@ class TableData:
     # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
     of_speeds: bool = False  # whether x is the integral of measured speeds
-
-
-@dataclass(frozen=True)
-class CameraUnits:
-    """What the camera's own units of a table are in SI units."""
-
-    pixel: float | None = None  # size of a pixel, m; None if it is not known
-    interval: float | None = None  # time from frame to frame, s; None if it is not known
-
-
-UNKNOWN_CAMERA = CameraUnits()
 
 
 def read_table(
@@ -132,7 +123,7 @@ def read_table(
     table = open_table(path, _wanted(columns))
     _check_choice(table, columns, path.name)
     chosen = chosen_track(table, columns)
-    camera = CameraUnits(pixel, 1.0 / fps if fps else None)
+    camera = {"px": pixel, "frames": 1.0 / fps if fps else None}
     table, gaps = _without_gaps(table, chosen.columns)
     values = _read(table, path.name, chosen.columns, camera=camera)
     notes = (chosen.note, gaps, *values.pop("notes", ()))
@@ -278,7 +269,7 @@ def _read(
     columns: Mapping[str, str],
     known: Mapping[str, tuple[str, str]] = COLUMNS,
     *,
-    camera: CameraUnits = UNKNOWN_CAMERA,
+    camera: Camera = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
     frame = table.frame
@@ -310,7 +301,7 @@ def _read(
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
     if not faults and "t" in known:
-        values["t"], notes = _rising(values["t"], values.get("x"), camera.interval if known is COLUMNS else None)
+        values["t"], notes = _rising(values["t"], values.get("x"), camera.get("frames") if known is COLUMNS else None)
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
@@ -425,7 +416,7 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
     return written, 1.0
 
 
-def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
+def _factor(written: str, header: str, standard: str, unit: str, camera: Camera) -> float:
     """Return the size of the column's unit in SI units."""
     named = column_names.stated_unit(written if column_names.UNIT.search(written) else header)
     if unit == "m/s" and column_names.TURNS.fullmatch(named or header):
@@ -438,8 +429,8 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: CameraU
     if (named, unit) == ("g", "m/s^2"):
         return GRAVITY
     if (named, unit) in CAMERA_UNITS:
-        key, what, example = CAMERA_UNITS[named, unit]
-        size: float | None = getattr(camera, key)
+        what, example = CAMERA_UNITS[named, unit]
+        size = camera.get(named)
         if size is None:
             raise FrictrackError(
                 f'expected the {what} of "{header}" in {named} but got none; give {example} in [camera]'

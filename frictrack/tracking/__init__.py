@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         relearn_target,
         track,
         track_frames,
-        track_in_parallel,
         track_same_target,
     )
     from frictrack.tracking.show import contact_sheet, overlay_video, target_line
