@@ -6,19 +6,17 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from frictrack import measure
 from frictrack import study as study_files
 from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.workers import WorkerPool
 from frictrack.flow import stages, stored_results
 from frictrack.flow.pipeline import Progress, RunPipeline
 from frictrack.flow.plausibility_checks import Findings
 from frictrack.flow.tried_models import FitRequest
 from frictrack.study import COLUMNS, RunTable, Study, load
-
-if TYPE_CHECKING:
-    from frictrack.base.workers import WorkerPool
 
 _OF_A_RUN = re.compile(r'run ("[^"]*")(?:, \w+)?: (?:[^ :]+\.\w+: )?(.*)', re.DOTALL)
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")

@@ -12,12 +12,13 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
+from frictrack.base.workers import WorkerPool
 from frictrack.effects import models
 from frictrack.flow import sensor_stage, store, stored_results, study_edits
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
@@ -32,9 +33,6 @@ from frictrack.results.verdicts import describe_no_run, describe_tests, describe
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
 from frictrack.study import Study, suggest
-
-if TYPE_CHECKING:
-    from frictrack.base.workers import WorkerPool
 
 P = ParamSpec("P")
 T = TypeVar("T")

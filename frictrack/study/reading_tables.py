@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
+from frictrack import study
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
@@ -20,8 +20,10 @@ from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
 from frictrack.study import column_names
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
-from frictrack.study.table_files import open_table
 from frictrack.study.table_layout import TableFile, TrackColumns
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
@@ -120,7 +122,7 @@ def read_table(
         With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
 
     """
-    table = open_table(path, _wanted(columns))
+    table = study.open_table(path, _wanted(columns))
     _check_choice(table, columns, path.name)
     chosen = chosen_track(table, columns)
     camera = {"px": pixel, "frames": 1.0 / fps if fps else None}
@@ -156,7 +158,7 @@ def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
         Headers by short name: v, and friction or mu.
 
     """
-    values = _read(open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
+    values = _read(study.open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
     return TableData(np.arange(len(values["v"]), dtype=float), **values)
 
 
@@ -200,7 +202,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
     """
     known = {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)}
-    values = _read(open_table(path, _wanted(columns, known)), path.name, columns, known)
+    values = _read(study.open_table(path, _wanted(columns, known)), path.name, columns, known)
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
@@ -441,6 +443,8 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: Camera)
 
 def _numbers(series: pd.Series[Any]) -> Array:
     """Return the numbers of a column, time codes as seconds; NaN for other texts."""
+    import pandas as pd  # noqa: PLC0415 - half a second, which runs of arrays do not need
+
     with np.errstate(over="ignore"):
         try:
             numbers = pd.to_numeric(series, errors="coerce")
@@ -460,6 +464,8 @@ def _numbers(series: pd.Series[Any]) -> Array:
 
 def _seconds_of_day(series: pd.Series[Any]) -> Array:
     """Return the seconds of dates with times since the midnight before the first; NaN for other texts."""
+    import pandas as pd  # noqa: PLC0415
+
     texts = series.astype(str).str.replace(",", ".")
     iso = bool(_ISO_DATE.match(str(texts.iloc[0]).strip()))
     orders = ({"format": "ISO8601"},) if iso else ({"format": "mixed", "dayfirst": first} for first in (True, False))

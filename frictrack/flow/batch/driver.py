@@ -25,9 +25,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base import __version__
 from frictrack.base.distributions import student_sf
@@ -42,9 +43,6 @@ from frictrack.present.report import write_campaign
 from frictrack.records import Array
 from frictrack.results import to_builtins
 from frictrack.settings.priors import Prior
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MIN_POINTS = 4  # needed to fit a slope
 MIN_VARIANCE = 1e-12  # of values without a deviation, over their spread
@@ -384,8 +382,6 @@ class Journal:
 
 def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     """Return the rows as a table; missing values are empty."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
     names = list(dict.fromkeys([*FIRST_COLUMNS, *(name for row in rows for name in row)]))
     table = pd.DataFrame(list(rows), columns=names)
     for name in FIRST_COLUMNS:
