@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import study
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
@@ -122,7 +121,7 @@ def read_table(
         With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
 
     """
-    table = study.open_table(path, _wanted(columns))
+    table = _opened(path, _wanted(columns))
     _check_choice(table, columns, path.name)
     chosen = chosen_track(table, columns)
     camera = {"px": pixel, "frames": 1.0 / fps if fps else None}
@@ -158,7 +157,7 @@ def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
         Headers by short name: v, and friction or mu.
 
     """
-    values = _read(study.open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
+    values = _read(_opened(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
     return TableData(np.arange(len(values["v"]), dtype=float), **values)
 
 
@@ -202,7 +201,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
     """
     known = {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)}
-    values = _read(study.open_table(path, _wanted(columns, known)), path.name, columns, known)
+    values = _read(_opened(path, _wanted(columns, known)), path.name, columns, known)
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
@@ -258,6 +257,13 @@ def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> tuple[TableFi
     gaps = int(inside[-1] - inside[0] + 1 - len(inside))
     note = f"{gaps} of {len(inside) + gaps} rows have no position; they count as missing"
     return replace(table, frame=table.frame[filled]), note if gaps and not table.tracks else ""
+
+
+def _opened(path: Path, wanted: Collection[str]) -> TableFile:
+    """Open a table; pandas takes half a second to load, which runs of arrays do not need."""
+    from frictrack.study.table_files import open_table  # noqa: PLC0415
+
+    return open_table(path, wanted)
 
 
 def _wanted(columns: Mapping[str, str], known: Mapping[str, tuple[str, str]] = COLUMNS) -> set[str]:

@@ -13,7 +13,6 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from frictrack import study
 from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
 from frictrack.study.column_names import REQUIRED, guess_columns, is_named_speed
@@ -194,7 +193,9 @@ def _is_recording(path: Path) -> bool:
 
 def _holds_times_and_positions(path: Path) -> bool:
     """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
-    table = result_or_none(study.open_table, path)
+    from frictrack.study.table_files import open_table  # noqa: PLC0415 - only for such files
+
+    table = result_or_none(open_table, path)
     if table is None:
         return False
     headers = list(map(str, table.frame.columns))
