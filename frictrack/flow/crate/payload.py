@@ -347,10 +347,7 @@ def _processor() -> str:
 
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
 TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
-TOTALS = (
-    ("combined standard uncertainty", 1),
-    (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR),
-)
+TOTALS = (("combined standard uncertainty", 1), (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR))
 BUDGET_COLUMNS = {  # of the table -> of a row of an error budget
     "source": "source",
     "input_standard_uncertainty": "size",

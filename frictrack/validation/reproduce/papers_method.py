@@ -250,9 +250,8 @@ def parameters_of(law: str, found: Fit) -> Array:
     reported, own = reported_by_address(found.solution, found.solution.p), laws.addresses(law)
     p = np.array([reported[address] for address in own.values()])
     phases = np.array([name.startswith("phi") for name in own])
-    since_release = (
-        p[phases] - 2 * np.pi * p[np.roll(phases, -1)] * found.curves[0].t[0]
-    )  # a phase follows its frequency
+    # a phase follows its frequency
+    since_release = p[phases] - 2 * np.pi * p[np.roll(phases, -1)] * found.curves[0].t[0]
     p[phases] = (since_release + np.pi) % (2 * np.pi) - np.pi
     return p
 
