@@ -238,8 +238,7 @@ class RunPipeline:
     def final_track(self) -> Track:
         """The track of a film with the repairs of the user."""
         repaired = "repaired" in self.stages and (not self.stored_only or self.is_current("repaired"))
-        track: Track = self.get("repaired" if repaired else "track")
-        return track
+        return self.get("repaired" if repaired else "track")
 
     def to_run(self) -> Run:
         """Return the measured run, as `frictrack.fit` takes it."""

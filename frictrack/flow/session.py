@@ -130,8 +130,7 @@ class Session:
         if command not in models:
             hint = suggest(command, (*models, *study_edits.EDITS))
             raise UsageError(f"expected a command but got {command!r}; {hint}")
-        result: dict[str, Any] = models[command](**arguments)
-        return result
+        return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
         opened = study_edits.OpenStudy(self.study, self.commands, self.models)

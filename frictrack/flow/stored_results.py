@@ -348,10 +348,7 @@ class ResultsReader:
     def _model(self, models: TriedModels, group: str) -> ModelResults:
         """Read a model, unless its stored content is that of the last time; files of schema 1 have no checksums."""
         checksum = store.checksum(models.path, group if group == "papers" else f"models/{group}")
-        found: ModelResults = self._keep(
-            ("model", group), checksum or object(), lambda: model_results(models.path, group)
-        )
-        return found
+        return self._keep(("model", group), checksum or object(), lambda: model_results(models.path, group))
 
     def _runs(
         self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory

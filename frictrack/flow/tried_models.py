@@ -388,8 +388,7 @@ class TriedModels:
         made = store.provenance(self.path, group)
         if made is None or key not in (None, made.key):
             return None
-        found: dict[str, Any] = json.loads(store.read(self.path, group, without=("figures",))["summary"])
-        return found
+        return json.loads(store.read(self.path, group, without=("figures",))["summary"])
 
     def keep_summary(
         self, group: str, summary: Any, provenance: Provenance, links: Mapping[str, str] = NO_LINKS, **more: Any

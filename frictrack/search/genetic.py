@@ -96,8 +96,7 @@ def rank_fitness(costs: Array) -> Array:
     """
     ordered, n = np.sort(costs), len(costs)
     better, no_worse = ordered.searchsorted(costs, "left"), ordered.searchsorted(costs, "right")
-    out: Array = (2 * n - 1 - better - no_worse) / (n - 1)
-    return out
+    return (2 * n - 1 - better - no_worse) / (n - 1)
 
 
 def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:

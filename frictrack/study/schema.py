@@ -389,8 +389,7 @@ def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
 
 def _folder(info: ValidationInfo) -> Path:
     """Return the folder to which paths are relative."""
-    folder: Path = (info.context or {})["folder"]
-    return folder
+    return (info.context or {})["folder"]
 
 
 def _model(raw: Any) -> Any:

@@ -286,8 +286,7 @@ class Scheduler:
         try:
             calls = study.steps.send(study.results) if study.results else next(study.steps)
         except StopIteration as end:
-            outcome: StudyOutcome = end.value
-            return outcome
+            return end.value
         study.results, study.waits_for = [None] * len(calls), len(calls)
         self._calls += [(study, place, call) for place, call in enumerate(calls)]
         return None

@@ -238,8 +238,7 @@ class Identification:
     @property
     def parameters(self) -> Array:
         """Parameters of `chosen`, in the papers' order, (d,)."""
-        found: Array = self.over_seeds[int(np.argmin(self.errors))]
-        return found
+        return self.over_seeds[int(np.argmin(self.errors))]
 
 
 def parameters_of(law: str, found: Fit) -> Array:
