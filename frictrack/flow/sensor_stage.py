@@ -89,7 +89,8 @@ class _SensorReader:
         needed = "table" in spec or not isinstance(until, float)
         motion = measure.motion.differentiate(measure.motion.low_pass(self.displacement)) if needed else None
         if motion is not None and not isinstance(until, float):
-            where, run = "the release at " * (until == "release"), Run(self.displacement, motion, mass=1.0)
+            where = "the release at " if until == "release" else ""
+            run = Run(self.displacement, motion, mass=1.0)
             until = measure.friction.release_time(run) if where else _time_at(motion, until["x"])
             self.notes.append(f"drive: none after {where}{until:.4g} s")
         if "force" in spec:
