@@ -251,9 +251,8 @@ def test_a_changed_mass_fits_all_models_again(study_file: Path, called: list[str
     models = work.history()["models"]
     assert fitted == ["coulomb+viscous", "coulomb+viscous+drag"]
     assert len(models) == 2
-    doubled = tried_models.model_results(work.models.path, "1_coulomb+viscous").summary["parameters"]["coulomb.F_c"][
-        "value"
-    ]
+    first = tried_models.model_results(work.models.path, "1_coulomb+viscous")
+    doubled = first.summary["parameters"]["coulomb.F_c"]["value"]
     assert doubled == pytest.approx(2 * F_C, rel=0.05)
 
 

@@ -73,15 +73,12 @@ def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
 
 def _without_repeats(errors: Iterable[FrictrackError]) -> Iterator[str]:
     """Yield the errors of runs; what several have in common is told of the first, with the names of the others."""
-    runs: dict[str, list[str]] = {}
-    first: dict[str, str] = {}
+    groups: dict[str, list[str]] = {}  # what is wrong -> the first error, and the names of all its runs
     for text in map(str, errors):
         found = _OF_A_RUN.match(text)
-        what = found[2] if found else text
-        first.setdefault(what, text)
-        runs.setdefault(what, []).append(found[1] if found else "")
-    for what, text in first.items():
-        yield text + (f"; the same in {', '.join(runs[what][1:])}" if len(runs[what]) > 1 else "")
+        groups.setdefault(found[2] if found else text, [text]).append(found[1] if found else "")
+    for text, _, *others in groups.values():
+        yield text + (f"; the same in {', '.join(others)}" if others else "")
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:

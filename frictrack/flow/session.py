@@ -71,6 +71,13 @@ class Session:
     pool
         Processes that take over segments of long uncompressed films; the positions are the same.
 
+    Attributes
+    ----------
+    runs
+        The runs, in the order of the study file.
+    findings
+        The implausible numbers of the study that were found so far.
+
     Examples
     --------
     Fit, diagnose, add the best candidate and write the report::
@@ -100,8 +107,7 @@ class Session:
     def _load(self, study: Study) -> None:
         self.study = study
         self._measured = MeasuredRuns(study, self.progress, self._pool)
-        self.runs = self._measured.pipelines  # in the order of the study file
-        self.findings = self._measured.findings  # the implausible numbers that were found so far
+        self.runs, self.findings = self._measured.pipelines, self._measured.findings
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
         self.predictions = Predictions(study.output)

@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -214,12 +215,10 @@ def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances
 
 
 def _history_has_models(folder: Path) -> bool:
-    """Return whether a model was fitted since the last restart, by the log."""
-    there = False
-    with suppress(FrictrackError):  # reported as damage
-        for change in CommandHistory(folder).changes:
-            there = change.command != "restart" and (there or "current" in change.after)
-    return there
+    """Return whether a model was fitted since the last restart, by the log; a damaged log is a fault of its own."""
+    changes = result_or_none(lambda: CommandHistory(folder).changes) or []
+    since = takewhile(lambda change: change.command != "restart", reversed(changes))
+    return any("current" in change.after for change in since)
 
 
 def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
