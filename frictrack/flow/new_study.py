@@ -208,9 +208,8 @@ def _survey_points(path: Path, table: study.TableFile, columns: dict[str, str]) 
     assert data.v is not None
     named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
     speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"
-    return Surveyed(
-        path, f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}", runs=[columns], needs_mass=False
-    )
+    words = f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}"
+    return Surveyed(path, words, runs=[columns], needs_mass=False)
 
 
 def _several_tracks(path: Path, table: study.TableFile) -> Surveyed:

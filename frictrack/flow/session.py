@@ -217,9 +217,8 @@ class Session:
         if self.models.groups:
             group, request = self.models.current()
         else:  # the study file's model is fitted first, even if another one is asked for
-            group, request = self.models.append(
-                replace(self.models.first_request(), **({} if "base" in asked else asked))
-            )
+            first = self.models.first_request()
+            group, request = self.models.append(first if "base" in asked else replace(first, **asked))
         if replace(request, **asked) != request or ("search" in asked and self.models.was_interrupted(group)):
             group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:

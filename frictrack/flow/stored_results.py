@@ -355,17 +355,14 @@ class ResultsReader:
     ) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
         measured = [pipeline for pipeline in pipelines if pipeline.run.name in states and _is_measured(pipeline)]
-        runs: dict[str, RunResults] = {
-            p.run.name: self._keep(
-                ("run", p.run.name), states[p.run.name], partial(run_results, p, with_budget=self.with_budgets)
-            )
-            for p in measured
-        }
+        runs: dict[str, RunResults] = {}
+        for p in measured:
+            make = partial(run_results, p, with_budget=self.with_budgets)
+            runs[p.run.name] = self._keep(("run", p.run.name), states[p.run.name], make)
         contents = {name: run.film.hash for name, run in runs.items() if run.film is not None}
         displacements = {name: run.displacement for name, run in runs.items()}
-        twice = self._keep(
-            "twice", {name: states[name] for name in runs}, lambda: duplicate_notes(displacements, contents)
-        )
+        read = {name: states[name] for name in runs}
+        twice = self._keep("twice", read, lambda: duplicate_notes(displacements, contents))
         authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():
@@ -396,11 +393,8 @@ def _repair_authors(history: CommandHistory) -> dict[str, str]:
     """Return by run who changed its repairs last, and when; a change by hand in the study file is not recorded."""
     done, _ = result_or_none(history.undo_stacks) or ([], [])  # a damaged log must not hide the results
     edits = [change for change in done if change.command == "edit" and change.arguments.get("key") == "repair"]
-    return {
-        str(change.arguments["which"]): f"repairs set from {change.author} at {change.time}"
-        for change in edits
-        if change.arguments.get("value")
-    }
+    last = {str(change.arguments["which"]): change for change in edits if change.arguments.get("value")}
+    return {run: f"repairs set from {change.author} at {change.time}" for run, change in last.items()}
 
 
 def preview_motion(run: RunResults, cutoff: float) -> Array:

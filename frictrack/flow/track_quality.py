@@ -81,13 +81,9 @@ def _minus_reference(track: Track, reference: Track | None) -> Track:
     if reference is None or not measure.calibration.estimate_shake(reference).detected:
         return track
     x, y = (np.nan_to_num(q - np.nanmean(q)) for q in (reference.x_px, reference.y_px))
-    return replace(
-        track,
-        x_px=track.x_px - x,
-        y_px=track.y_px - y,
-        sigma_px=np.hypot(track.sigma_px, np.nanmedian(reference.sigma_px)),
-        sigma_y_px=np.hypot(track.sigma_y_px, np.nanmedian(reference.sigma_y_px)),
-    )
+    noise = {name: np.nanmedian(getattr(reference, name)) for name in ("sigma_px", "sigma_y_px")}
+    sigma = {name: np.hypot(getattr(track, name), own) for name, own in noise.items()}
+    return replace(track, x_px=track.x_px - x, y_px=track.y_px - y, **sigma)
 
 
 def residual_shake(reference: Track | None, min_shake: float) -> tuple[float, float, str] | None:

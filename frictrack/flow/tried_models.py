@@ -245,15 +245,12 @@ class TriedModels:
     @property
     def input_hash(self) -> str:
         """Hash of the runs, as far as a fit depends on them."""
-        keys = [
-            [
-                *(p.run.name, p.run.role, p.run.group, p.run.clamp_x, p.run.beam_length),
-                *(p.key("friction"), p.key("motion")),
-                *([p.run.noise, p.run.drift] if p.run.noise or p.run.drift else []),
-                *([] if p.run.pause is None else [p.run.pause]),
-            ]
-            for p in self.pipelines
-        ]
+        keys: list[list[Any]] = []
+        for p in self.pipelines:
+            keys.append([p.run.name, p.run.role, p.run.group, p.run.clamp_x, p.run.beam_length])
+            keys[-1] += [p.key("friction"), p.key("motion")]
+            keys[-1] += [p.run.noise, p.run.drift] if p.run.noise or p.run.drift else []
+            keys[-1] += [] if p.run.pause is None else [p.run.pause]
         return digest([keys, self.study.mass])
 
     def provenance(self, key: str, settings: str) -> Provenance:

@@ -233,9 +233,8 @@ def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
         yield Fault(changes.path, "", words, "move it away; the models tried are not in it")
     study = folder / "study.h5"
     if _history_has_models(folder) and not study.exists():
-        yield Fault(
-            study, "", "the log lists models that were tried, but this file does not exist", RUN_AGAIN, "missing"
-        )
+        words = "the log lists models that were tried, but this file does not exist"
+        yield Fault(study, "", words, RUN_AGAIN, "missing")
     if study.resolve() in sound and "diagnosis" in store.names(study) and not (folder / "report.html").exists():
         yield Fault(folder / "report.html", "", "there is a diagnosis but no report", "frictrack report", "missing")
     for left in sorted(folder.glob(".*.part*")) if not is_busy(folder) else ():
@@ -243,7 +242,6 @@ def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
 
 
 LINKS = ("runs", "diagnosis")  # in study.h5: the files of the runs, and the diagnosis of the current model
-PARTS = ("models",)  # groups of which every member is a group of its own here
 
 
 EXCLUDED = {  # attributes of groups that may differ although the results are the same, and why
@@ -277,11 +275,10 @@ def stored_values(path: Path) -> dict[str, Values]:
 
     """
     with store.snapshot(path):  # whatever is wrong in it becomes one sentence
-        names = [name for name in store.names(path) if name not in LINKS]
-        inner = {name: store.names(path, name) for name in names if name in PARTS}
-        groups = [name for name in names if name not in inner]
-        groups += [f"{name}/{member}" for name, members in inner.items() for member in members]
-        own = {name: store.attributes(path, name) for name in inner}
+        models = store.names(path, "models")
+        own = {"models": store.attributes(path, "models")} if models else {}
+        groups = [name for name in store.names(path) if name not in (*LINKS, "models")]
+        groups += [f"models/{name}" for name in models]
         read = own | {group: store.read(path, group) for group in groups}
         return {group: _values(content) for group, content in read.items()}
 

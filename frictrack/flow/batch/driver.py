@@ -301,11 +301,8 @@ def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state:
         }
     )
     folder = stem.resolve().parent
-    reports = {
-        str(label): Path(os.path.relpath(Path(one.summary["results"]) / "report.html", folder)).as_posix()
-        for label, one in done
-        if one.summary.get("results")
-    }
+    results = {str(label): Path(one.summary["results"]) for label, one in done if one.summary.get("results")}
+    reports = {name: Path(os.path.relpath(own / "report.html", folder)).as_posix() for name, own in results.items()}
     plots = [trend.to_plot() for trend in found]
     page = write_campaign(result, plots, reports, stem.with_name(f"{stem.name}.html"))
     return result | {"output": str(page)}

@@ -103,16 +103,11 @@ def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
     action = entities[_ids(root["mentions"])[0]]
     study = root["mainEntity"]["@id"]
     objects = [entities[name] for name in _ids(action["object"])]
-    files = [one for one in objects if one["@type"] == "File" and one["@id"] != study]
+    inputs = tuple(_file(one) for one in objects if one["@type"] == "File" and one["@id"] != study)
+    results = tuple(_file(entities[name]) for name in _ids(action["result"]))
     moved = {one["name"]: safe_place(one["value"]) for one in objects if one.get("propertyID") == MOVED}
-    return Crate(
-        folder,
-        _file(entities[study]),
-        tuple(_file(one) for one in files),
-        tuple(_file(entities[name]) for name in _ids(action["result"])),
-        moved,
-        _versions(entities, entities[action["instrument"]["@id"]]),
-    )
+    versions = _versions(entities, entities[action["instrument"]["@id"]])
+    return Crate(folder, _file(entities[study]), inputs, results, moved, versions)
 
 
 def _file(entity: Mapping[str, Any]) -> CrateFile:
