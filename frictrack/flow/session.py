@@ -226,12 +226,8 @@ class Session:
         result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
         from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
-        return {
-            **result,
-            "remarks": [*result["remarks"], *twice],
-            "scale_error": max((run.displacement.relative_scale_error for run in from_motion), default=0.0),
-            **self._remarks,
-        }
+        error = max((run.displacement.relative_scale_error for run in from_motion), default=0.0)
+        return {**result, "remarks": [*result["remarks"], *twice], "scale_error": error, **self._remarks}
 
     @property
     def _remarks(self) -> dict[str, Any]:

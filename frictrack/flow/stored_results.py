@@ -73,9 +73,8 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
     """Return the rows of all runs for one stage."""
     describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
-    made: list[dict[str, Any]] = to_builtins(
-        [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
-    )
+    rows = [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
+    made: list[dict[str, Any]] = to_builtins(rows)
     if stage == "track":  # a track that cannot be calibrated has no displacement to compare
         return made
     twice = find_duplicate_runs(pipelines)

@@ -125,11 +125,8 @@ def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
     right, keep = correct_ticks(ticks, faults)
     rows = kept_rows(len(track), faults)
     lost = ~keep[rows]
-    columns: dict[str, Any] = {
-        f.name: np.array(column)[rows]
-        for f in fields(track)
-        if f.metadata.get("column") and (column := getattr(track, f.name)) is not None
-    }
+    own = {f.name: getattr(track, f.name) for f in fields(track) if f.metadata.get("column")}
+    columns: dict[str, Any] = {name: np.array(column)[rows] for name, column in own.items() if column is not None}
     for name in MEASURED & columns.keys():
         columns[name][lost] = np.nan
     columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]

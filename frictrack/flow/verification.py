@@ -150,10 +150,8 @@ def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> I
     """Find files that a stage read and that have changed since."""
     then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
-        now = {
-            str(pipeline.as_written(path)): pipeline.content_hash(path, then, reread=True)
-            for path in pipeline.input_files(pipeline.stages[name])
-        }
+        paths = pipeline.input_files(pipeline.stages[name])
+        now = {str(pipeline.as_written(path)): pipeline.content_hash(path, then, reread=True) for path in paths}
     except (FrictrackError, OSError) as e:
         words = f"its input cannot be read ({e})"
         yield Fault(pipeline.path, f"/{name}", words, "restore the input; these results are still valid", "missing")

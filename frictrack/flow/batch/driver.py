@@ -222,10 +222,8 @@ def _words(found: CovariateTrends, unit: str) -> Iterator[str]:
 
 def _change(one: CovariateTrend, own: str, unit: str) -> str:
     """Return the slope, or the value of every category."""
-    rows: Mapping[str, str] = {
-        term: f"{format_plus_minus(float(value), float(std))}{own}"
-        for term, value, std in zip(one.terms, one.coefficients, one.std, strict=True)
-    }
+    found = zip(one.terms, one.coefficients, one.std, strict=True)
+    rows = {term: f"{format_plus_minus(float(value), float(std))}{own}" for term, value, std in found}
     if one.origin is not None:
         return f"changes by {rows['slope']} per {unit or 'unit'}"
     return "is " + ", ".join(f"{value} ({term})" for term, value in rows.items())

@@ -193,11 +193,8 @@ def _movement(file: h5py.File) -> dict[str, Any]:
     individuals, keypoints = (labels.get(kind, [""]) for kind in TRACK_DIMENSIONS)
     names = np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals])
     unit = _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames"))
-    found: dict[str, Any] = {
-        "program": "movement",
-        "source": _text(file.attrs.get("source_software", "")),
-        "names": names,
-    }
+    source = _text(file.attrs.get("source_software", ""))
+    found: dict[str, Any] = {"program": "movement", "source": source, "names": names}
     found |= {"at": _numbers(file, "time"), "in_seconds": unit == "seconds"}
     return found | {"x": x, "y": y, "confidence": _by_track(confidence)}
 
