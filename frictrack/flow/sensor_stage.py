@@ -76,10 +76,7 @@ class _SensorReader:
 
     def add_own_columns(self, data: TableData, name: str) -> None:
         """Take columns of the run's own table, whose clock is the camera's."""
-        if data.drive is not None:
-            self.found["drive"] = data.drive
-        if data.friction is not None:
-            self.found["friction_N"] = data.friction
+        self.found |= {"drive": data.drive, "friction_N": data.friction}
         if data.a is not None:
             self._acceleration(measure.sensors.SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
 

@@ -319,19 +319,16 @@ class TriedModels:
         from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
 
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
-        how: dict[str, Any] = {"domain": request.domain, "search": request.method, "rng": request.seed}
-        if request.per is not None:
-            how["per"] = request.per
-        if self.study.mass is not None:
-            how["reference_mass"] = self.study.mass[0]
         limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
 
         def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
             done = min(generation, limit - 1)
             self.progress(done, limit, f"{request.search}: misfit {misfit:.4g}, generation")
 
-        how |= {"over": request.over, "callback": report, "prior": self._prior(request)}
-        fitted = fit(request.model(self.study.effects), self.runs, **how)
+        mass = None if self.study.mass is None else self.study.mass[0]
+        how: dict[str, Any] = {"domain": request.domain, "search": request.method, "rng": request.seed}
+        how |= {"over": request.over, "per": request.per, "prior": self._prior(request), "reference_mass": mass}
+        fitted = fit(request.model(self.study.effects), self.runs, callback=report, **how)
         self.progress(limit, limit, request.search)
         fitted = restore(self.runs, state(fitted))
         content: dict[str, Any] = {
