@@ -33,7 +33,6 @@ from frictrack.study import Study, read_toml
 MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
 MAX_EXPANSION = 200  # times the size of the zip file, above `MAX_UNPACKED_BYTES`; deflate reaches 1030
 MAX_UNPACKED_BYTES = 1_000_000_000  # that any crate may unpack to
-COPY_BYTES = 1 << 20  # that are copied at once
 _NAME = re.compile(r'(?!\.\.?$)[^\x00-\x1f\\/:*?"<>|]{0,254}[^\x00-\x1f\\/:*?"<>|. ]')  # on Windows, too
 
 
@@ -61,8 +60,7 @@ def unpack(crate: Path, folder: Path) -> None:
         with zipfile.ZipFile(crate) as file:
             infos = [info for info in file.infolist() if not info.is_dir()]
             _check(crate, infos, folder)
-            for info in infos:
-                _copy(file, info, folder / safe_place(info.filename))
+            file.extractall(folder, infos)  # each file ends at the size that was declared; its checksum is compared
     except FrictrackError:
         raise
     except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, LookupError, RuntimeError, ValueError) as e:
@@ -89,13 +87,6 @@ def _check(crate: Path, infos: list[zipfile.ZipInfo], folder: Path) -> None:
         raise FrictrackError(
             f"expected {total / 1e9:.2f} GB of free disk for {crate} but there are {free / 1e9:.2f} GB"
         )
-
-
-def _copy(file: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> None:
-    """Copy one file; zipfile ends it at the size that was declared, and compares its checksum."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with file.open(info) as source, path.open("xb") as copy:
-        shutil.copyfileobj(source, copy, COPY_BYTES)
 
 
 MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
