@@ -321,11 +321,12 @@ class _Reader:
         return run
 
     def _check_names(self, runs: tuple[schema.RunTable, ...]) -> None:
-        names = [run.name.casefold() for run in runs]
+        names: set[str] = set()
         for i, run in enumerate(runs):
-            if names[i] in names[:i]:
+            if run.name.casefold() in names:
                 line = self._line("run", i, "name")
                 self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
+            names.add(run.name.casefold())
 
     def _check_prior(self, head: schema.StudyTable, runs: tuple[schema.RunTable, ...]) -> None:
         where = f"[study], {self._line('study', 0, 'prior')}"
