@@ -203,7 +203,7 @@ def test_models_are_appended_and_the_last_is_current(study_file: Path, called: l
     added = work.add("drag")
     assert set(added) == {"effect", "error_before", "error_after", "parameters"}
     assert "drag.c" in added["parameters"]
-    assert added["error_before"] == work.models.results("1_coulomb+viscous").summary["errors"]
+    assert added["error_before"] == tried_models.model_results(work.models.path, "1_coulomb+viscous").summary["errors"]
     session(study_file).remove("viscous")
     work = session(study_file)
     work.fit(model="coulomb,drag")
@@ -251,7 +251,8 @@ def test_a_changed_mass_fits_all_models_again(study_file: Path, called: list[str
     models = work.history()["models"]
     assert fitted == ["coulomb+viscous", "coulomb+viscous+drag"]
     assert len(models) == 2
-    doubled = work.models.results("1_coulomb+viscous").summary["parameters"]["coulomb.F_c"]["value"]
+    first = tried_models.model_results(work.models.path, "1_coulomb+viscous")
+    doubled = first.summary["parameters"]["coulomb.F_c"]["value"]
     assert doubled == pytest.approx(2 * F_C, rel=0.05)
 
 

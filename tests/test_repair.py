@@ -242,7 +242,7 @@ class TestAStudy:
     def test_undo_restores_the_bytes_and_the_numbers_without_tracking_again(self, study, monkeypatch):
         before, first = study.read_bytes(), measured(study).runs[0]
         old = {name: first.get(name) for name in ("track", "displacement", "motion")}
-        monkeypatch.setattr("frictrack.tracking.track_in_parallel", None)  # the film is not tracked again
+        monkeypatch.setattr("frictrack.tracking.track", None)  # the film is not tracked again
         Session(open_study(study)).apply("edit", table="run", which="hand", key="repair", value=repairs())
         assert read_repairs(repairs()) == open_study(study).runs[0].repair
         began = time.process_time()

@@ -20,7 +20,7 @@ from frictrack.cli import main
 from frictrack.flow import Session, open_study
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Array, Track
-from frictrack.tracking import batch_tracker, track, track_in_parallel
+from frictrack.tracking import batch_tracker, track
 
 N, SEGMENT = 360, 100
 SIZE, SHAPE = (24, 36), (48, 160)
@@ -69,7 +69,7 @@ def test_several_processes_give_the_same_positions(tmp_path: Path, frames: Array
     whole = track(film, target())
     monkeypatch.setattr(batch_tracker, "SEGMENT_FRAMES", SEGMENT)
     pool = OtherProcesses()
-    alone, parallel = track(film, target()), track_in_parallel(film, target(), pool=pool)
+    alone, parallel = track(film, target()), track(film, target(), pool=pool)
     assert pool.tasks >= N // SEGMENT
     assert same(alone, parallel)
     error = alone.x_px - X
@@ -86,7 +86,7 @@ def test_a_target_that_is_hidden_between_two_segments_is_found_again(
     hidden[HIDDEN, 8:-8] = 110
     film = written(tmp_path, hidden)
     monkeypatch.setattr(batch_tracker, "SEGMENT_FRAMES", SEGMENT)
-    alone, parallel = track(film, target()), track_in_parallel(film, target(), pool=OtherProcesses())
+    alone, parallel = track(film, target()), track(film, target(), pool=OtherProcesses())
     assert same(alone, parallel)
     assert not alone.found[HIDDEN].any()
     seen = np.delete(np.arange(N), np.r_[HIDDEN])

@@ -21,7 +21,7 @@ from frictrack.effects import models
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations import friction_pieces
 from frictrack.fit.observations.measured_friction import block_covariance
-from frictrack.flow import Session, open_study
+from frictrack.flow import Session, open_study, tried_models
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.present import export, plots, report
 from frictrack.records import Displacement, Motion, Run
@@ -391,7 +391,7 @@ class TestFlow:
 
     def test_pictures_show_newtons(self, session):
         run = strokes()
-        results = session.models.results(session.models.groups[-1])
+        results = tried_models.model_results(session.models.path, session.models.groups[-1])
         assert plots.noise_um(results) is None
         assert results.summary["errors"]["noise_N"] < 1e-3
         assert results.motion == ()

@@ -13,10 +13,8 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.units import _PREFIXES, _UNITS, _WITHOUT_PREFIX, _convert, _convert_with_pint
 
 HEAVY = ("scipy", "cv2", "pandas", "matplotlib", "pint", "jinja2", "tifffile", "openpyxl")
-SCIENCE = tuple(
-    f"frictrack.{part}"
-    for part in ("fit", "diagnose", "measure.motion", "tracking", "diagnose.experiments", "present.report", "simulate")
-)
+PARTS = ("fit", "diagnose", "measure.motion", "tracking.driver", "diagnose.experiments", "present.report", "simulate")
+SCIENCE = tuple(f"frictrack.{part}" for part in PARTS)
 LISTED = """
 import sys
 from frictrack.cli import main

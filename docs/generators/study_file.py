@@ -150,7 +150,7 @@ def study_file_page() -> str:
 def _section(name: str) -> str:
     """Return the section of one table: its keys as a list of definitions."""
     kind = SECTIONS[name]
-    entries = "\n".join(_entry(kind, key) for key in kind.model_fields)
+    entries = "\n".join(_entry(kind, key) for key in described(kind) if key)  # as the docstring orders them
     return f"## {name}\n\n{prose(described(kind)[''])}\n\n{entries}"
 
 
@@ -189,7 +189,8 @@ def value_of(kind: type[Keys], key: str) -> tuple[str, str, str]:
     words = _literals(kind.model_fields[key].annotation)
     if words:
         return " or ".join(f'"{word}"' for word in words), "", f'"{words[-1]}"'
-    name = re.split(r"\W+", str(kind.__annotations__[key]).removeprefix("Annotated["))[0]
+    own = next(base for base in kind.__mro__ if key in getattr(base, "__annotations__", {}))  # or what it inherits from
+    name = re.split(r"\W+", str(own.__annotations__[key]).removeprefix("Annotated["))[0]
     return TYPES[name]
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar
 
+T = TypeVar("T")
 MAX_MESSAGE_LENGTH = 8000  # characters
 FULL_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)  # no space, quota, limit of a file
 
@@ -92,6 +94,14 @@ def raise_faults(faults: list[str], what: str) -> None:
     """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
+
+
+def result_or_none(function: Callable[..., T], *arguments: Any, **keywords: Any) -> T | None:
+    """Return the result of a call; None where it raises `FrictrackError`: others do without it, or report the fault."""
+    try:
+        return function(*arguments, **keywords)
+    except FrictrackError:
+        return None
 
 
 @contextmanager

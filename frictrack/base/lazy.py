@@ -37,13 +37,17 @@ def imports_of(package: str) -> dict[str, str]:
 
 
 def lazy_names(package: str) -> tuple[Callable[[str], Any], list[str]]:
-    """Return the `__getattr__` and the `__all__` of a package that imports on first use what `imports_of` returns."""
+    """Return the `__getattr__` and the `__all__` of a package that imports on first use what `imports_of` returns.
+
+    A name that is imported from the package itself is a module in it.
+    """
     modules = imports_of(package)
 
     def find(name: str) -> Any:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(modules[name]), name)
+        own = modules[name] == package
+        value = import_module(f"{package}.{name}") if own else getattr(import_module(modules[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 

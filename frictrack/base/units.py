@@ -42,9 +42,8 @@ _QUANTITY = re.compile(
 )
 
 
-NUMBER_WITHOUT_UNIT = re.compile(
-    r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*"
-)  # such as "0.35" or "0.35 +/- 1 %"
+# such as "0.35" or "0.35 +/- 1 %"
+NUMBER_WITHOUT_UNIT = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*(?:(?:\+/-|±)\s*[\d.eE+-]+\s*%?)?\s*")
 
 
 def lacks_unit(value: Any) -> bool:

@@ -231,8 +231,7 @@ class _LocalPool:
                 except OSError as e:
                     raise FrictrackError(f"cannot start a process: {e.strerror or e}; try fewer --workers") from e
                 self._processes.append(self._own.process)
-        found: _Process = self._own.process
-        return found
+        return self._own.process
 
 
 class _Process:
@@ -255,8 +254,7 @@ class _Process:
                 self.has_begun = True
         except OSError as e:
             raise EOFError from e
-        found: Answer = answer
-        return found
+        return answer
 
     def kill(self) -> None:
         self._process.kill()

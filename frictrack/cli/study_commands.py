@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from frictrack import flow
 from frictrack.base.errors import UsageError
 from frictrack.cli.common import (
     STUDY_HERE,
@@ -101,7 +102,6 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     if one.is_dir() and not given:
         typed = shlex.quote(str(one))
         raise UsageError(f"expected a study.toml in {one}; `frictrack init {typed}` writes one")
-    from frictrack.flow import check_entered, describe_keys, start_study  # noqa: PLC0415
     from frictrack.study import is_table  # noqa: PLC0415
 
     filmed = any(not is_table(path) for path in paths)  # a table may hold the friction itself, which needs no mass
@@ -109,10 +109,10 @@ def _study_of(paths: list[Path], keys: dict[str, Any]) -> Path:
     if lacking:
         example = "--mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise UsageError(f"expected {' and '.join(lacking)} together with recordings, as in {example}")
-    check_entered(keys)
-    if read := describe_keys(keys):
+    flow.check_entered(keys)
+    if read := flow.describe_keys(keys):
         _tell(f"read as: {read}")
-    return start_study(Path("study.toml"), paths, keys, _tell).path
+    return flow.start_study(Path("study.toml"), paths, keys, _tell).path
 
 
 def _tell(line: str) -> None:
@@ -152,11 +152,9 @@ def init(
     frictrack init films --mass 350g --scale 0.5mm/px --fps 4000
 
     """
-    from frictrack.flow import check_entered, propose_study  # noqa: PLC0415
-
     keys = {"mass": mass, "scale": scale, "fps": fps}
-    check_entered(keys)
-    result = propose_study(places or Path(), keys)
+    flow.check_entered(keys)
+    result = flow.propose_study(places or Path(), keys)
     print_result(result, as_json, "init", result["study"])
 
 
@@ -389,11 +387,8 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     frictrack plan study.toml --json > plan.json
 
     """
-    from frictrack.flow import open_study  # noqa: PLC0415
-    from frictrack.flow import plan as make  # noqa: PLC0415
-
     with progress_bars() as progress:
-        result = make(open_study(study, allow_no_runs=True), progress)
+        result = flow.plan(flow.open_study(study, allow_no_runs=True), progress)
     print_result(result, as_json, "plan", result["page"], look_at("plan"))
 
 

@@ -207,10 +207,8 @@ def verify(
     frictrack verify campaign
 
     """
-    from frictrack.flow import verify as look  # noqa: PLC0415
-
     with progress_bars() as progress:
-        result = look(paths, progress)
+        result = flow.verify(paths, progress)
     print_result(result, as_json, "verify")
     if not result["sound"]:
         n = len(result["faults"])
@@ -231,9 +229,7 @@ def demo(seed: Seed = 0, as_json: Json = False) -> None:
     """
     with progress_bars() as progress:
         progress(0, 0, "opening the sample study in frictrack_demo")
-        from frictrack.flow import demo as show_it  # noqa: PLC0415 - the first line does not wait for it
-
-        result = show_it(Path("frictrack_demo"), seed, progress)
+        result = flow.demo(Path("frictrack_demo"), seed, progress)
     print_result(result, as_json, "demo", result["report"], look_at("demo"))
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
@@ -150,10 +150,7 @@ def _without(last: Solution, run: str) -> Solution | None:
     kept = [i for i, piece in enumerate(problem.pieces) if problem.layout.run_names[piece.run] != run]
     fewer = problem.rebuild(problem.layout, [problem.pieces[i] for i in kept])
     fewer = fewer.beginning_at([last.responses[i] for i in kept])
-    try:
-        return fit_with_scatter(fewer, last.p, [last.starts[i] for i in kept], last.tau)
-    except FrictrackError:
-        return None
+    return result_or_none(fit_with_scatter, fewer, last.p, [last.starts[i] for i in kept], last.tau)
 
 
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:

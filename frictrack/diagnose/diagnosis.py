@@ -202,9 +202,8 @@ class Diagnosis(NotebookView):
     undetermined: list[Undetermined] = field(default_factory=list)  # what the runs leave open
     alternatives: list[dict[str, Any]] = field(default_factory=list)  # other sets of effects
     importance: list[Importance] = field(default_factory=list)  # most important first
-    repeats: Repeatability = field(
-        default_factory=Repeatability
-    )  # whether the failure is common to the runs, and along which axis
+    # whether the failure is common to the runs, and along which axis
+    repeats: Repeatability = field(default_factory=Repeatability)
     alpha: float = ALPHA
     leads: list[str] = field(default_factory=list)  # of "unexplained"
     complete: bool = True  # False: the verdict, and nothing of what follows from it

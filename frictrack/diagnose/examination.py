@@ -556,8 +556,7 @@ def slow_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Arra
     """
     waves, size = np.zeros(shape, dtype=np.float32), slow_spectrum(shape[0]).astype(np.float32)
     waves[1 : 1 + len(size)] = size[:, None] * rng.standard_normal((len(size), shape[1]), dtype=np.float32)
-    errors: Float32Array = idct(waves, axis=0, norm="ortho")
-    return errors
+    return idct(waves, axis=0, norm="ortho")
 
 
 def peak_locking_errors(place: Array, draws: int, rng: np.random.Generator) -> Float32Array:
@@ -583,8 +582,7 @@ def rounding_errors(place: Array, step: float, draws: int, rng: np.random.Genera
 
     """
     at = place[:, None] / step + rng.uniform(0.0, 1.0, (1, draws))
-    errors: Float32Array = (step * (np.round(at) - at)).astype(np.float32)
-    return errors
+    return (step * (np.round(at) - at)).astype(np.float32)
 
 
 def random_tones(cycles: Array, draws: int, rng: np.random.Generator) -> Float32Array:

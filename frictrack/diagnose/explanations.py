@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.diagnose.examination import Examination, ScannedCandidate, list_candidates
 from frictrack.diagnose.model_selection import (
     MAX_BIC_BARE_MENTION,
@@ -406,9 +406,8 @@ class Explanations:
     def _refined(self, one: Explanation) -> Explanation:
         """Simulate a set."""
         assert one.trial is not None
-        try:
-            solution = simulate_trial(*one.trial)
-        except FrictrackError:  # along the motion it is a law, but not one that can be followed
+        solution = result_or_none(simulate_trial, *one.trial)
+        if solution is None:  # along the motion it is a law, but not one that can be followed
             return replace(one, objection="its motion cannot be followed")
         found = self._with_solution(one, solution)
         if (excess := _excess(one)) > 0:

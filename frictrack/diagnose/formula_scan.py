@@ -143,9 +143,8 @@ class _Variable:
         """The best setting of a form on its grid (K, G, k), and other local maxima that are nearly as good."""
         squares, root, residual = self.products
         flat = columns.reshape(len(columns), -1)
-        square = np.maximum(
-            np.sum(flat * (squares @ flat), axis=0), 0.0
-        )  # rounding may leave less of what no path reaches
+        # rounding may leave less of what no path reaches
+        square = np.maximum(np.sum(flat * (squares @ flat), axis=0), 0.0)
         norm = np.sqrt(square).reshape(columns.shape[1:])
         min_share = max(MIN_LEAKAGE_RATIO * self.compressed.leakage, MIN_SQUARE_SHARE)
         gains = _gains((root @ flat).reshape(columns.shape), norm, residual, min_share)

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.diagnose.compare import LocalForces, continue_search, find_local_forces, start_search
 from frictrack.diagnose.compressed import CompressedResidual, compress_residual, separate_curves
 from frictrack.diagnose.effect_description import FittedEffect
@@ -235,10 +235,8 @@ def _with_parameters_of(explained: Solution, solution: Solution) -> Solution | N
     if not set(names) <= values.keys() or len(explained.responses) != len(solution.responses):
         return None
     p, tau = np.array([values[name] for name in names]), explained.tau_of_other_runs
-    try:
-        return refine(solution.problem, p, explained.starts, tau=tau, max_steps=0)
-    except FrictrackError:  # without these effects no motion can be integrated
-        return None
+    # none if without these effects no motion can be integrated
+    return result_or_none(refine, solution.problem, p, explained.starts, tau=tau, max_steps=0)
 
 
 def residual_series(before: Solution, after: Solution | None, effects: Sequence[str]) -> dict[str, Array]:

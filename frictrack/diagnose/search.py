@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import RNG
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.diagnose.auxiliary_signals import AuxiliarySignals, assess_accelerometer
 from frictrack.diagnose.examination import Examination, examine, examine_again
 from frictrack.diagnose.explanations import (
@@ -301,11 +301,9 @@ def join_segments(fit: Fit) -> Solution | None:
     whole = pieces_of(fit.runs, fit.reference, through_reversals=old.model.turns)
     pieces = [p.refined(fine) for own in whole for p in own]
     problem = old.rebuild(old.layout, pieces)
-    try:
-        solution = fit_with_scatter(problem, fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03)
-    except FrictrackError:
-        return None
-    return solution if solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None
+    start = fit.solution.p, problem.first_starts(), fit.solution.tau or 0.03
+    solution = result_or_none(fit_with_scatter, problem, *start)
+    return solution if solution and solution.objective < MAX_CHI2_PER_FRAME * problem.n_frames else None
 
 
 def subsample(solution: Solution) -> tuple[Solution, list[str]]:

@@ -22,18 +22,8 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
-from frictrack.fit.observations import (
-    fit_starts,
-    linearise_accelerations,
-    through_chains,
-)
-from frictrack.fit.parameters import (
-    LEVEL,
-    MIN_RUNS_FOR_SCATTER,
-    ParameterLayout,
-    Slot,
-    canonical_form,
-)
+from frictrack.fit.observations import fit_starts, linearise_accelerations, through_chains
+from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form
 from frictrack.fit.penalties import prior_misfit
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
 from frictrack.fit.separable.model import DataBlock, SeparableModel, repeat_values, tiled_path

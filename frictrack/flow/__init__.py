@@ -37,23 +37,13 @@ if TYPE_CHECKING:
         survey_recording,
     )
     from frictrack.flow.opening import open_study, table_needs_mass
-    from frictrack.flow.pipeline import Progress, RunPipeline, hash_path, no_progress
-    from frictrack.flow.plausibility_checks import Findings
+    from frictrack.flow.pipeline import Progress, hash_path, no_progress
     from frictrack.flow.session import Session
     from frictrack.flow.stages import contact_sheet_path, run_pipeline
     from frictrack.flow.stored_results import ResultsReader, preview_motion, read_results
     from frictrack.flow.study_edits import effect_of_formula
     from frictrack.flow.tried_models import FitRequest, user_effects
-    from frictrack.flow.verification import EXCLUDED, Values, stored_values, verify
-    from frictrack.flow.workflows import (
-        change_and_diagnose,
-        conclude,
-        demo,
-        plan,
-        recorded_models,
-        repeat_models,
-        replay_script,
-        run_study,
-    )
+    from frictrack.flow.verification import stored_values, verify
+    from frictrack.flow.workflows import change_and_diagnose, conclude, demo, plan, replay_script, run_study
 
 __getattr__, __all__ = lazy_names(__name__)

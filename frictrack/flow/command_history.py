@@ -27,7 +27,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, TypeVar
@@ -38,15 +38,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import INTERNAL_FOLDER, append_line, lock_folder, make_internal_folder, replace_text
 
 FILE_NAME = "log.jsonl"
-_KEYS = {  # key of a line in the log -> field of `Change`
-    "rev": "revision",
-    "at": "time",
-    "who": "author",
-    "do": "command",
-    "told": "arguments",
-    "before": "before",
-    "after": "after",
-}
+_KEYS = ("rev", "at", "who", "do", "told", "before", "after")  # of a line in the log, in the order of `Change`
 
 
 @dataclass
@@ -70,12 +62,13 @@ class Change:
 
     def to_json(self) -> str:
         """Return the line of the log."""
-        return json.dumps({key: getattr(self, name) for key, name in _KEYS.items()}, ensure_ascii=False)
+        return json.dumps(dict(zip(_KEYS, vars(self).values(), strict=True)), ensure_ascii=False)
 
     @classmethod
     def from_json(cls, line: bytes) -> Change:
         """Read a line of the log."""
-        return _CHANGE.validate_python({_KEYS[key]: value for key, value in json.loads(line).items()})
+        names = dict(zip(_KEYS, (f.name for f in fields(cls)), strict=True))
+        return _CHANGE.validate_python({names[key]: value for key, value in json.loads(line).items()})
 
 
 _CHANGE = TypeAdapter(Change)

@@ -8,52 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack import measure, study
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
 from frictrack.base.number_format import first_words, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
-from frictrack.measure.calibration import parse_scale
-from frictrack.measure.plausibility import (
-    EnteredValues,
-    describe_shift,
-    implausible_entries,
-    shifted_swings,
-    swing_centre,
-)
-from frictrack.measure.points import points_of_table
 from frictrack.records import Array
 from frictrack.sampling import unwrapped
-from frictrack.study import (
-    COLUMNS,
-    NewRun,
-    Study,
-    TableData,
-    TableFile,
-    columns_line,
-    guess_points,
-    has_units,
-    is_picture_folder,
-    is_table,
-    list_files,
-    may_hold,
-    open_table,
-    propose_columns,
-    read_points,
-    read_table,
-    refuse_existing,
-    stated,
-    stated_unit,
-    suggest,
-    with_effect,
-    write_study,
-)
+from frictrack.study import COLUMNS, Study, columns_line, has_units, stated_unit, suggest
 
-RATE_IN_NAME = re.compile(
-    r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE
-)  # "4000fps", "4 kHz"
+# "4000fps", "4 kHz"
+RATE_IN_NAME = re.compile(r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE)
 FROM_FILE, FROM_NAME = "stated by the file", "from its name"
 STANDARD = ("t_s", "x_m")
 SENSORS = {"drive": ("drive",), "sensor": ("friction", "a")}  # key of a run -> columns of its table
@@ -99,7 +67,7 @@ class Surveyed:
     @property
     def is_table(self) -> bool:
         """Whether it is a table."""
-        return is_table(self.path)
+        return study.is_table(self.path)
 
 
 def survey_recording(path: Path) -> Surveyed:
@@ -111,31 +79,24 @@ def survey_recording(path: Path) -> Surveyed:
         A film, a table, or a folder of pictures.
 
     """
-    if is_table(path):
-        return _survey_table(path)
-    return _survey_film(path)
+    return _survey_table(path) if study.is_table(path) else _survey_film(path)
 
 
 def _survey_film(path: Path) -> Surveyed:
     """Open a film; a frame rate in its name counts where the file tells none."""
     from frictrack.recording import open_recording  # noqa: PLC0415 - loads OpenCV; tables do without
 
-    fps, source = None, FROM_FILE
+    film = result_or_none(open_recording, path)
+    fps, source = (rate_in_name(path.name), FROM_NAME) if film is None else (film.fps, FROM_FILE)
     try:
-        film = open_recording(path)
-        fps = film.fps
-    except FrictrackError:
-        fps, source = rate_in_name(path.name), FROM_NAME
-        try:
-            film = open_recording(path, fps=fps or 1.0)
-        except FrictrackError as e:
-            return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
+        film = film or open_recording(path, fps=fps or 1.0)
+    except FrictrackError as e:
+        return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
     height, width = film.shape
     rate = f", {fps:g} fps ({source})" if fps else ", frame rate of the camera not stated"
     words = f"{film.n_frames} frames of {width} x {height} px{rate}"
-    return Surveyed(
-        path, words, fps=fps, fps_source=source if fps else "", n_frames=film.n_frames, shape=(height, width)
-    )
+    source = source if fps else ""
+    return Surveyed(path, words, fps=fps, fps_source=source, n_frames=film.n_frames, shape=(height, width))
 
 
 def rate_in_name(name: str) -> float | None:
@@ -153,45 +114,47 @@ def rate_in_name(name: str) -> float | None:
 
 def _survey_table(path: Path) -> Surveyed:
     try:
-        table = open_table(path, STANDARD)
+        table = study.open_table(path, STANDARD)
+        heads = list(map(str, table.frame.columns))
         if len(table.tracks) > 1 and not table.has_runs:
             return _several_tracks(path, table)
-        if points := guess_points(list(map(str, table.frame.columns))):
+        if points := study.guess_points(heads):
             return _survey_points(path, table, points)
-        runs, said = _runs_of_table(table), stated(table.above)
-        heads = list(map(str, table.frame.columns))
-        if not runs:
-            return _without_positions(path, heads)
-        measured = "friction_N" in heads or all("friction" in one for one in runs)
-        if not all(has_units(one) or not one for one in runs):
-            lines = [columns_line(one) for one in runs]
-            bare = ", ".join(dict.fromkeys(h for one in runs for h in one.values() if not stated_unit(h)))
-            words = f"{len(table.frame)} rows; the headers {bare} state no units"
-            return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured, stated=said)
-        needed = _camera_keys(runs[0] or table.columns)
-        read = [read_table(path, one, pixel=1.0, fps=1.0 if "fps" in needed else None) for one in runs]
+        runs = _runs_of_table(table)
+        return _survey_runs(path, table, runs) if runs else _without_positions(path, heads)
     except FrictrackError as e:
         return Surveyed(path, problem=str(e).removeprefix(f"{path.name}: "))
-    ends = [data.t[-1] - data.t[0] for data in read]
-    lengths = ", ".join(f"{end + 1:.0f}" if "fps" in needed else f"{end:.3g}" for end in ends)
-    words = f"{', '.join(str(len(data.t)) for data in read)} rows, {lengths} {'frames' if 'fps' in needed else 's'}"
-    named = f" of a {table.program} export" if table.program else ""
-    if len(runs) > 1:
-        words = f"{len(runs)} runs of {words}"
+
+
+def _survey_runs(path: Path, table: study.TableFile, runs: list[Mapping[str, str]]) -> Surveyed:
+    """Read a table of times and positions, of one run or of several; raises FrictrackError."""
+    heads, said = list(map(str, table.frame.columns)), study.stated(table.above)
+    measured = "friction_N" in heads or all("friction" in one for one in runs)
+    if not all(has_units(one) or not one for one in runs):
+        lines = [columns_line(one) for one in runs]
+        bare = ", ".join(dict.fromkeys(h for one in runs for h in one.values() if not stated_unit(h)))
+        words = f"{len(table.frame)} rows; the headers {bare} state no units"
+        return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured, stated=said)
+    needed = _camera_keys(runs[0] or table.columns)
+    read = [study.read_table(path, one, pixel=1.0, fps=1.0 if "fps" in needed else None) for one in runs]
+    unit, written = ("frames", "{:.0f}") if "fps" in needed else ("s", "{:.3g}")
+    lengths = ", ".join(written.format(data.t[-1] - data.t[0] + (unit == "frames")) for data in read)
+    words = f"{', '.join(str(len(data.t)) for data in read)} rows, {lengths} {unit}"
+    words = f"{len(runs)} runs of {words}" if len(runs) > 1 else words
+    words += f" of a {table.program} export" if table.program else ""
     for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
-        named += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
+        words += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
     known = {header for header, _ in COLUMNS.values()} | {header for one in runs for header in one.values()}
-    force = next((h for h in heads if stated_unit(h) and may_hold(h, "friction") and h not in known), None)
+    force = next((h for h in heads if stated_unit(h) and study.may_hold(h, "friction") and h not in known), None)
     if measured:
-        named += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
+        words += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
     elif force:
-        named += (
+        words += (
             f'; is "{force}" the friction? Then name it in columns: friction = "{force}"; if the drive: drive = ...'
         )
-    words += named + "".join(f"; {key} {value} is stated above its rows" for key, value in said.items())
     return Surveyed(
         path,
-        words,
+        words + "".join(f"; {key} {value} is stated above its rows" for key, value in said.items()),
         runs=runs,
         camera_keys=tuple(key for key in needed if key not in said),
         positions=None if needed or force else _free_course(read[0]),
@@ -200,16 +163,16 @@ def _survey_table(path: Path) -> Surveyed:
     )
 
 
-def _free_course(data: TableData) -> Array | None:
+def _free_course(data: study.TableData) -> Array | None:
     """Return the positions of a table, m, as one course; None where a drive moves the mass."""
     return None if data.x is None or data.drive is not None else unwrapped(data.x)[0]
 
 
-def _runs_of_table(table: TableFile) -> list[Mapping[str, str]]:
+def _runs_of_table(table: study.TableFile) -> list[Mapping[str, str]]:
     """Return the columns of every run; none if it has no times and positions."""
     if table.has_runs:
         return [track.columns for track in table.tracks]
-    columns, count = _columns(table), stated(table.above).get("count")
+    columns, count = _columns(table), study.stated(table.above).get("count")
     if columns and count and stated_unit(columns["x"]) is None:
         columns["x"] += f" ({count})"
     return [] if columns is None else [columns]
@@ -242,21 +205,20 @@ def _names_run(name: str, run: str) -> bool:
     return run.casefold() in re.split(r"[\W_]+", name.casefold())
 
 
-def _survey_points(path: Path, table: TableFile, columns: dict[str, str]) -> Surveyed:
+def _survey_points(path: Path, table: study.TableFile, columns: dict[str, str]) -> Surveyed:
     """Read a table of points (v, F) at constant speeds; raises FrictrackError."""
     if not has_units(columns):
         words = f"{len(table.frame)} rows; the headers {', '.join(columns.values())} state no units"
         return Surveyed(path, words, columns_to_confirm=[columns_line(columns)], needs_mass=False)
-    data = points_of_table(read_points(path, columns))
+    data = measure.points.points_of_table(study.read_points(path, columns))
     assert data.v is not None
     named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
     speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"
-    return Surveyed(
-        path, f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}", runs=[columns], needs_mass=False
-    )
+    words = f"{len(data.v)} points (v, F) at constant speeds, {speeds}; {named}"
+    return Surveyed(path, words, runs=[columns], needs_mass=False)
 
 
-def _several_tracks(path: Path, table: TableFile) -> Surveyed:
+def _several_tracks(path: Path, table: study.TableFile) -> Surveyed:
     """Propose the first of several tracks; the user chooses."""
     headers = [track.columns["x"] for track in table.tracks]
     shown = first_words(headers, MAX_TRACKS_SHOWN)
@@ -271,12 +233,12 @@ def _camera_keys(columns: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(key for key, unit in CAMERA_KEYS.items() if any(stated_unit(h) == unit for h in columns.values()))
 
 
-def _columns(table: TableFile) -> dict[str, str] | None:
+def _columns(table: study.TableFile) -> dict[str, str] | None:
     """Return the columns that a study file must name; none for standard headers; None if there is no time or position.
 
     The columns of a known program need no name.
     """
-    proposed = propose_columns(table.frame, table.columns)
+    proposed = study.propose_columns(table.frame, table.columns)
     heads = list(map(str, table.frame.columns))
     if {"t", "x"} <= table.columns.keys() or {head.split(" (")[0] for head in heads} >= set(STANDARD):
         return {}
@@ -292,20 +254,21 @@ def _near(path: Path) -> str:
 
 def expand_folders(paths: Sequence[Path]) -> list[Path]:
     """Replace folders that hold films or tables by what they hold; one of pictures or tracks is a recording itself."""
-    from frictrack.study import find_recordings, is_picture_folder  # noqa: PLC0415 - only used here
-
     missing = [f"expected a recording {p} but there is no such file{_near(p)}" for p in paths if not p.exists()]
     found: list[Path] = []
     for path in () if missing else paths:
-        alone = not path.is_dir() or is_picture_folder(path) or is_table(path)
-        found += [path] if alone else find_recordings(path)
+        found += [path] if _is_one_recording(path) else study.find_recordings(path)
     places = [path.resolve() for path in found]
-    twice = [
-        f"expected each recording once but got {path} twice" for i, path in enumerate(found) if places[i] in places[:i]
-    ]
+    again = [path for i, path in enumerate(found) if places[i] in places[:i]]
+    twice = [f"expected each recording once but got {path} twice" for path in again]
     if missing or twice:
         raise UsageError("; ".join(missing + twice))
     return found
+
+
+def _is_one_recording(path: Path) -> bool:
+    """Return whether a path is a file, or a folder that is a recording itself."""
+    return not path.is_dir() or study.writing.is_picture_folder(path) or study.is_table(path)
 
 
 FILL_IN = "FILL IN: "  # before the explanation of a key that must be given
@@ -332,18 +295,19 @@ def check_entered(keys: Mapping[str, Any]) -> None:
     """
     checked = 'if it is right, set plausible = "checked"'
     in_file = f"{checked} in a study file, which `frictrack init` writes"
-    found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible_entries(read_keys(keys))]
+    implausible = measure.plausibility.implausible_entries(read_keys(keys))
+    found = [_KEY.sub(r"--\1 ", str(one)).replace(checked, in_file) for one in implausible]
     if found:
         raise UsageError("; ".join(found))
 
 
-def read_keys(keys: Mapping[str, Any]) -> EnteredValues:
+def read_keys(keys: Mapping[str, Any]) -> measure.plausibility.EnteredValues:
     """Read the numbers that a user typed."""
     mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
     bare = frozenset(key for key in ("mass", "scale") if lacks_unit(keys.get(key)))
     try:
         kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
-        return EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
+        return measure.plausibility.EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except FrictrackError as e:
         raise UsageError(str(e)) from e
 
@@ -369,7 +333,7 @@ def describe_keys(keys: Mapping[str, Any]) -> str:
     if mass is not None and mass != "fit":
         parts.append(f"mass {_number(*_kilograms(mass))} kg")
     if scale is not None:
-        pitch, relative = parse_scale(scale)
+        pitch, relative = measure.calibration.parse_scale(scale)
         parts.append(f"scale {_number(1e3 * pitch, 1e3 * pitch * relative)} mm/px")
     if fps is not None:
         parts.append(f"{fps:g} fps")
@@ -413,7 +377,7 @@ def start_study(
 
     """
     paths = expand_folders(recordings)
-    refuse_existing(path)
+    study.writing.refuse_existing(path)
     read_keys(keys)
     found = [survey_recording(one) for one in paths]
     for one in found:
@@ -422,15 +386,15 @@ def start_study(
     faults = [f"{one.path.name}: {one.problem or _to_confirm(one)}" for one in found if not one.is_usable]
     if faults:
         raise FrictrackError("; ".join(faults))
-    write_study(path, [new for one in found for new in _new_runs(one, keys)], keys)
+    study.write_study(path, [new for one in found for new in _new_runs(one, keys)], keys)
     try:
-        study = open_study(path, allow_incomplete=allow_incomplete)
+        made = open_study(path, allow_incomplete=allow_incomplete)
         if not allow_incomplete:
-            check_inputs([run_pipeline(study, run) for run in study.runs])
+            check_inputs([run_pipeline(made, run) for run in made.runs])
     except FrictrackError:
         path.unlink()
         raise
-    return study
+    return made
 
 
 def _to_confirm(one: Surveyed) -> str:
@@ -440,16 +404,15 @@ def _to_confirm(one: Surveyed) -> str:
     )
 
 
-def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[NewRun]:
+def _new_runs(one: Surveyed, keys: Mapping[str, Any]) -> list[study.writing.NewRun]:
     """Return the entries of its runs: the frame rate of its name, if nothing else tells it, and columns of a table."""
-    rate: dict[str, Any] = (
-        {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE and not keys.get("fps") else {}
-    )
-    rate |= one.keys
-    rate |= {key: one.stated[key] for key in ("mass", "fps") if key in one.stated and not keys.get(key)}
+    rate = {"fps": _whole(one.fps)} if one.fps and one.fps_source != FROM_FILE else {}
+    above = {key: one.stated[key] for key in ("mass", "fps") if key in one.stated}
+    own: dict[str, Any] = {key: value for key, value in {**rate, **one.keys, **above}.items() if not keys.get(key)}
     if one.columns_to_confirm:
-        return [NewRun(one.path, rate, f"FILL IN the {one.left_open}: {line}") for line in one.columns_to_confirm]
-    return [NewRun(one.path, rate | ({"columns": columns} if columns else {})) for columns in one.runs]
+        comments = [f"FILL IN the {one.left_open}: {line}" for line in one.columns_to_confirm]
+        return [study.writing.NewRun(one.path, own, comment) for comment in comments]
+    return [study.writing.NewRun(one.path, own | ({"columns": columns} if columns else {})) for columns in one.runs]
 
 
 def _whole(rate: float | None) -> float | None:
@@ -482,10 +445,10 @@ def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dic
     paths = [places] if isinstance(places, Path) else list(places)
     if lacking := [path for path in paths if not path.exists()]:
         raise UsageError(f"expected a folder with recordings, or recordings, but got {lacking[0]}")
-    one_folder = len(paths) == 1 and paths[0].is_dir() and not is_picture_folder(paths[0]) and not is_table(paths[0])
+    one_folder = len(paths) == 1 and not _is_one_recording(paths[0])
     folder = paths[0] if one_folder else paths[0].parent
-    refuse_existing(folder / "study.toml")
-    seen = [survey_recording(path) for path in (list_files(folder) if one_folder else paths)]
+    study.writing.refuse_existing(folder / "study.toml")
+    seen = [survey_recording(path) for path in (study.list_files(folder) if one_folder else paths)]
     found = [one for one in seen if not one.problem]
     found = list(_with_sensors(found, [one for one in seen if one.sensor]))
     used = {name for one in found for name in one.keys.values()}
@@ -495,23 +458,21 @@ def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dic
         reasons = "".join(f"; {one['file']}: {one['reason']}" for one in skipped)
         raise FrictrackError(f"expected films or tables in {folder} but found none{reasons}")
     swings = {one.path.name: one.positions for one in found if one.positions is not None}
-    shifts = {name: f"; {describe_shift(shift, first)}" for name, first, shift in shifted_swings(swings)}
+    shifted = measure.plausibility.shifted_swings(swings)
+    shifts = {name: f"; {measure.plausibility.describe_shift(shift, first)}" for name, first, shift in shifted}
     rates = {one.fps for one in found if not one.is_table}
     common = {"fps": _whole(next(iter(rates)))} if len(rates) == 1 and None not in rates and not keys.get("fps") else {}
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
     remarks = _remarks(found, known)
-    if swings and all(swing_centre(x) is not None for x in swings.values()) and not known.get("model"):
+    swinging = [measure.plausibility.swing_centre(x) is not None for x in swings.values()]
+    if swings and all(swinging) and not known.get("model"):
         known["model"] = list(SWINGING)
         remarks["model"] = "the positions swing about one place, so that a spring, or its weight, draws the mass back; "
-    path = write_study(
-        folder / "study.toml",
-        [new for one in found for new in _new_runs(one, known)],
-        known,
-        commented=True,
-        remarks=remarks,
-    )
+    runs = [new for one in found for new in _new_runs(one, known)]
+    path = study.write_study(folder / "study.toml", runs, known, commented=True, remarks=remarks)
     if "model" in remarks and shifts:
-        replace_text(path, with_effect(path.read_text(encoding="utf-8"), {"effect": "spring", "per_run": ["x_0"]}))
+        spring = {"effect": "spring", "per_run": ["x_0"]}
+        replace_text(path, study.writing.with_effect(path.read_text(encoding="utf-8"), spring))
     return {
         "study": str(path),
         "runs": [one.path.name for one in found],

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from frictrack import measure
+from frictrack import study as study_files
 from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.workers import WorkerPool
+from frictrack.flow import stages, stored_results
 from frictrack.flow.pipeline import Progress, RunPipeline
-from frictrack.flow.stages import run_pipelines
+from frictrack.flow.plausibility_checks import Findings
 from frictrack.flow.tried_models import FitRequest
-from frictrack.measure.calibration import parse_scale
 from frictrack.study import COLUMNS, RunTable, Study, load
-
-if TYPE_CHECKING:
-    from frictrack.base.workers import WorkerPool
-    from frictrack.flow.plausibility_checks import Findings
 
 _OF_A_RUN = re.compile(r'run ("[^"]*")(?:, \w+)?: (?:[^ :]+\.\w+: )?(.*)', re.DOTALL)
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
@@ -46,11 +45,11 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplet
 
 def check_study(study: Study) -> Study:
     """Check scales, model and effects of a study that was read; return the study."""
-    checks: list[tuple[str, Callable[[], Any]]] = [
-        (f'run "{run.name}"', partial(parse_scale, run.scale)) for run in study.runs if run.scale is not None
-    ]
-    checks.append(("model", lambda: FitRequest(study.model).model(study.effects)))
-    faults = [f"{what}: {error}" for what, check in checks for error in _errors(check)]
+    scaled = [run for run in study.runs if run.scale is not None]
+    parse_scale = measure.calibration.parse_scale
+    checks: dict[str, Any] = {f'run "{run.name}"': partial(parse_scale, run.scale) for run in scaled}
+    checks["model"] = partial(FitRequest(study.model).model, study.effects)
+    faults = [f"{what}: {error}" for what, check in checks.items() for error in _errors(check)]
     if faults:
         raise UsageError(f"{study.path.name}: {'; '.join(faults)}")
     return study
@@ -74,15 +73,12 @@ def _pass_all(checks: Iterable[Callable[[], Any]]) -> None:
 
 def _without_repeats(errors: Iterable[FrictrackError]) -> Iterator[str]:
     """Yield the errors of runs; what several have in common is told of the first, with the names of the others."""
-    runs: dict[str, list[str]] = {}
-    first: dict[str, str] = {}
+    groups: dict[str, list[str]] = {}  # what is wrong -> the first error, and the names of all its runs
     for text in map(str, errors):
         found = _OF_A_RUN.match(text)
-        what = found[2] if found else text
-        first.setdefault(what, text)
-        runs.setdefault(what, []).append(found[1] if found else "")
-    for what, text in first.items():
-        yield text + (f"; the same in {', '.join(runs[what][1:])}" if len(runs[what]) > 1 else "")
+        groups.setdefault(found[2] if found else text, [text]).append(found[1] if found else "")
+    for text, _, *others in groups.values():
+        yield text + (f"; the same in {', '.join(others)}" if others else "")
 
 
 def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
@@ -95,13 +91,13 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
 
 def table_needs_mass(run: RunTable) -> bool:
     """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
-    from frictrack.study import find_header, guess_points, open_table  # noqa: PLC0415 - not needed for stored results
-
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
     written = run.columns.get("friction", COLUMNS["friction"][0])
-    headers = list(map(str, open_table(run.table, [header for header, _ in COLUMNS.values()]).frame.columns))
-    return find_header(written.lstrip("-"), headers) is None and not guess_points(headers)
+    table = study_files.open_table(run.table, [header for header, _ in COLUMNS.values()])
+    headers = list(map(str, table.frame.columns))
+    named = study_files.find_header(written.lstrip("-"), headers)
+    return named is None and not study_files.guess_points(headers)
 
 
 def _check_mass(pipeline: RunPipeline) -> None:
@@ -124,14 +120,13 @@ def _check_files(pipeline: RunPipeline) -> None:
 
 def _check_sensor(run: RunTable, key: str, wanted: tuple[str, ...]) -> None:
     """Read the table of a drive or a sensor, if there is one."""
-    from frictrack.study import read_sensor_table  # noqa: PLC0415
-
     given = getattr(run, key)
     spec = {"table": given} if isinstance(given, Path) else given
     if not isinstance(spec, dict) or not isinstance(spec.get("table"), Path):
         return
     try:
-        read_sensor_table(spec["table"], ("pressure",) if "area" in spec else wanted, spec.get("columns", {}))
+        wanted = ("pressure",) if "area" in spec else wanted
+        study_files.read_sensor_table(spec["table"], wanted, spec.get("columns", {}))
     except FrictrackError as e:
         raise FrictrackError(f'run "{run.name}", {key}: {e}', usage=e.usage) from e
 
@@ -141,15 +136,9 @@ class MeasuredRuns:
 
     def __init__(self, study: Study, progress: Progress, pool: WorkerPool | None) -> None:
         self._study, self._progress = study, progress
-        self.pipelines = run_pipelines(study, progress, pool)
+        self.pipelines = stages.run_pipelines(study, progress, pool)
+        self.findings = Findings(study)  # implausible numbers of the study that were found so far
         self._inputs_checked = False
-
-    @cached_property
-    def findings(self) -> Findings:
-        """The implausible numbers of the study that were found so far."""
-        from frictrack.flow.plausibility_checks import Findings  # noqa: PLC0415 - not needed for stored results
-
-        return Findings(self._study)
 
     def bring_up_to(self, stage: str) -> list[RunPipeline]:
         """Bring every run up to date; see `frictrack.flow.session.Session.bring_up_to`."""
@@ -192,22 +181,17 @@ class MeasuredRuns:
 
     def summaries(self, stage: str, *, overlay: bool = False) -> list[dict[str, Any]]:
         """Bring every run up to "track", "motion" or "friction", and return a row of numbers for each."""
-        from frictrack.flow.stages import write_overlay  # noqa: PLC0415
-        from frictrack.flow.stored_results import run_summaries  # noqa: PLC0415
-
         for pipeline in self.pipelines if overlay else ():
             if pipeline.run.video:
-                write_overlay(pipeline)
+                stages.write_overlay(pipeline)
         pipelines = self.bring_up_to("tracks" if stage == "track" else stage)
         if stage != "track":
             self.bring_up_to("cutoff")
-        return run_summaries(pipelines, stage)
+        return stored_results.run_summaries(pipelines, stage)
 
     def notes(self) -> list[dict[str, str]]:
         """Notes on the displacement of every run and on its impact; notes that nothing was found are left out."""
-        from frictrack.measure.friction import impact  # noqa: PLC0415
-
         notes = [(p.run.name, note) for p in self.pipelines for note in p.get("displacement").notes]
         found = [(run, note) for run, note in notes if not note.startswith(("no ", "nothing "))]
-        found += [(p.run.name, words) for p in self.pipelines if (words := impact(p.to_run()))]
+        found += [(p.run.name, words) for p in self.pipelines if (words := measure.friction.impact(p.to_run()))]
         return [{"run": run, "words": words} for run, words in found]

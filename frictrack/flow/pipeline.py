@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
 LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "sigma_drive")
+# Those that a run has under the same name.
+KEYS_OF_RUN = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group", "free")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]
@@ -59,17 +61,14 @@ class Stage:
     kind: Any  # record type of the result, or `dict` for several tracks by name
 
 
+Stages = Mapping[str, Stage]  # by name
+
+
 class RunPipeline:
     """All stages of one run. `get` returns the result of a stage and computes only what is missing or outdated."""
 
     def __init__(
-        self,
-        study: Study,
-        run: RunTable,
-        stages: Mapping[str, Stage],
-        progress: Progress = no_progress,
-        *,
-        stored_only: bool = False,
+        self, study: Study, run: RunTable, stages: Stages, progress: Progress, *, stored_only: bool = False
     ) -> None:
         self.study = study
         self.stored_only = stored_only
@@ -83,7 +82,6 @@ class RunPipeline:
         self._results: dict[str, Any] = {}
         self._keys: dict[str, str] = {}
         self._inputs: dict[str, list[tuple[str, str]]] = {}
-        self._provenances: dict[str, Provenance | None] = {}
         self._unsaved: dict[str, GroupContent] = {}
         self._unsaved_since: float | None = None  # time.monotonic() when the oldest unsaved stage began; None: no block
 
@@ -181,12 +179,8 @@ class RunPipeline:
         return (value.relative_to(self.study.folder) if inside else value).as_posix()
 
     def provenance(self, name: str) -> Provenance | None:
-        """Return the provenance of a stored stage; with `stored_only` it is read once."""
-        if not self.stored_only:
-            return store.provenance(self.path, name)
-        if name not in self._provenances:
-            self._provenances[name] = store.provenance(self.path, name)
-        return self._provenances[name]
+        """Return the provenance of a stored stage."""
+        return store.provenance(self.path, name)
 
     def changed_settings(self, name: str) -> dict[str, tuple[Any, Any]]:
         """Return the keys of the study file that were others when a stage was computed: values then and now."""
@@ -244,8 +238,7 @@ class RunPipeline:
     def final_track(self) -> Track:
         """The track of a film with the repairs of the user."""
         repaired = "repaired" in self.stages and (not self.stored_only or self.is_current("repaired"))
-        track: Track = self.get("repaired" if repaired else "track")
-        return track
+        return self.get("repaired" if repaired else "track")
 
     def to_run(self) -> Run:
         """Return the measured run, as `frictrack.fit` takes it."""
@@ -327,30 +320,18 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
         raise FrictrackError(
             'expected a measured drive with mass = "fit" but got none; give drive, or weigh the slider'
         )
-    mass, sigma = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
+    mass, sigma_mass = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
-    forces = {column: getattr(sensors, column) for column in ("drive", "friction_N", "sigma_friction", "loads")}
-    free = run.free
-    if sensors.drive is not None and not np.all(known := np.isfinite(sensors.drive)):
-        t = sensors.t[known]
-        free = (t[0], t[-1]) if free is None else (max(free[0], t[0]), min(free[1], t[-1]))
-        forces["drive"] = np.interp(sensors.t, t, sensors.drive[known])
-    own = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group")
-    return Run(
-        displacement,
-        motion,
-        mass=mass,
-        sigma_mass=sigma,
-        incline=incline,
-        sigma_incline=sigma_incline,
-        has_incline=run.incline is not None,
-        steady=run.is_of_points,
-        noise=_specification(run.noise, "noise", sensors),
-        drift=_specification(run.drift, "drift", sensors),
-        **{key: getattr(run, key) for key in own},
-        free=free,
-        **forces,
-    )
+    known: dict[str, Any] = {"mass": mass, "sigma_mass": sigma_mass, "incline": incline, "sigma_incline": sigma_incline}
+    known |= {"has_incline": run.incline is not None, "steady": run.is_of_points}
+    known |= {key: getattr(run, key) for key in KEYS_OF_RUN}
+    known |= {key: _specification(getattr(run, key), key, sensors) for key in ("noise", "drift")}
+    known |= {column: getattr(sensors, column) for column in ("drive", "friction_N", "sigma_friction", "loads")}
+    if sensors.drive is not None and not np.all(measured := np.isfinite(sensors.drive)):
+        t, free = sensors.t[measured], run.free or (-np.inf, np.inf)
+        known["free"] = (max(free[0], t[0]), min(free[1], t[-1]))
+        known["drive"] = np.interp(sensors.t, t, sensors.drive[measured])
+    return Run(displacement, motion, **known)
 
 
 def _specification(found: tuple[float, str] | None, key: str, sensors: Sensors) -> float | None:

@@ -6,26 +6,23 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from frictrack import effects
+from frictrack import effects, measure, sampling
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import lacks_unit
 from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
-from frictrack.measure import plausibility
-from frictrack.measure.calibration import parse_scale
-from frictrack.measure.friction import free_section
-from frictrack.records import Displacement, Run, Track
+from frictrack.records import Displacement, Run
 from frictrack.results import to_builtins
-from frictrack.sampling import copies
-from frictrack.study import COLUMNS, Study, base_name, name_of_table, read_toml
+from frictrack.study import COLUMNS, Study, base_name, read_toml
+from frictrack.study.loading import name_of_table
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
@@ -43,7 +40,7 @@ class Findings:
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self._found: dict[str, plausibility.Finding] = {}
+        self._found: dict[str, measure.plausibility.Finding] = {}
         self._checked: set[str] = set()  # names of the checks that were made
 
     @property
@@ -57,7 +54,7 @@ class Findings:
         return tuple(self._found)
 
     @property
-    def contradictions(self) -> tuple[plausibility.Finding, ...]:
+    def contradictions(self) -> tuple[measure.plausibility.Finding, ...]:
         """The findings in which measured data contradict the study file."""
         return tuple(finding for finding in self._found.values() if finding.contradicts)
 
@@ -79,7 +76,8 @@ class Findings:
     def check_runs(self, pipelines: Sequence[RunPipeline]) -> None:
         """Check the motion of each run, and runs in opposite directions against each other."""
         if not _can_accelerate(self.study):
-            self._check_once("inclines", lambda: plausibility.implausible_inclines([p.to_run() for p in pipelines]))
+            runs = [pipeline.to_run() for pipeline in pipelines]
+            self._check_once("inclines", lambda: measure.plausibility.implausible_inclines(runs))
             self._check_once("accelerations", lambda: chain.from_iterable(map(acceleration_findings, pipelines)))
         self._check_once("runs", lambda: chain.from_iterable(map(slide_findings, pipelines)))
 
@@ -89,31 +87,31 @@ class Findings:
         # the clock of a film is checked with its header
         stated = {pipeline.run.name: pipeline.run.fps for pipeline in pipelines if pipeline.run.table}
         sensors = {w.run.name: w.get("sensors").clocks.get("a", {}) for w in pipelines if w.run.sensor is not None}
-        self._check_once("all", lambda: plausibility.implausible_masses(list(runs.values())))
+        self._check_once("all", lambda: measure.plausibility.implausible_masses(list(runs.values())))
         if not any(one.effect == "spring" and "x_0" in one.per_run for one in self.study.effects):
-            self._check_once("origins", lambda: plausibility.different_origins(runs))
+            self._check_once("origins", lambda: measure.plausibility.different_origins(runs))
         clocked = {name: runs[name] for name in stated}
-        self._check_once("clocks", lambda: plausibility.implausible_clocks(clocked, stated))
-        self._check_once("sensors", lambda: plausibility.implausible_sensors(sensors))
+        self._check_once("clocks", lambda: measure.plausibility.implausible_clocks(clocked, stated))
+        self._check_once("sensors", lambda: measure.plausibility.implausible_sensors(sensors))
 
-    def _check_once(self, what: str, find: Callable[[], Iterable[plausibility.Finding]]) -> None:
+    def _check_once(self, what: str, find: Callable[[], Iterable[measure.plausibility.Finding]]) -> None:
         """Make a check unless it was made before; raise `FrictrackError` if a number cannot be right."""
         if what not in self._checked:
             self._add(find())
             self._checked.add(what)
 
-    def _add(self, findings: Iterable[plausibility.Finding]) -> None:
+    def _add(self, findings: Iterable[measure.plausibility.Finding]) -> None:
         """Add findings on runs that the user has not marked as checked; raise one `FrictrackError` with all errors."""
         checked = {run.name for run in self.study.runs if run.plausible}
         checked |= {""} if len(checked) == len(self.study.runs) else set()  # "": findings that concern all runs
         new = [f for f in findings if f.run not in checked and not self._is_known(f)]
         for finding in new:
-            if finding.grade != plausibility.ERROR and not self._is_known(finding):
+            if finding.grade != measure.plausibility.ERROR and not self._is_known(finding):
                 self._found[str(finding)] = finding
                 LOG.warning("%s: warning: %s", self.study.path.name, finding)
-        raise_faults(_error_messages([f for f in new if f.grade == plausibility.ERROR]), self.study.path.name)
+        raise_faults(_error_messages([f for f in new if f.grade == measure.plausibility.ERROR]), self.study.path.name)
 
-    def _is_known(self, finding: plausibility.Finding) -> bool:
+    def _is_known(self, finding: measure.plausibility.Finding) -> bool:
         """Return whether the same was found before, for this run or for all, and from evidence at least as strong."""
         same = [one for one in self._found.values() if one.kind == finding.kind and one.run in (finding.run, "")]
         return any(one.contradicts or not finding.contradicts for one in same)
@@ -134,9 +132,9 @@ def stored_findings(path: Path, pipelines: Sequence[RunPipeline]) -> list[dict[s
     return list(store.read(path, FINDINGS)["warnings"])
 
 
-def _error_messages(errors: Sequence[plausibility.Finding]) -> list[str]:
+def _error_messages(errors: Sequence[measure.plausibility.Finding]) -> list[str]:
     """Return the messages of errors, one for all errors with the same correction, and how to accept the number."""
-    groups: dict[tuple[str, str], list[plausibility.Finding]] = {}
+    groups: dict[tuple[str, str], list[measure.plausibility.Finding]] = {}
     for error in errors:
         groups.setdefault((error.kind, error.correction or str(error)), []).append(error)
     messages = []
@@ -149,9 +147,9 @@ def _error_messages(errors: Sequence[plausibility.Finding]) -> list[str]:
     return messages
 
 
-def slide_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
+def slide_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:
     """Return findings on the motion of one run, with the headers of its own table."""
-    found = plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video))
+    found = measure.plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video))
     for key, (standard, _) in COLUMNS.items():
         own = standard, base_name(pipeline.run.columns.get(key, standard)).lstrip("-")
         found = tuple(
@@ -160,17 +158,17 @@ def slide_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
     return list(found)
 
 
-def acceleration_findings(pipeline: RunPipeline) -> list[plausibility.Finding]:
+def acceleration_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:
     """Return findings on a run that speeds up, or slows down too little, for the incline of the study file."""
     record = pipeline.to_run()
     lacks = find_missing_incline(pipeline, record)
     if lacks is not None:
         try:
-            free_section(record)
+            measure.friction.free_section(record)
         except FrictrackError:
             words = f"{lacks.words}, or the part to be judged as free = [t0, t1]"
-            lacks = replace(lacks, grade=plausibility.ERROR, words=words)
-    return [f for f in (lacks, plausibility.wrong_incline(record)) if f]
+            lacks = replace(lacks, grade=measure.plausibility.ERROR, words=words)
+    return [f for f in (lacks, measure.plausibility.wrong_incline(record)) if f]
 
 
 def _can_accelerate(study: Study) -> bool:
@@ -181,13 +179,13 @@ def _can_accelerate(study: Study) -> bool:
     return any(name in own or (name in known and known[name].may_pull) for name in map(str.strip, law))
 
 
-def find_missing_incline(pipeline: RunPipeline, record: Run) -> plausibility.Finding | None:
+def find_missing_incline(pipeline: RunPipeline, record: Run) -> measure.plausibility.Finding | None:
     """Return a finding if the run needs an incline that the study file lacks, else None."""
-    track: Track | None = pipeline.final_track if "track" in pipeline.stages else None
-    return plausibility.missing_incline(record, None if track is None else plausibility.path_angle(track))
+    angle = measure.plausibility.path_angle(pipeline.final_track) if "track" in pipeline.stages else None
+    return measure.plausibility.missing_incline(record, angle)
 
 
-def _study_file_findings(study: Study) -> Iterator[plausibility.Finding]:
+def _study_file_findings(study: Study) -> Iterator[measure.plausibility.Finding]:
     """Find implausible numbers in the study file; what runs inherit concerns all of them."""
     try:
         raw = read_toml(study.path.name, study.path.read_text(encoding="utf-8"))
@@ -198,7 +196,7 @@ def _study_file_findings(study: Study) -> Iterator[plausibility.Finding]:
         own = {key: tables.get(run.name, {}).get(key) for key in CHECKED_KEYS}
         above = {key: raw.get(table, {}).get(key) for key, table in CHECKED_KEYS.items()}
         values = {key: above[key] if own[key] is None else own[key] for key in CHECKED_KEYS}
-        entered = plausibility.EnteredValues(
+        entered = measure.plausibility.EnteredValues(
             run=run.name,
             mass=run.mass[0] if isinstance(run.mass, tuple) else None,
             pitch=known_pitch(run.scale),
@@ -206,13 +204,13 @@ def _study_file_findings(study: Study) -> Iterator[plausibility.Finding]:
             incline=run.incline and run.incline[0],
             bare=frozenset(key for key, value in values.items() if lacks_unit(value)),
         )
-        for found in plausibility.implausible_entries(entered):
+        for found in measure.plausibility.implausible_entries(entered):
             yield found if own[found.kind] is not None else replace(found, run="")
 
 
 def known_pitch(scale: Any) -> float | None:
     """Return the size of a pixel that a scale states, m; None if there is no scale, or it needs a picture."""
-    pitch = float("nan") if scale is None else parse_scale(scale)[0]
+    pitch = float("nan") if scale is None else measure.calibration.parse_scale(scale)[0]
     return pitch if np.isfinite(pitch) else None
 
 
@@ -226,20 +224,16 @@ def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
 def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
     """Return a note for every run that repeats an earlier one."""
     names = list(displacements)
-    pairs = [(names[i], names[j]) for i, j in copies(list(displacements.values()))]
+    same = {(names[i], names[j]) for i, j in sampling.copies(list(displacements.values()))}
+    same |= {(one, other) for one, other in combinations(contents, 2) if contents[one] == contents[other]}
     found: dict[str, str] = {}
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            same_film = one in contents and contents[one] == contents.get(other)
-            if other not in found and ((one, other) in pairs or same_film):
-                found[other] = (
-                    f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
-                    "held-out error too low; remove one of them"
-                )
+    for one, other in (pair for pair in combinations(names, 2) if pair in same):
+        twice = f'the same recording as run "{one}": it counts twice, so that deviations are too small and a '
+        found.setdefault(other, f"{twice}held-out error too low; remove one of them")
     return found
 
 
-def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[plausibility.Finding]) -> dict[str, Any]:
+def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[measure.plausibility.Finding]) -> dict[str, Any]:
     """Return a diagnosis with the verdict "undetermined" if findings contradict the study file.
 
     Examples
@@ -263,7 +257,7 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[plausibili
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
 
 
-def _undetermined_entry(finding: plausibility.Finding) -> dict[str, Any]:
+def _undetermined_entry(finding: measure.plausibility.Finding) -> dict[str, Any]:
     """Return a contradiction as an entry of "undetermined"."""
     what = f'run "{finding.run}"' if finding.run else "what was typed"
     return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -10,29 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack import measure, study
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.measure.friction import release_time
-from frictrack.measure.motion import KnownAcceleration, differentiate, low_pass
-from frictrack.measure.sensors import (
-    Alignment,
-    AlignmentProblem,
-    SensorComparison,
-    SensorRecord,
-    align,
-    align_drive,
-    compare_with_camera,
-    known_acceleration,
-    release_energy,
-    second_differences,
-)
-from frictrack.measure.tables import with_even_clock
 from frictrack.records import Array, Displacement, Motion, Run, Track
 from frictrack.results import BACKWARD, Sensors
-from frictrack.study import RunTable, TableData, read_run_table, read_sensor_table
 
 if TYPE_CHECKING:
-    from frictrack.flow.pipeline import RunPipeline
+    from frictrack.measure.motion import KnownAcceleration
+    from frictrack.measure.sensors import Alignment, SensorComparison, SensorRecord
+    from frictrack.study import RunTable, TableData
 
 # Standard deviations between the mass that the drive moves and the weighed mass, from which a note is made.
 MIN_MASS_DIFFERENCE_SIGMAS = 3.0
@@ -43,16 +30,16 @@ MIN_GAIN = 0.5  # displacement of the target per displacement of the mass, from 
 MAX_OTHER_MOTION = 0.02  # share of its squared motion that may be independent of the mass
 
 
-def read_sensors(run: RunTable, displacement: Displacement) -> Sensors:
+def read_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
     """Read drive, acceleration and friction force of a run, at the frames of the camera.
 
     Columns of the run's own table are used as they are, because their clock is the camera's.
     """
-    reader = _SensorReader(displacement)
+    run, reader = pipeline.run, _SensorReader(displacement)
     if run.table:
-        own = read_run_table(run)
+        own = study.read_run_table(run)
         if any(column is not None for column in (own.drive, own.friction, own.a)):
-            reader.add_own_columns(with_even_clock(own).data, run.table.name)
+            reader.add_own_columns(measure.tables.with_even_clock(own).data, run.table.name)
     if run.drive is not None:
         short = {"table": run.drive} if isinstance(run.drive, Path) else {"force": run.drive}
         reader.add_drive(run.drive if isinstance(run.drive, dict) else short)
@@ -65,7 +52,7 @@ def fused_acceleration(sensors: Sensors) -> KnownAcceleration | None:
     """Return the acceleration of the sensor for the smoother, without its gain and bias."""
     if sensors.known_a is None or sensors.sigma_known_a is None:
         return None
-    return KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
+    return measure.motion.KnownAcceleration(sensors.known_a, sensors.sigma_known_a)
 
 
 def sensor_summary(pipeline: RunPipeline) -> dict[str, Any]:
@@ -89,47 +76,43 @@ class _SensorReader:
 
     def add_own_columns(self, data: TableData, name: str) -> None:
         """Take columns of the run's own table, whose clock is the camera's."""
-        if data.drive is not None:
-            self.found["drive"] = data.drive
-        if data.friction is not None:
-            self.found["friction_N"] = data.friction
+        self.found |= {"drive": data.drive, "friction_N": data.friction}
         if data.a is not None:
-            self._acceleration(SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
+            self._acceleration(measure.sensors.SensorRecord(data.t, data.a, f"{name}, a_m_s2"), 0.0)
 
     def add_drive(self, spec: dict[str, Any]) -> None:
         """Read a drive: a constant force or a table, perhaps only up to some time or place."""
         t, until = self.displacement.t, spec.get("until", np.inf)
         needed = "table" in spec or not isinstance(until, float)
-        motion = differentiate(low_pass(self.displacement)) if needed else None
+        motion = measure.motion.differentiate(measure.motion.low_pass(self.displacement)) if needed else None
         if motion is not None and not isinstance(until, float):
-            at_release = until == "release"
-            until = (
-                release_time(Run(self.displacement, motion, mass=1.0)) if at_release else _time_at(motion, until["x"])
-            )
-            self.notes.append(f"drive: none after {'the release at ' if at_release else ''}{until:.4g} s")
+            where = "the release at " if until == "release" else ""
+            run = Run(self.displacement, motion, mass=1.0)
+            until = measure.friction.release_time(run) if where else _time_at(motion, until["x"])
+            self.notes.append(f"drive: none after {where}{until:.4g} s")
         if "force" in spec:
             self.found["drive"] = spec["force"] * _share_until(t, until)
             return
         assert motion is not None
         acting = t <= until
         series = _drive_force(spec)
-        found = align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
+        found = measure.sensors.align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
         self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
 
     def add_sensor(self, spec: dict[str, Any]) -> None:
         """Read an accelerometer, a load cell that measures friction, or both."""
-        data = read_sensor_table(spec["table"], ("a", "friction"), spec.get("columns", {}))
+        data = study.read_sensor_table(spec["table"], ("a", "friction"), spec.get("columns", {}))
         name = spec["table"].name
         if data.a is not None:
-            self._acceleration(SensorRecord(data.t, data.a, name), _offset(spec))
+            self._acceleration(measure.sensors.SensorRecord(data.t, data.a, name), _offset(spec))
         if data.friction is not None:
-            series = SensorRecord(data.t, data.friction, name)
-            frames = second_differences(self.displacement)
+            series = measure.sensors.SensorRecord(data.t, data.friction, name)
+            frames = measure.sensors.second_differences(self.displacement)
             acting = [column[frames.centre] for column in (self.found.get("drive"),) if column is not None]
             varying = [column for column in acting if np.ptp(column) > 0.0]
             regressors = np.stack([*varying, np.ones(len(frames.z))], axis=1)
-            found = align(AlignmentProblem(frames, series, regressors), _offset(spec))
+            found = measure.sensors.align(measure.sensors.AlignmentProblem(frames, series, regressors), _offset(spec))
             self._note_alignment("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
             self.found["friction_N"] = self._at_all_frames(series, found, everywhere)
@@ -137,17 +120,17 @@ class _SensorReader:
     def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
         """Align an accelerometer, compare it with the camera, and use it for fusion if both agree."""
         t = self.displacement.t
-        frames = second_differences(self.displacement)
-        problem = AlignmentProblem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
-        found = align(problem, offset)
+        frames = measure.sensors.second_differences(self.displacement)
+        problem = measure.sensors.AlignmentProblem(frames, series, np.ones((len(frames.z), 1)), series.sigma)
+        found = measure.sensors.align(problem, offset)
         values = series.average(t - found.lag(t), frames.interval)
         if not np.any(np.isfinite(values)):
             raise FrictrackError(_no_overlap(series, found, t))
-        compared = compare_with_camera(problem, found, self.displacement.relative_scale_error)
+        compared = measure.sensors.compare_with_camera(problem, found, self.displacement.relative_scale_error)
         self._note_alignment("a", series, found, compared)
         self.found["a"] = values
         if compared.verdict == "consistent":
-            fused = known_acceleration(series, found, t)
+            fused = measure.sensors.known_acceleration(series, found, t)
             self.found |= {"known_a": fused.a, "sigma_known_a": float(fused.sigma)}
 
     def _note_alignment(
@@ -209,10 +192,10 @@ def _share_until(t: Array, until: float) -> Array:
 def _drive_force(spec: dict[str, Any]) -> SensorRecord:
     """Read the table of a drive, N; a pressure is multiplied by the area."""
     area, columns, path = spec.get("area"), spec.get("columns", {}), spec["table"]
-    data = read_sensor_table(path, ("drive",) if area is None else ("pressure",), columns)
+    data = study.read_sensor_table(path, ("drive",) if area is None else ("pressure",), columns)
     values = data.drive if area is None else np.asarray(data.pressure) * area
     assert values is not None
-    return SensorRecord(data.t, values, path.name)
+    return measure.sensors.SensorRecord(data.t, values, path.name)
 
 
 def _offset(spec: dict[str, Any]) -> float | None:
@@ -283,13 +266,12 @@ def _impact_energy(pipeline: RunPipeline) -> dict[str, Any] | None:
         return None
     displacement: Displacement = pipeline.get("displacement")
     motion: Motion = pipeline.get("motion")
-    try:
-        release = release_time(replace(pipeline.to_run(), drive=None, friction_N=None))
-    except FrictrackError:  # nothing slides, which the friction stage reports
+    release = result_or_none(measure.friction.release_time, replace(pipeline.to_run(), drive=None, friction_N=None))
+    if release is None:  # nothing slides, which the friction stage reports
         return None
     released = int(np.argmin(np.abs(motion.t - release)))
     speed = float(motion.v[released]), float(motion.sigma_v[released])
-    energy = release_energy(run.mass, speed, run.impact_energy, displacement.relative_scale_error)
+    energy = measure.sensors.release_energy(run.mass, speed, run.impact_energy, displacement.relative_scale_error)
     return {
         "E_kin_J": energy.kinetic,
         "sigma_J": energy.sigma,

@@ -12,17 +12,19 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import lock_work
+from frictrack.base.workers import WorkerPool
 from frictrack.effects import models
-from frictrack.flow import store
+from frictrack.flow import sensor_stage, store, stored_results, study_edits
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
+from frictrack.flow.plausibility_checks import find_duplicate_runs, withhold_verdict
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
@@ -32,12 +34,9 @@ from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
 from frictrack.study import Study, suggest
 
-if TYPE_CHECKING:
-    from frictrack.base.workers import WorkerPool
-    from frictrack.flow.plausibility_checks import Findings
-
 P = ParamSpec("P")
 T = TypeVar("T")
+Json = dict[str, Any]
 
 
 def exclusive(method: Callable[Concatenate[Session, P], T]) -> Callable[Concatenate[Session, P], T]:
@@ -72,6 +71,13 @@ class Session:
     pool
         Processes that take over segments of long uncompressed films; the positions are the same.
 
+    Attributes
+    ----------
+    runs
+        The runs, in the order of the study file.
+    findings
+        The implausible numbers of the study that were found so far.
+
     Examples
     --------
     Fit, diagnose, add the best candidate and write the report::
@@ -101,20 +107,11 @@ class Session:
     def _load(self, study: Study) -> None:
         self.study = study
         self._measured = MeasuredRuns(study, self.progress, self._pool)
+        self.runs, self.findings = self._measured.pipelines, self._measured.findings
         self.models = TriedModels(study, self.runs, self.progress, self.commands)
         self.budget = SignificanceBudget(study.output)
         self.predictions = Predictions(study.output)
         self.path = study.output / "study.h5"
-
-    @property
-    def runs(self) -> list[RunPipeline]:
-        """The runs, in the order of the study file."""
-        return self._measured.pipelines
-
-    @property
-    def findings(self) -> Findings:
-        """The implausible numbers of the study that were found so far."""
-        return self._measured.findings
 
     def apply(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Run one command that changes the study; the command history, jobs and scripts use this method.
@@ -132,22 +129,18 @@ class Session:
             If the command is unknown, fails, or the study is not at the expected revision.
 
         """
-        from frictrack.flow.study_edits import EDITS  # noqa: PLC0415 - loads tomlkit
-
         self.commands.check_revision()
         models: dict[str, Callable[..., Any]] = {"fit": self.fit, "add": self.add, "remove": self.remove}
-        if command in EDITS:
+        if command in study_edits.EDITS:
             return self._edit_study(command, **arguments)
         if command not in models:
-            hint = suggest(command, (*models, *EDITS))
+            hint = suggest(command, (*models, *study_edits.EDITS))
             raise UsageError(f"expected a command but got {command!r}; {hint}")
-        result: dict[str, Any] = models[command](**arguments)
-        return result
+        return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        from frictrack.flow.study_edits import EDITS, OpenStudy  # noqa: PLC0415
-
-        result = EDITS[command](OpenStudy(self.study, self.commands, self.models), **arguments)
+        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
+        result = study_edits.EDITS[command](opened, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
@@ -210,8 +203,6 @@ class Session:
             If the model is unknown, or a run cannot be measured.
 
         """
-        from frictrack.flow.plausibility_checks import find_duplicate_runs  # noqa: PLC0415
-
         asked: dict[str, Any] = {key: value for key, value in how.items() if value is not None}
         if asked.get("search") == "varpro":
             asked.setdefault("over", "all")
@@ -226,9 +217,8 @@ class Session:
         if self.models.groups:
             group, request = self.models.current()
         else:  # the study file's model is fitted first, even if another one is asked for
-            group, request = self.models.append(
-                replace(self.models.first_request(), **({} if "base" in asked else asked))
-            )
+            first = self.models.first_request()
+            group, request = self.models.append(first if "base" in asked else replace(first, **asked))
         if replace(request, **asked) != request or ("search" in asked and self.models.was_interrupted(group)):
             group, request = self.models.append(replace(request, **asked), model=model, **how)
         if profiles or draws:
@@ -236,12 +226,8 @@ class Session:
         result = self.models.summary(group)
         twice = [f'run "{name}" is {note}' for name, note in find_duplicate_runs(self.runs).items()]
         from_motion = [run for run in self.models.runs if run.drive is None and run.friction_N is None]
-        return {
-            **result,
-            "remarks": [*result["remarks"], *twice],
-            "scale_error": max((run.displacement.relative_scale_error for run in from_motion), default=0.0),
-            **self._remarks,
-        }
+        error = max((run.displacement.relative_scale_error for run in from_motion), default=0.0)
+        return {**result, "remarks": [*result["remarks"], *twice], "scale_error": error, **self._remarks}
 
     @property
     def _remarks(self) -> dict[str, Any]:
@@ -417,9 +403,8 @@ class Session:
             if found is not None:  # an earlier diagnosis was interrupted after its verdict
                 announce(whole(found))
                 announce = _ignore
-            how: dict[str, Any] = {"quick": quick, "announce": lambda verdict: announce(whole(verdict))}
-            provenance = self.models.provenance(key, json.dumps({"seed": seed}))
-            found = self._diagnose(group, provenance, test.alpha, **how)
+            made = self.models.provenance(key, json.dumps({"seed": seed}))
+            found = self._diagnose(group, made, lambda one: announce(whole(one)), alpha=test.alpha, quick=quick)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
             store.write(self.path, {}, links={"diagnosis": f"/{inside}"})
         if test.named is None:
@@ -427,40 +412,22 @@ class Session:
         self.predictions.resolve(found, self._fitted_runs())
         return whole(found)
 
-    def _diagnose(
-        self,
-        group: str,
-        provenance: Provenance,
-        alpha: float,
-        *,
-        quick: bool,
-        announce: Callable[[dict[str, Any]], None],
-    ) -> dict[str, Any]:
+    def _diagnose(self, group: str, provenance: Provenance, announce: Callable[[Json], None], **how: Any) -> Json:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
         from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
-        from frictrack.flow.plausibility_checks import withhold_verdict  # noqa: PLC0415
-        from frictrack.flow.sensor_stage import auxiliary_signals  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
-        def keep(diagnosis: Diagnosis) -> dict[str, Any]:
+        def keep(diagnosis: Diagnosis) -> Json:
             summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
             links = {"diagnosis": f"/{inside}"}
             return self.models.keep_summary(inside, summary, provenance, links, figures=diagnosis.figures)
 
         self.progress(0, 0, f"diagnosing {group}")
-        diagnosis = diagnose(
-            self.models.fit(group),
-            own=configured_effects(self.study.effects),
-            functions=self.study.functions,
-            costs=self.study.costs,
-            auxiliary=auxiliary_signals(self.runs),
-            rng=json.loads(provenance.settings)["seed"],
-            alpha=alpha,
-            progress=self.progress,
-            quick=quick,
-            on_verdict=lambda verdict: announce(keep(verdict)),
-        )
+        how |= {"functions": self.study.functions, "costs": self.study.costs, "progress": self.progress}
+        how |= {"own": configured_effects(self.study.effects), "auxiliary": sensor_stage.auxiliary_signals(self.runs)}
+        how |= {"rng": json.loads(provenance.settings)["seed"], "on_verdict": lambda verdict: announce(keep(verdict))}
+        diagnosis = diagnose(self.models.fit(group), **how)
         return keep(diagnosis) if diagnosis.complete else self.models.stored_summary(inside) or {}
 
     def _diagnosis_inputs(self) -> list[Any]:
@@ -495,15 +462,13 @@ class Session:
 
     def _defined(self, effect: str) -> str:
         """Return the name of an effect; that of a formula is written into the study file first."""
-        from frictrack.flow.study_edits import choose_formula, formula_number  # noqa: PLC0415
-
-        number = formula_number(effect)
+        number = study_edits.formula_number(effect)
         if number is None:
             return effect
         group, request = self.models.current()
         found = self.models.stored_summary(f"models/{group}/diagnosis")
         taken = [table.effect for table in self.study.effects]
-        keys = choose_formula(number, found, taken, request.model(self.study.effects).names)
+        keys = study_edits.choose_formula(number, found, taken, request.model(self.study.effects).names)
         self._edit_study("define", effect=keys)
         return str(keys["effect"])
 
@@ -586,28 +551,19 @@ class Session:
             Write the page even if it was made from the same results before.
 
         """
-        from frictrack.flow.stored_results import (  # noqa: PLC0415
-            read_results,
-            report_key,
-            results_key,
-            stored_report_key,
-        )
-
         path = self.study.output / "report.html"
         notes = self._update_all(seed)
         warnings = self.findings.messages
-        inputs = digest([__version__, notes, warnings, *(hash_path(p) for p in self._report_inputs())])
-        key = report_key(inputs, results_key(self.models, self.runs), self.models.current()[0])
-        if anew or (written := stored_report_key(path)) is None or written[0] != key:
+        files = (self.study.path, self.path, *(pipeline.path for pipeline in self.runs))
+        inputs = digest([__version__, notes, warnings, *map(hash_path, files)])
+        results = stored_results.results_key(self.models)
+        key = f"{inputs} {results} {self.models.current()[0]}"
+        if anew or (written := stored_results.stored_report_key(path)) is None or written[0] != key:
             self.progress(0, 0, f"writing {path.name}")
             from frictrack.present import report  # noqa: PLC0415 - takes seconds to import and draw
 
-            report.write(replace(read_results(self.study), notes=notes), path, key)
+            report.write(replace(stored_results.read_results(self.study), notes=notes), path, key)
         return path
-
-    def _report_inputs(self) -> list[Path]:
-        """The files that a report depends on."""
-        return [self.study.path, self.path, *(pipeline.path for pipeline in self.runs)]
 
     def restart(self) -> None:
         """Remove the models tried; measurements are kept."""
@@ -660,10 +616,8 @@ class Session:
             Seed of the diagnosis; None for that of the last one.
 
         """
-        from frictrack.flow.stored_results import read_results  # noqa: PLC0415
-
         notes = self._update_all(seed)
-        return replace(read_results(self.study), notes=notes)
+        return replace(stored_results.read_results(self.study), notes=notes)
 
     def _update_all(self, seed: int | None) -> tuple[str, ...]:
         """Compute all that is missing or outdated; return notes, also on what could not be computed."""

@@ -1,32 +1,32 @@
 """The stages of one run: what computes each of them, and tables of them, for films and for tables of positions.
 
-Every function takes the pipeline and the results of the stage's inputs. They import the science that they need when
-they are called, so that stored results are read without it. A compressed film is decoded once for all tracks.
+Every function takes the pipeline and the results of the stage's inputs. The rooms import the science when it is first
+used, so that stored results are read without it. A compressed film is decoded once for all tracks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack import measure, sampling, study, tracking
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.base.remote import local_path
 from frictrack.effects import models
+from frictrack.flow import sensor_stage, track_quality
 from frictrack.flow.pipeline import Progress, RunPipeline, Stage, make_run, no_progress
+from frictrack.flow.plausibility_checks import find_missing_incline
 from frictrack.records import MEASURED, CutoffTradeOff, Displacement, Filtered, Friction, Motion, Run, RunEvents, Track
 from frictrack.results import BACKWARD, RecordingInfo, Sensors
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
-from frictrack.study import RunTable, Study, TableData
+from frictrack.study import RunTable, Study
 
 if TYPE_CHECKING:
     from frictrack.base.workers import WorkerPool
-    from frictrack.measure.calibration import PlaneMap
     from frictrack.recording import Recording
-    from frictrack.tracking import TargetModel
 
 REFERENCE = "reference"  # name of the track that frictrack adds, as it adds `BACKWARD`
 REASON_COVERED = "the target passes over it"
@@ -54,24 +54,20 @@ def make_recording(pipeline: RunPipeline) -> RecordingInfo:
 
 def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
     """Track the target; what is learnt of it stays in the pipeline, for the tracks stage and for other films."""
-    from frictrack import tracking  # noqa: PLC0415 - loads OpenCV; tables do without
-    from frictrack.tracking.detection import resolve_areas, target_fault  # noqa: PLC0415
-
     plane_before_tracking(pipeline)
     with pipeline.open_film() as opened:
         pipeline.progress(0, film.n_frames, "find the target")
         run = pipeline.run
         given = tracking.Areas(run.target, run.exclude, run.obstacles)
-        areas, _, frame = resolve_areas(opened, given, run.template or 0)
+        areas, _, frame = tracking.detection.resolve_areas(opened, given, run.template or 0)
         how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
         known = _target_of_anchor(pipeline)
-        shared = known and tracking.track_same_target(opened, areas, known, **how)
-        if shared:
+        if known and (shared := tracking.track_same_target(opened, areas, known, **how)):
             found, pipeline.lesson = shared
             return found
         pipeline.lesson = tracking.learn_target(opened, areas, **how)
-        found = tracking.track_in_parallel(opened, areas, known=pipeline.lesson, **how)
-        if run.target is None and (fault := target_fault(opened, found)):
+        found = tracking.track(opened, areas, known=pipeline.lesson, **how)
+        if run.target is None and (fault := tracking.detection.target_fault(opened, found)):
             sheet = tracking.contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
             raise FrictrackError(f"{fault}; {sheet} shows the place")
         return found
@@ -79,16 +75,14 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
 
 def make_repaired(pipeline: RunPipeline, film: RecordingInfo, track: Track, tracks: dict[str, Track]) -> Track:
     """Repair the frames that the study file names; the track itself stays stored."""
-    from frictrack.measure.repairing import repair  # noqa: PLC0415 - loads OpenCV
-    from frictrack.tracking import contact_sheet, relearn_target  # noqa: PLC0415
-
     repairs = pipeline.run.repair
     with pipeline.open_film() as opened:
         pipeline.progress(0, len(track), "repair frames")
         if any(one.how == "track" for one in repairs) and pipeline.lesson is None:
-            pipeline.lesson = relearn_target(opened, track)
-        repaired = repair(track, opened, repairs, known=pipeline.lesson)
-        contact_sheet(opened, repaired, contact_sheet_path(pipeline.study, pipeline.run.name), tuple(tracks.values()))
+            pipeline.lesson = tracking.relearn_target(opened, track)
+        repaired = measure.repairing.repair(track, opened, repairs, known=pipeline.lesson)
+        sheet = contact_sheet_path(pipeline.study, pipeline.run.name)
+        tracking.contact_sheet(opened, repaired, sheet, tuple(tracks.values()))
     return repaired
 
 
@@ -97,27 +91,24 @@ def _pool(pipeline: RunPipeline) -> WorkerPool | None:
     return pipeline.pool if pipeline.recording.direct else None
 
 
-def _target_of_anchor(pipeline: RunPipeline) -> TargetModel | None:
+def _target_of_anchor(pipeline: RunPipeline) -> tracking.TargetModel | None:
     """Return the target that was learnt from another film of the study, if it may be the same in this film.
 
     It is another one where outline, excluded parts or obstacles were drawn.
     """
-    from frictrack.tracking import is_polygon, relearn_target  # noqa: PLC0415
-
     anchor = pipeline.anchor
-    if anchor is None or any(is_polygon(r.target) or r.exclude or r.obstacles for r in (pipeline.run, anchor.run)):
+    runs = () if anchor is None else (pipeline.run, anchor.run)
+    if anchor is None or any(tracking.is_polygon(run.target) or run.exclude or run.obstacles for run in runs):
         return None
     track: Track = anchor.get("track")  # learns the target if this process tracks the film
     if anchor.lesson is None:
         with anchor.open_film() as opened:
-            anchor.lesson = relearn_target(opened, track)
+            anchor.lesson = tracking.relearn_target(opened, track)
     return anchor.lesson
 
 
 def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track) -> dict[str, Track]:
     """Track everything else in the film and draw the contact sheet."""
-    from frictrack import tracking  # noqa: PLC0415
-
     found: dict[str, Track] = {}
     with pipeline.open_film() as opened:
         for name, target in pipeline.run.targets.items():
@@ -131,23 +122,19 @@ def make_further_tracks(pipeline: RunPipeline, film: RecordingInfo, track: Track
 
 def _reference_track(opened: Recording, target: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """Track the fixed reference that the study file names, or the one that is found; empty if there is none."""
-    from frictrack.tracking import find_reference, track, track_in_parallel  # noqa: PLC0415
-    from frictrack.tracking.checks import moves_with  # noqa: PLC0415
-
     given = pipeline.run.reference
     if given == "none":
         return {}
     if given != "auto":
-        reference = track(opened, given, name=REFERENCE, progress=pipeline.progress)
+        reference = tracking.track(opened, given, name=REFERENCE, progress=pipeline.progress)
         # Notes on the film stand in the target's track already.
         return {REFERENCE: _without_covered_frames(replace(reference, notes=()), target)}
-    rectangle = find_reference(opened, target)
+    rectangle = tracking.find_reference(opened, target)
     if rectangle is None:
         return {}
-    found = _track_or_none(
-        lambda: track_in_parallel(opened, rectangle, pool=_pool(pipeline), progress=pipeline.progress)
-    )
-    if found is None or moves_with(target, found):
+    how: dict[str, Any] = {"pool": _pool(pipeline), "progress": pipeline.progress}
+    found = result_or_none(tracking.track, opened, rectangle, **how)  # the run can do without
+    if found is None or tracking.checks.moves_with(target, found):
         return {}
     return {REFERENCE: replace(found, name=REFERENCE, notes=())}
 
@@ -174,8 +161,6 @@ def _without_covered_frames(reference: Track, target: Track) -> Track:
 
 def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) -> dict[str, Track]:
     """Track the target from the last frame that shows it completely to the first one, with the learnt template."""
-    from frictrack.tracking import Areas, relearn_target, track_in_parallel  # noqa: PLC0415
-
     assert forward.target is not None
     size = np.array(forward.target[2:])
     corner = np.rint(np.stack([forward.x_px, forward.y_px], axis=1) - (size - 1) / 2)
@@ -186,34 +171,23 @@ def _backward_track(opened: Recording, forward: Track, pipeline: RunPipeline) ->
     rectangle = [*corner[last].tolist(), *size.tolist()]
 
     def follow() -> Track:
-        known: TargetModel = pipeline.lesson or relearn_target(opened, forward)
-        areas = Areas(rectangle, obstacles=forward.obstacles)
+        known = pipeline.lesson or tracking.relearn_target(opened, forward)
+        areas = tracking.Areas(rectangle, obstacles=forward.obstacles)
         how: dict[str, Any] = {"template": last, "progress": pipeline.progress, "pool": _pool(pipeline)}
-        return track_in_parallel(opened, areas, known=known, **how)
+        return tracking.track(opened, areas, known=known, **how)
 
-    backward = _track_or_none(follow)
+    backward = result_or_none(follow)
     return {} if backward is None else {BACKWARD: replace(backward, name=BACKWARD, picture=None, notes=())}
 
 
-def _track_or_none(make: Callable[[], Track]) -> Track | None:
-    """Return a track, or None if it cannot be made: an optional track must not stop the run."""
-    try:
-        return make()
-    except FrictrackError:
-        return None
-
-
-def plane_before_tracking(pipeline: RunPipeline) -> PlaneMap | None:
+def plane_before_tracking(pipeline: RunPipeline) -> measure.calibration.PlaneMap | None:
     """Return the map from pixels to the course, as far as it needs no track."""
-    from frictrack.measure.calibration import plane_map  # noqa: PLC0415
-
     run = pipeline.run
     several = list(run.scale) if isinstance(run.scale, list) else [run.scale]
     of_target = [isinstance(one, dict) and "target" in one for one in several]
-    maps = [
-        plane_map("1 mm/px" if later else one, lens=run.lens, film=pipeline.recording, axis=run.axis)
-        for one, later in zip(several, of_target, strict=True)
-    ]
+    how: dict[str, Any] = {"lens": run.lens, "film": pipeline.recording, "axis": run.axis}
+    known = ("1 mm/px" if later else one for one, later in zip(several, of_target, strict=True))
+    maps = [measure.calibration.plane_map(one, **how) for one in known]
     return maps[0] if len(maps) == 1 and not any(of_target) else None
 
 
@@ -222,31 +196,21 @@ def make_film_displacement(pipeline: RunPipeline, tracks: dict[str, Track], trac
 
     Camera shake is subtracted, and the times are corrected where frames are missing or doubled.
     """
-    from frictrack.flow.track_quality import correct_track, residual_shake  # noqa: PLC0415
-    from frictrack.measure.calibration import calibrate, plane_map  # noqa: PLC0415
-    from frictrack.sampling import screened  # noqa: PLC0415
-    from frictrack.tracking import align_track  # noqa: PLC0415
-
-    run, anchor = pipeline.run, pipeline.anchor
-    plane = plane_before_tracking(pipeline) or plane_map(
+    run, anchor, min_shake = pipeline.run, pipeline.anchor, min_shake_px(pipeline.run)
+    plane = plane_before_tracking(pipeline) or measure.calibration.plane_map(
         run.scale, lens=run.lens, track=track, film=pipeline.recording, axis=run.axis
     )
-    min_shake = min_shake_px(run)
-    clean, notes, numbers = correct_track(track, tracks, clocked=pipeline.get("recording").clocked, min_shake=min_shake)
+    clocked = pipeline.get("recording").clocked
+    clean, notes, numbers = track_quality.correct_track(track, tracks, clocked=clocked, min_shake=min_shake)
     clean = replace(clean, notes=(*track.notes, *notes))
     if anchor:  # after the checks: they compare tracks of one film, which follow one point
-        clean = align_track(clean, anchor.get("track"), f"run {anchor.run.name}")
+        clean = tracking.align_track(clean, anchor.get("track"), f"run {anchor.run.name}")
     unseen = (NOTE_NO_REFERENCE,) if run.reference == "auto" and REFERENCE not in tracks else ()
-    displacement = calibrate(
-        replace(clean, notes=tuple(dict.fromkeys((*clean.notes, *unseen)))),
-        plane,
-        axis=run.axis,
-        origin_px=run.origin_px,
-        x_offset=run.x_offset,
-    )
-    displacement = screened(_on_grid(displacement), numbers)
+    clean = replace(clean, notes=tuple(dict.fromkeys((*clean.notes, *unseen))))
+    where: dict[str, Any] = {"axis": run.axis, "origin_px": run.origin_px, "x_offset": run.x_offset}
+    displacement = sampling.screened(_on_grid(measure.calibration.calibrate(clean, plane, **where)), numbers)
     displacement = displacement.rows(displacement.span)
-    residual = residual_shake(tracks.get(REFERENCE), min_shake)
+    residual = track_quality.residual_shake(tracks.get(REFERENCE), min_shake)
     if residual is None or displacement.pixel_pitch is None:
         return displacement
     return replace(displacement, shake=(residual[0], residual[1] * displacement.pixel_pitch))
@@ -254,10 +218,8 @@ def make_film_displacement(pipeline: RunPipeline, tracks: dict[str, Track], trac
 
 def _on_grid(displacement: Displacement) -> Displacement:
     """Return a displacement whose frames have uneven times with the positions at the nearest points of an even grid."""
-    from frictrack.sampling import is_even, moved_to_grid  # noqa: PLC0415
-
     columns = (displacement.x, displacement.y, displacement.angle)
-    moved = None if is_even(displacement.t) else moved_to_grid(displacement.t, columns)
+    moved = None if sampling.is_even(displacement.t) else sampling.moved_to_grid(displacement.t, columns)
     if moved is None:
         return displacement
     t, (x, y, angle) = moved
@@ -278,11 +240,9 @@ def contact_sheet_path(study: Study, run: str) -> Path:
 
 def write_overlay(pipeline: RunPipeline) -> Path:
     """Write the film with the tracked positions drawn into it; return its path."""
-    from frictrack.tracking import overlay_video  # noqa: PLC0415
-
     with pipeline.open_film() as opened:
-        track, tracks = pipeline.final_track, pipeline.get("tracks")
-        return overlay_video(opened, track, overlay_path(pipeline), others=tracks_to_draw(tracks))
+        others = tracks_to_draw(pipeline.get("tracks"))
+        return tracking.overlay_video(opened, pipeline.final_track, overlay_path(pipeline), others=others)
 
 
 def overlay_path(pipeline: RunPipeline) -> Path:
@@ -295,45 +255,36 @@ def tracks_to_draw(tracks: dict[str, Any]) -> tuple[Track, ...]:
     return tuple(track for name, track in tracks.items() if name != BACKWARD)
 
 
+TABLE_KEYS = ("table", "columns", "fps", "scale", "x_offset", "repair")
+SCALE_KEYS = ("scale", "lens", "axis", "origin_px", "x_offset", "repair")
 KEYS_OF_FORCE = ("mass", "incline", "rolling", "normal_load", "sigma_drive", "free")
 MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 
 def make_table_displacement(pipeline: RunPipeline) -> Displacement:
     """Compute the displacement of a table of positions."""
-    from frictrack.measure.repairing import repaired_rows  # noqa: PLC0415
-    from frictrack.measure.tables import displacement_of_table  # noqa: PLC0415
-    from frictrack.study import read_run_table  # noqa: PLC0415
-
-    run = pipeline.run
-    found = displacement_of_table(read_run_table(run), fps=run.fps, scale=run.scale, x_offset=run.x_offset)
-    return repaired_rows(found, run.repair)
+    run, table = pipeline.run, study.read_run_table(pipeline.run)
+    found = measure.tables.displacement_of_table(table, fps=run.fps, scale=run.scale, x_offset=run.x_offset)
+    return measure.repairing.repaired_rows(found, run.repair)
 
 
-def _points(pipeline: RunPipeline) -> TableData:
-    """The points (v, F) of a run, in order of speed."""
-    from frictrack.measure.points import points_of_table  # noqa: PLC0415
-    from frictrack.study import read_points  # noqa: PLC0415
-
+def _points(pipeline: RunPipeline) -> study.TableData:
+    """Return the points (v, F) of a run, in order of speed."""
     assert pipeline.run.table is not None
-    return points_of_table(read_points(local_path(pipeline.run.table), pipeline.run.columns))
+    return measure.points.points_of_table(study.read_points(local_path(pipeline.run.table), pipeline.run.columns))
 
 
-def make_point_displacement(pipeline: RunPipeline) -> Displacement:
-    """Read a table of points (v, F): rows at no known place."""
-    from frictrack.measure.points import motion_of_points  # noqa: PLC0415
-
-    return motion_of_points(_points(pipeline))[0]
+def _motion_of_points(pipeline: RunPipeline) -> tuple[Displacement, Motion]:
+    """Read a table of points (v, F): rows at no known place, and their speeds."""
+    return measure.points.motion_of_points(_points(pipeline))
 
 
 def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
     """Return the friction force of every point, with its deviation and load where they are known."""
-    from frictrack.measure.points import forces_of_points, motion_of_points  # noqa: PLC0415
-
     points = _points(pipeline)
     measured = Sensors(displacement.t, friction_N=points.friction)
-    load = make_run(pipeline.run, displacement, motion_of_points(points)[1], measured).load
-    return replace(measured, **forces_of_points(points, load))
+    load = make_run(pipeline.run, displacement, _motion_of_points(pipeline)[1], measured).load
+    return replace(measured, **measure.points.forces_of_points(points, load))
 
 
 def make_point_filtered(pipeline: RunPipeline, displacement: Displacement) -> Filtered:
@@ -342,75 +293,36 @@ def make_point_filtered(pipeline: RunPipeline, displacement: Displacement) -> Fi
     return Filtered(displacement.t, displacement.x, nan, nan, nan, reason="nothing is smoothed")
 
 
-def make_point_motion(pipeline: RunPipeline, displacement: Displacement) -> Motion:
-    """Return the speed of every point."""
-    from frictrack.measure.points import motion_of_points  # noqa: PLC0415
-
-    return motion_of_points(_points(pipeline))[1]
-
-
-def make_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
-    """Read the drive and the sensors at the times of the frames."""
-    from frictrack.flow.sensor_stage import read_sensors  # noqa: PLC0415
-
-    return read_sensors(pipeline.run, displacement)
-
-
 def make_filtered(pipeline: RunPipeline, displacement: Displacement, sensors: Sensors) -> Filtered:
     """Low-pass the displacement, with the acceleration of a sensor if it agrees with the camera."""
-    from frictrack.flow.sensor_stage import fused_acceleration  # noqa: PLC0415
-    from frictrack.measure.motion import low_pass  # noqa: PLC0415
-
-    return low_pass(displacement, method=pipeline.run.filter_choice, acceleration=fused_acceleration(sensors))
+    acceleration = sensor_stage.fused_acceleration(sensors)
+    return measure.motion.low_pass(displacement, method=pipeline.run.filter_choice, acceleration=acceleration)
 
 
-def make_motion(pipeline: RunPipeline, filtered: Filtered) -> Motion:
-    """Differentiate the filtered displacement."""
-    from frictrack.measure.motion import differentiate  # noqa: PLC0415
-
-    return differentiate(filtered)
-
-
-def make_cutoff(
-    pipeline: RunPipeline, displacement: Displacement, filtered: Filtered, motion: Motion
-) -> CutoffTradeOff:
+def make_cutoff(pipeline: RunPipeline, *measured: Any) -> CutoffTradeOff:
     """Compute what another cut-off frequency would change."""
-    from frictrack.measure.motion import cutoff_tradeoff  # noqa: PLC0415
-
-    return cutoff_tradeoff(displacement, filtered, motion)
+    return measure.motion.cutoff_tradeoff(*measured)
 
 
-def make_friction(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> Friction:
-    """Compute the friction force; an unknown mass is estimated first."""
-    from frictrack.measure.friction import friction  # noqa: PLC0415
-
-    run = make_run(pipeline.run, displacement, motion, sensors)
-    if run.mass is not None or run.friction_N is not None:
-        return _friction_or_missing_incline(pipeline, run)
-    weighed, says = _with_fitted_mass(run)
-    found = friction(weighed)
-    return replace(found, reason=f"{found.reason}; {says}")
-
-
-def make_events(pipeline: RunPipeline, displacement: Displacement, motion: Motion, sensors: Sensors) -> RunEvents:
-    """Find release, stops and reversals."""
-    from frictrack.measure.friction import find_events  # noqa: PLC0415
-
-    return find_events(make_run(pipeline.run, displacement, motion, sensors))
-
-
-def _friction_or_missing_incline(pipeline: RunPipeline, run: Run) -> Friction:
-    """Compute the friction force of a run; if it has no free section because the incline is missing, say so."""
-    from frictrack.measure.friction import friction  # noqa: PLC0415
-    from frictrack.measure.plausibility import missing_incline, path_angle  # noqa: PLC0415
-
+def make_friction(pipeline: RunPipeline, *measured: Any) -> Friction:
+    """Compute the friction force; an unknown mass is estimated first. A missing incline is named as the cause."""
+    run = make_run(pipeline.run, *measured)
+    if run.mass is None and run.friction_N is None:
+        weighed, says = _with_fitted_mass(run)
+        found = measure.friction.friction(weighed)
+        return replace(found, reason=f"{found.reason}; {says}")
     try:
-        return friction(run)
+        return measure.friction.friction(run)
     except FrictrackError as e:
-        lacks = missing_incline(run, path_angle(pipeline.final_track) if "track" in pipeline.stages else None)
+        lacks = find_missing_incline(pipeline, run)
         if lacks is None:
             raise
         raise FrictrackError(lacks.words) from e
+
+
+def make_events(pipeline: RunPipeline, *measured: Any) -> RunEvents:
+    """Find release, stops and reversals."""
+    return measure.friction.find_events(make_run(pipeline.run, *measured))
 
 
 def _with_fitted_mass(run: Run) -> tuple[Run, str]:
@@ -426,13 +338,14 @@ def _with_fitted_mass(run: Run) -> tuple[Run, str]:
 
 def _stage_table(*head: Stage) -> dict[str, Stage]:
     """Return a table of stages: the given ones, then those that every run has after its displacement."""
+    measured = ("displacement", "motion", "sensors")
     tail = (
-        Stage("sensors", ("displacement",), ("drive", "sensor"), make_sensors, Sensors),
+        Stage("sensors", ("displacement",), ("drive", "sensor"), sensor_stage.read_sensors, Sensors),
         Stage("filtered", ("displacement", "sensors"), FILTER_SETTINGS, make_filtered, Filtered),
-        Stage("motion", ("filtered",), (), make_motion, Motion),
+        Stage("motion", ("filtered",), (), lambda _, filtered: measure.motion.differentiate(filtered), Motion),
         Stage("cutoff", ("displacement", "filtered", "motion"), (), make_cutoff, CutoffTradeOff),
-        Stage("friction", ("displacement", "motion", "sensors"), KEYS_OF_FORCE, make_friction, Friction),
-        Stage("events", ("displacement", "motion", "sensors"), KEYS_OF_FORCE, make_events, RunEvents),
+        Stage("friction", measured, KEYS_OF_FORCE, make_friction, Friction),
+        Stage("events", measured, KEYS_OF_FORCE, make_events, RunEvents),
     )
     return {stage.name: stage for stage in (*head, *tail)}
 
@@ -441,13 +354,7 @@ FILM = _stage_table(
     Stage("recording", (), ("video", "fps"), make_recording, RecordingInfo),
     Stage("track", ("recording",), ("target", "template", "exclude", "obstacles"), make_track, Track),
     Stage("tracks", ("recording", "track"), ("reference", "targets", "obstacles"), make_further_tracks, dict),
-    Stage(
-        "displacement",
-        ("tracks", "track"),
-        ("scale", "lens", "axis", "origin_px", "x_offset", "repair"),
-        make_film_displacement,
-        Displacement,
-    ),
+    Stage("displacement", ("tracks", "track"), SCALE_KEYS, make_film_displacement, Displacement),
 )
 # Repairs come after the track, which stays stored as it was: undoing a repair does not track the film again.
 FILM_REPAIRED = _stage_table(
@@ -455,23 +362,13 @@ FILM_REPAIRED = _stage_table(
     Stage("repaired", ("recording", "track", "tracks"), ("repair",), make_repaired, Track),
     replace(FILM["displacement"], inputs=("tracks", "repaired")),
 )
-TABLE = _stage_table(
-    Stage(
-        "displacement",
-        (),
-        ("table", "columns", "fps", "scale", "x_offset", "repair"),
-        make_table_displacement,
-        Displacement,
-    )
-)
-
-
+TABLE = _stage_table(Stage("displacement", (), TABLE_KEYS, make_table_displacement, Displacement))
 POINTS = {
     **TABLE,
-    "displacement": replace(TABLE["displacement"], settings=("table", "columns"), make=make_point_displacement),
+    "displacement": Stage("displacement", (), TABLE_KEYS[:2], lambda p: _motion_of_points(p)[0], Displacement),
     "sensors": replace(TABLE["sensors"], settings=("table", "columns", "mass", "normal_load"), make=make_point_sensors),
     "filtered": Stage("filtered", ("displacement",), (), make_point_filtered, Filtered),
-    "motion": Stage("motion", ("displacement",), ("table", "columns"), make_point_motion, Motion),
+    "motion": Stage("motion", ("displacement",), ("table", "columns"), lambda p, _: _motion_of_points(p)[1], Motion),
 }
 del POINTS["cutoff"]
 

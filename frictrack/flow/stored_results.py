@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from frictrack import measure, tracking
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.base.number_format import first_words, format_number, format_plus_minus
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -27,9 +28,8 @@ from frictrack.flow.plausibility_checks import duplicate_notes, find_duplicate_r
 from frictrack.flow.sensor_stage import fused_acceleration, sensor_summary
 from frictrack.flow.stages import BACKWARD, REFERENCE, contact_sheet_path, min_shake_px, overlay_path
 from frictrack.flow.store import Provenance
+from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.flow.tried_models import TriedModels, model_results, stored_models
-from frictrack.measure.error_budget import budget
-from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
 from frictrack.results.names import plain_name
@@ -54,12 +54,10 @@ def run_budget(pipeline: RunPipeline, known: dict[str, Any] | None = None) -> di
         return {}
     film = pipeline.get("recording") if pipeline.run.video else None
     if film is not None:
-        from frictrack.flow.track_quality import residual_shake  # noqa: PLC0415
-
         left = residual_shake(pipeline.get("tracks").get(REFERENCE), min_shake_px(pipeline.run))
         shake = {} if left is None else dict(zip(("shake_Hz", "shake_left_px", "shake_left_told"), left, strict=True))
         known = (known or film_quality(pipeline)) | shake
-    found = budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
+    found = measure.error_budget.budget(run, pipeline.get("filtered"), known, film, pipeline.get("sensors").clocks)
     return dict(to_builtins(found.summary()))
 
 
@@ -67,8 +65,6 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
     """Return `track_quality` of a film as JSON; empty for a table of positions."""
     if not pipeline.run.video:
         return {}
-    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415 - loads OpenCV; tables do without
-
     pitch = pipeline.get("displacement").pixel_pitch
     found = track_quality(pipeline.get("recording"), pipeline.final_track, pipeline.get("tracks"), pitch)
     return dict(to_builtins(found))
@@ -77,9 +73,8 @@ def film_quality(pipeline: RunPipeline) -> dict[str, Any]:
 def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, Any]]:
     """Return the rows of all runs for one stage."""
     describe = {"track": _track_summary, "motion": _motion_summary, "friction": _friction_summary}[stage]
-    made: list[dict[str, Any]] = to_builtins(
-        [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
-    )
+    rows = [{"run": pipeline.run.name, **describe(pipeline)} for pipeline in pipelines if stage in pipeline.stages]
+    made: list[dict[str, Any]] = to_builtins(rows)
     if stage == "track":  # a track that cannot be calibrated has no displacement to compare
         return made
     twice = find_duplicate_runs(pipelines)
@@ -88,17 +83,13 @@ def run_summaries(pipelines: list[RunPipeline], stage: str) -> list[dict[str, An
 
 def _track_summary(pipeline: RunPipeline) -> dict[str, Any]:
     """Describe how well a film was measured, and where its pictures are."""
-    from frictrack.flow.track_quality import track_quality  # noqa: PLC0415
-    from frictrack.measure.repairing import suspect_spans  # noqa: PLC0415
-    from frictrack.tracking import target_line  # noqa: PLC0415
-
     displacement, notes = _displacement_and_notes(pipeline)
     pitch = displacement.pixel_pitch if displacement else None
     track, tracks = pipeline.final_track, pipeline.get("tracks")
     return {
         **track_quality(pipeline.get("recording"), track, tracks, pitch),
-        "suspects": [vars(span) for span in suspect_spans(track, tracks.get(BACKWARD))],
-        "target": target_line(track),
+        "suspects": [vars(span) for span in measure.repairing.suspect_spans(track, tracks.get(BACKWARD))],
+        "target": tracking.target_line(track),
         "contact_sheet": str(contact_sheet_path(pipeline.study, pipeline.run.name)),
         "overlay": str(overlay_path(pipeline)) if overlay_path(pipeline).exists() else None,
         "notes": notes,
@@ -183,35 +174,30 @@ def _sensor_notes(pipeline: RunPipeline) -> dict[str, Any]:
 # --- what is outdated
 
 
-def report_key(inputs: str, results: str, group: str) -> str:
-    """Return the key in the head of a report: hash of all inputs, hash of the results, name of the current model."""
-    return f"{inputs} {results} {group}"
-
-
 def stored_report_key(path: Path) -> re.Match[str] | None:
-    """Return the key in the head of a report, its parts as groups 1 (results) and 2 (current model)."""
+    """Return the key in the head of a report: hash of all inputs, hash of the results (group 1), current model (2)."""
     if not path.exists():
         return None
     with path.open("rb") as file:
         return REPORT_KEY.search(file.read(HEAD_BYTES).decode(errors="replace"))
 
 
-def results_key(models: TriedModels, pipelines: Iterable[RunPipeline]) -> str:
+def results_key(models: TriedModels) -> str:
     """Return the hash of the results that a report shows, as they are stored: runs, current model, its diagnosis."""
     group = models.current_group
-    made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in pipelines]
+    made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in models.pipelines]
     runs = [[name, *(stage.key if stage else "" for stage in stages)] for name, *stages in made]
     return digest([group, store.checksum(models.path, f"models/{group}"), runs])
 
 
-def find_outdated(pipelines: Sequence[RunPipeline], models: TriedModels) -> tuple[OutdatedPart, ...]:
+def find_outdated(models: TriedModels) -> tuple[OutdatedPart, ...]:
     """Find outdated results: runs, models with their diagnosis, the report.
 
     The recordings are not opened: a change of their content is noticed when the work is done again.
     """
-    runs = list(_outdated_runs(pipelines))
-    current = list(_outdated_models(pipelines, models, runs))
-    return (*runs, *current, *_outdated_report(pipelines, models, current))
+    runs = list(_outdated_runs(models.pipelines))
+    current = list(_outdated_models(models, runs))
+    return (*runs, *current, *_outdated_report(models, current))
 
 
 def _outdated_runs(pipelines: Sequence[RunPipeline]) -> Iterator[OutdatedPart]:
@@ -242,9 +228,7 @@ def _value(key: str, value: Any) -> str:
     return value if key == "scale" and isinstance(value, str) else ""
 
 
-def _outdated_models(
-    pipelines: Sequence[RunPipeline], models: TriedModels, runs: Sequence[OutdatedPart]
-) -> Iterator[OutdatedPart]:
+def _outdated_models(models: TriedModels, runs: Sequence[OutdatedPart]) -> Iterator[OutdatedPart]:
     by_reason: dict[str, list[str]] = {}  # each changed key once, with the names of its runs
     for run in runs:
         by_reason.setdefault(run.reason, []).append(run.name)
@@ -252,7 +236,7 @@ def _outdated_models(
     current = models.current_group
     for group in models.groups:
         made = store.provenance(models.path, f"models/{group}") or Provenance()
-        reasons = [*_changed_inputs(pipelines, json.loads(made.inputs or "[]")), *changed_keys]
+        reasons = [*_changed_inputs(models.pipelines, json.loads(made.inputs or "[]")), *changed_keys]
         if not reasons and models.is_outdated(group):
             same_runs = made.input_hash == models.input_hash
             what = "the settings of effects in the study file" if same_runs else "masses, roles or groups of runs"
@@ -281,9 +265,7 @@ def _changed_inputs(pipelines: Sequence[RunPipeline], inputs: Sequence[Sequence[
         yield f"{_named(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
 
 
-def _outdated_report(
-    pipelines: Sequence[RunPipeline], models: TriedModels, outdated: Sequence[OutdatedPart]
-) -> Iterator[OutdatedPart]:
+def _outdated_report(models: TriedModels, outdated: Sequence[OutdatedPart]) -> Iterator[OutdatedPart]:
     """Yield the report if it does not show the results of now."""
     path, group = models.study.output / "report.html", models.current_group
     if group is None or not path.exists():
@@ -294,7 +276,7 @@ def _outdated_report(
         reason = "an earlier version of frictrack wrote it"
     elif found[2] != group:
         reason = f"it was written for {plain_name(found[2])}, but {plain_name(group)} is the current model"
-    elif found[1] != results_key(models, pipelines):
+    elif found[1] != results_key(models):
         reason = "results were computed again since it was written"
     if reason:
         yield OutdatedPart("report", "", reason, "report")
@@ -344,7 +326,7 @@ class ResultsReader:
             results = tuple(self._model(models, group) for group in models.groups)
             current = next((model for model in results if model.current), None)
             has_papers = "papers" in store.names(models.path)
-            outdated = find_outdated(pipelines, models)
+            outdated = find_outdated(models)
             # implausible numbers are old once a number of a run was changed, until it is measured
             is_changed = any(part.what in ("track", "motion") for part in outdated)
             return Results(
@@ -365,25 +347,21 @@ class ResultsReader:
     def _model(self, models: TriedModels, group: str) -> ModelResults:
         """Read a model, unless its stored content is that of the last time; files of schema 1 have no checksums."""
         checksum = store.checksum(models.path, group if group == "papers" else f"models/{group}")
-        found: ModelResults = self._keep(("model", group), checksum or object(), lambda: models.results(group))
-        return found
+        return self._keep(("model", group), checksum or object(), lambda: model_results(models.path, group))
 
     def _runs(
         self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory
     ) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
         measured = [pipeline for pipeline in pipelines if pipeline.run.name in states and _is_measured(pipeline)]
-        runs: dict[str, RunResults] = {
-            p.run.name: self._keep(
-                ("run", p.run.name), states[p.run.name], partial(run_results, p, with_budget=self.with_budgets)
-            )
-            for p in measured
-        }
+        runs: dict[str, RunResults] = {}
+        for p in measured:
+            make = partial(run_results, p, with_budget=self.with_budgets)
+            runs[p.run.name] = self._keep(("run", p.run.name), states[p.run.name], make)
         contents = {name: run.film.hash for name, run in runs.items() if run.film is not None}
         displacements = {name: run.displacement for name, run in runs.items()}
-        twice = self._keep(
-            "twice", {name: states[name] for name in runs}, lambda: duplicate_notes(displacements, contents)
-        )
+        read = {name: states[name] for name in runs}
+        twice = self._keep("twice", read, lambda: duplicate_notes(displacements, contents))
         authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():
@@ -412,16 +390,10 @@ class ResultsReader:
 
 def _repair_authors(history: CommandHistory) -> dict[str, str]:
     """Return by run who changed its repairs last, and when; a change by hand in the study file is not recorded."""
-    try:
-        changes = history.undo_stacks()[0]
-    except FrictrackError:  # a damaged log must not hide the results
-        return {}
-    edits = [change for change in changes if change.command == "edit" and change.arguments.get("key") == "repair"]
-    return {
-        str(change.arguments["which"]): f"repairs set from {change.author} at {change.time}"
-        for change in edits
-        if change.arguments.get("value")
-    }
+    done, _ = result_or_none(history.undo_stacks) or ([], [])  # a damaged log must not hide the results
+    edits = [change for change in done if change.command == "edit" and change.arguments.get("key") == "repair"]
+    last = {str(change.arguments["which"]): change for change in edits if change.arguments.get("value")}
+    return {run: f"repairs set from {change.author} at {change.time}" for run, change in last.items()}
 
 
 def preview_motion(run: RunResults, cutoff: float) -> Array:
@@ -439,7 +411,7 @@ def preview_motion(run: RunResults, cutoff: float) -> Array:
     choice = FilterChoice(given.get("filter", STRUCTURAL), cutoff, given.get("order"), causal=bool(given.get("causal")))
     course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
     acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
-    return derivatives(low_pass(course, method=choice, acceleration=acceleration))
+    return measure.motion.derivatives(measure.motion.low_pass(course, method=choice, acceleration=acceleration))
 
 
 def _is_measured(pipeline: RunPipeline) -> bool:
@@ -459,16 +431,8 @@ def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResult
     return RunResults(
         name=pipeline.run.name,
         source=pipeline.as_written(pipeline.run.source),
-        displacement=done["displacement"],
-        filtered=done["filtered"],
-        motion=done["motion"],
-        events=done.get("events", RunEvents()),
-        cutoff=done.get("cutoff"),
-        friction=done.get("friction"),
-        film=done.get("recording"),
-        track=done.get("track"),
-        tracks=done.get("tracks", {}),
-        sensors=done["sensors"],
+        film=done.pop("recording", None),
+        **done,
         quality=quality,
         budget=run_budget(pipeline, quality) if with_budget else {},
         role=pipeline.run.role,

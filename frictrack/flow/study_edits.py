@@ -14,12 +14,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from frictrack import study
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
 from frictrack.flow.tried_models import TriedModels
-from frictrack.study import Study, parse, with_effect, with_key, with_runs, without_run
+from frictrack.study import Study, parse
 
 FORMULA = re.compile(r"formula:(\d+)")
 
@@ -44,7 +45,7 @@ def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | No
     """Set one key of the study file."""
 
     def rewrite(text: str) -> str:
-        after = with_key(text, table, key, value, which)
+        after = study.with_key(text, table, key, value, which)
         if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
             request = opened.models.request(opened.models.current_group)
             request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
@@ -59,18 +60,18 @@ def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, An
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
-    return _edit(opened, "take_in", lambda text: with_runs(text, folder, paths), recordings=list(recordings))
+    return _edit(opened, "take_in", lambda text: study.writing.with_runs(text, folder, paths), recordings=recordings)
 
 
 def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
     """Remove a run from the study file; its recording and its results stay where they are."""
-    return _edit(opened, "leave_out", lambda text: without_run(text, run), run=run)
+    return _edit(opened, "leave_out", lambda text: study.writing.without_run(text, run), run=run)
 
 
 def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
-    return _edit(opened, "define", lambda text: with_effect(text, keys), effect=keys)
+    return _edit(opened, "define", lambda text: study.writing.with_effect(text, keys), effect=keys)
 
 
 def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.measure.calibration import MIN_ROTATION, estimate_shake, subtract_shake
+from frictrack import measure, tracking
 from frictrack.records import MEASURED, Array, Mask, Track, stretches
 from frictrack.results import RecordingInfo
 from frictrack.sampling import Slip, correct_ticks
-from frictrack.tracking import checks
 
 Rows = NDArray[np.int64]
 MIN_STRETCHED_SHARE = 0.3  # of the frames that repeat the frame before; from here on the film was stretched
@@ -38,9 +37,9 @@ def correct_track(
     track = track.measured
     clean, notes, faults = _corrected_track(track, tracks.get("reference"), clocked=clocked, min_shake=min_shake)
     if "backward" in tracks:
-        both = checks.forward_backward(*_unrepaired(track, tracks["backward"]))
+        both = tracking.checks.forward_backward(*_unrepaired(track, tracks["backward"]))
         notes += (both.summary,) if both.only_one or both.in_sigma > MIN_DIRECTION_SIGMAS else ()
-    notes += (*checks.self_test(clean), *rotation_note(clean), *lost_frames_note(clean))
+    notes += (*tracking.checks.self_test(clean), *rotation_note(clean), *lost_frames_note(clean))
     rows = np.arange(len(track)) if clocked else kept_rows(len(track), faults)
     return clean, (*notes, *_timing_notes(faults, len(track), clocked=clocked)), rows
 
@@ -69,38 +68,35 @@ def _corrected_track(
 
     The faults are searched first, with the reference as it was measured: a jump in time breaks the tones of a shake.
     """
-    found = checks.slips(_minus_reference(track, reference))
+    found = tracking.checks.slips(_minus_reference(track, reference))
     if clocked:  # a frame that shows the one before is left out, but no time is changed
         track = correct_times(track, [replace(s, frames=0) for s in found if s.doubled])
     else:
         track, reference = correct_times(track, found), None if reference is None else correct_times(reference, found)
-    return *subtract_shake(track, reference, min_shake), found
+    return *measure.calibration.subtract_shake(track, reference, min_shake), found
 
 
 def _minus_reference(track: Track, reference: Track | None) -> Track:
     """Return the track minus the reference as it was measured, if the reference shakes."""
-    if reference is None or not estimate_shake(reference).detected:
+    if reference is None or not measure.calibration.estimate_shake(reference).detected:
         return track
     x, y = (np.nan_to_num(q - np.nanmean(q)) for q in (reference.x_px, reference.y_px))
-    return replace(
-        track,
-        x_px=track.x_px - x,
-        y_px=track.y_px - y,
-        sigma_px=np.hypot(track.sigma_px, np.nanmedian(reference.sigma_px)),
-        sigma_y_px=np.hypot(track.sigma_y_px, np.nanmedian(reference.sigma_y_px)),
-    )
+    noise = {name: np.nanmedian(getattr(reference, name)) for name in ("sigma_px", "sigma_y_px")}
+    sigma = {name: np.hypot(getattr(track, name), own) for name, own in noise.items()}
+    return replace(track, x_px=track.x_px - x, y_px=track.y_px - y, **sigma)
 
 
 def residual_shake(reference: Track | None, min_shake: float) -> tuple[float, float, str] | None:
     """Return the camera shake that may be left in the displacement."""
     if reference is None:
         return None
-    used = estimate_shake(reference, min_shake)
+    used = measure.calibration.estimate_shake(reference, min_shake)
     if used.detected:
         reason = "error of the reference's movement, which was subtracted"
         return used.frequency or 0.0, float(used.sigma[0]), reason
     if used.left_in:
-        return estimate_shake(reference).frequency or 0.0, used.left_in, "too small to be subtracted, left in"
+        whole = measure.calibration.estimate_shake(reference)
+        return whole.frequency or 0.0, used.left_in, "too small to be subtracted, left in"
     return None
 
 
@@ -129,11 +125,8 @@ def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
     right, keep = correct_ticks(ticks, faults)
     rows = kept_rows(len(track), faults)
     lost = ~keep[rows]
-    columns: dict[str, Any] = {
-        f.name: np.array(column)[rows]
-        for f in fields(track)
-        if f.metadata.get("column") and (column := getattr(track, f.name)) is not None
-    }
+    own = {f.name: getattr(track, f.name) for f in fields(track) if f.metadata.get("column")}
+    columns: dict[str, Any] = {name: np.array(column)[rows] for name, column in own.items() if column is not None}
     for name in MEASURED & columns.keys():
         columns[name][lost] = np.nan
     columns["t"] = columns["t"] + ((right - ticks) * interval)[rows]
@@ -143,8 +136,8 @@ def correct_times(track: Track, faults: Sequence[Slip]) -> Track:
 
 def _timing_notes(faults: Sequence[Slip], n: int, *, clocked: bool) -> tuple[str, ...]:
     """Return notes on faults of the times of n frames: corrected, or contradicted by the camera's own time stamps."""
-    doubled = checks.timing_note([s for s in faults if s.doubled])
-    missing = checks.timing_note([s for s in faults if not s.doubled])
+    doubled = tracking.checks.timing_note([s for s in faults if s.doubled])
+    missing = tracking.checks.timing_note([s for s in faults if not s.doubled])
     if clocked:
         believed = "the film's time stamps disagree and are used"
         return (*(f"{note}; left out, {believed}" for note in doubled), *(f"{note}; {believed}" for note in missing))
@@ -173,8 +166,8 @@ def track_quality(film: RecordingInfo, track: Track, tracks: dict[str, Track], p
     found = track.found
     um = None if pitch is None else 1e6 * pitch
     clean, *_ = _corrected_track(track, tracks.get("reference"), clocked=film.clocked)
-    locking, history = checks.peak_locking(clean), checks.scores(track)
-    both = checks.forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
+    locking, history = tracking.checks.peak_locking(clean), tracking.checks.scores(track)
+    both = tracking.checks.forward_backward(*_unrepaired(track, tracks["backward"])) if "backward" in tracks else None
     sigma = float(np.median(clean.sigma_px[clean.found])) if np.any(clean.found) else None
     return {
         "frames": len(track),
@@ -207,7 +200,7 @@ def _reference_noise(track: Track | None, um: float | None) -> dict[str, Any]:
     """Return the noise of the fixed reference beyond camera shake, and the shake."""
     if track is None:
         return dict.fromkeys(("reference", "noise_floor_px", "noise_floor_um", "shake_px", "shake_Hz"))
-    found = estimate_shake(track)
+    found = measure.calibration.estimate_shake(track)
     floor = float(found.floor[0])
     return {
         "reference": None if track.target is None else list(track.target),
@@ -245,7 +238,7 @@ def rotation_note(track: Track) -> tuple[str, ...]:
     written = f"{degrees:.3g}" if degrees < 100 else f"{degrees:.0f}"
     rocks = "; its middle is followed, and a centre of mass elsewhere moves along another path"
     turns = f"the target turns by {written} deg, up to {rate:.2g} deg a frame"
-    return (turns + (rocks if np.ptp(angle) < MIN_ROTATION else ""),)
+    return (turns + (rocks if np.ptp(angle) < measure.calibration.MIN_ROTATION else ""),)
 
 
 def _range_std(track: Track, angle: Array, known: Mask, mean: Array) -> float:

@@ -15,8 +15,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from frictrack import effects
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack import effects, measure
+from frictrack.base.errors import UsageError, result_or_none
 from frictrack.base.files import INTERNAL_FOLDER, make_internal_folder, make_subfolder
 from frictrack.effects import Effect, EffectSettings, check_ties, definitions, models
 from frictrack.effects.models import Model
@@ -138,22 +138,18 @@ def _settings(tables: Iterable[EffectTable]) -> list[EffectSettings]:
 class TriedModels:
     """The models tried on a study; one of them is current."""
 
-    def __init__(
-        self, study: Study, pipelines: list[RunPipeline], progress: Progress, commands: CommandHistory
-    ) -> None:
+    def __init__(self, study: Study, pipelines: list[RunPipeline], progress: Progress, log: CommandHistory) -> None:
         self.study = study
         self.path = study.output / "study.h5"
-        self.commands = commands
+        self.commands = log
         self.progress = progress
         self.pipelines = pipelines
 
     @cached_property
     def runs(self) -> list[Run]:
         """All runs, brought up to date."""
-        from frictrack.measure.friction import with_earlier_runs  # noqa: PLC0415
-
         pauses = [pipeline.run.pause for pipeline in self.pipelines]
-        return with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
+        return measure.friction.with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
 
     # --- which models there are
 
@@ -249,15 +245,12 @@ class TriedModels:
     @property
     def input_hash(self) -> str:
         """Hash of the runs, as far as a fit depends on them."""
-        keys = [
-            [
-                *(p.run.name, p.run.role, p.run.group, p.run.clamp_x, p.run.beam_length),
-                *(p.key("friction"), p.key("motion")),
-                *([p.run.noise, p.run.drift] if p.run.noise or p.run.drift else []),
-                *([] if p.run.pause is None else [p.run.pause]),
-            ]
-            for p in self.pipelines
-        ]
+        keys: list[list[Any]] = []
+        for p in self.pipelines:
+            keys.append([p.run.name, p.run.role, p.run.group, p.run.clamp_x, p.run.beam_length])
+            keys[-1] += [p.key("friction"), p.key("motion")]
+            keys[-1] += [p.run.noise, p.run.drift] if p.run.noise or p.run.drift else []
+            keys[-1] += [] if p.run.pause is None else [p.run.pause]
         return digest([keys, self.study.mass])
 
     def provenance(self, key: str, settings: str) -> Provenance:
@@ -326,19 +319,16 @@ class TriedModels:
         from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
 
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
-        how: dict[str, Any] = {"domain": request.domain, "search": request.method, "rng": request.seed}
-        if request.per is not None:
-            how["per"] = request.per
-        if self.study.mass is not None:
-            how["reference_mass"] = self.study.mass[0]
         limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
 
         def report(generation: int, best: Mapping[str, float], misfit: float) -> None:
             done = min(generation, limit - 1)
             self.progress(done, limit, f"{request.search}: misfit {misfit:.4g}, generation")
 
-        how |= {"over": request.over, "callback": report, "prior": self._prior(request)}
-        fitted = fit(request.model(self.study.effects), self.runs, **how)
+        mass = None if self.study.mass is None else self.study.mass[0]
+        how: dict[str, Any] = {"domain": request.domain, "search": request.method, "rng": request.seed}
+        how |= {"over": request.over, "per": request.per, "prior": self._prior(request), "reference_mass": mass}
+        fitted = fit(request.model(self.study.effects), self.runs, callback=report, **how)
         self.progress(limit, limit, request.search)
         fitted = restore(self.runs, state(fitted))
         content: dict[str, Any] = {
@@ -362,12 +352,9 @@ class TriedModels:
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
         """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
         path = self.attempt_path(request)
-        try:
-            group = next(iter(store.names(path, "models")), None)
-            made = store.provenance(path, f"models/{group}") if group else None
-        except FrictrackError:
-            return None
-        return (path, str(group)) if made is not None and made.key == self.fit_key(request) else None
+        group = next(iter(result_or_none(store.names, path, "models") or ()), "")
+        made = result_or_none(store.provenance, path, f"models/{group}") if group else None
+        return (path, group) if made is not None and made.key == self.fit_key(request) else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
         """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
@@ -395,8 +382,7 @@ class TriedModels:
         made = store.provenance(self.path, group)
         if made is None or key not in (None, made.key):
             return None
-        found: dict[str, Any] = json.loads(store.read(self.path, group, without=("figures",))["summary"])
-        return found
+        return json.loads(store.read(self.path, group, without=("figures",))["summary"])
 
     def keep_summary(
         self, group: str, summary: Any, provenance: Provenance, links: Mapping[str, str] = NO_LINKS, **more: Any
@@ -412,10 +398,6 @@ class TriedModels:
         self.bring_up_to_date(group)
         unread = ("state", *RECORDS_OF_FIT, "diagnosis")
         return _summary_of(store.read(self.path, f"models/{group}", without=unread))
-
-    def results(self, group: str) -> ModelResults:
-        """Return a stored model for the report; `group` may be ``papers``."""
-        return model_results(self.path, group)
 
 
 def stored_models(study: Study) -> TriedModels:

@@ -16,12 +16,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import is_busy
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
@@ -103,7 +104,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
 def _result_files(path: Path) -> list[Path]:
     """Return the HDF5 files of a path."""
     if path.suffix == ".toml" and path.is_file():
-        path = _output_folder(path) or path
+        path = result_or_none(results_folder, path) or path
     if path.is_dir():
         return sorted(path.rglob("[!.]*.h5"))
     return [path] if path.suffix == ".h5" and path.exists() else []
@@ -116,15 +117,9 @@ def _study_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     inside = [p for p in sorted(path.rglob("*.toml")) if _STUDY.search(p.read_text(encoding="utf-8", errors="replace"))]
-    owners = [p for p in sorted(path.absolute().parent.glob("*.toml")) if _output_folder(p) == path.absolute()]
+    results = path.absolute()
+    owners = [p for p in sorted(results.parent.glob("*.toml")) if result_or_none(results_folder, p) == results]
     return inside + owners
-
-
-def _output_folder(path: Path) -> Path | None:
-    try:
-        return results_folder(path)
-    except FrictrackError:
-        return None
 
 
 def _study_faults(models: TriedModels, sound: set[Path]) -> Iterator[Fault]:
@@ -155,10 +150,8 @@ def _input_faults(pipeline: RunPipeline, name: str, provenance: Provenance) -> I
     """Find files that a stage read and that have changed since."""
     then = {file: found for file, found in json.loads(provenance.inputs or "[]") if not _GROUP.fullmatch(file)}
     try:
-        now = {
-            str(pipeline.as_written(path)): pipeline.content_hash(path, then, reread=True)
-            for path in pipeline.input_files(pipeline.stages[name])
-        }
+        paths = pipeline.input_files(pipeline.stages[name])
+        now = {str(pipeline.as_written(path)): pipeline.content_hash(path, then, reread=True) for path in paths}
     except (FrictrackError, OSError) as e:
         words = f"its input cannot be read ({e})"
         yield Fault(pipeline.path, f"/{name}", words, "restore the input; these results are still valid", "missing")
@@ -220,12 +213,10 @@ def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances
 
 
 def _history_has_models(folder: Path) -> bool:
-    """Return whether a model was fitted since the last restart, by the log."""
-    there = False
-    with suppress(FrictrackError):  # reported as damage
-        for change in CommandHistory(folder).changes:
-            there = change.command != "restart" and (there or "current" in change.after)
-    return there
+    """Return whether a model was fitted since the last restart, by the log; a damaged log is a fault of its own."""
+    changes = result_or_none(lambda: CommandHistory(folder).changes) or []
+    since = takewhile(lambda change: change.command != "restart", reversed(changes))
+    return any("current" in change.after for change in since)
 
 
 def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
@@ -240,9 +231,8 @@ def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
         yield Fault(changes.path, "", words, "move it away; the models tried are not in it")
     study = folder / "study.h5"
     if _history_has_models(folder) and not study.exists():
-        yield Fault(
-            study, "", "the log lists models that were tried, but this file does not exist", RUN_AGAIN, "missing"
-        )
+        words = "the log lists models that were tried, but this file does not exist"
+        yield Fault(study, "", words, RUN_AGAIN, "missing")
     if study.resolve() in sound and "diagnosis" in store.names(study) and not (folder / "report.html").exists():
         yield Fault(folder / "report.html", "", "there is a diagnosis but no report", "frictrack report", "missing")
     for left in sorted(folder.glob(".*.part*")) if not is_busy(folder) else ():
@@ -250,7 +240,6 @@ def _folder_faults(folder: Path, sound: set[Path]) -> Iterator[Fault]:
 
 
 LINKS = ("runs", "diagnosis")  # in study.h5: the files of the runs, and the diagnosis of the current model
-PARTS = ("models",)  # groups of which every member is a group of its own here
 
 
 EXCLUDED = {  # attributes of groups that may differ although the results are the same, and why
@@ -284,11 +273,10 @@ def stored_values(path: Path) -> dict[str, Values]:
 
     """
     with store.snapshot(path):  # whatever is wrong in it becomes one sentence
-        names = [name for name in store.names(path) if name not in LINKS]
-        inner = {name: store.names(path, name) for name in names if name in PARTS}
-        groups = [name for name in names if name not in inner]
-        groups += [f"{name}/{member}" for name, members in inner.items() for member in members]
-        own = {name: store.attributes(path, name) for name in inner}
+        models = store.names(path, "models")
+        own = {"models": store.attributes(path, "models")} if models else {}
+        groups = [name for name in store.names(path) if name not in (*LINKS, "models")]
+        groups += [f"models/{name}" for name in models]
         read = own | {group: store.read(path, group) for group in groups}
         return {group: _values(content) for group, content in read.items()}
 

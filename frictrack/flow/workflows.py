@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack import samples
+from frictrack import measure, samples
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.flow import store
 from frictrack.flow.command_history import ALPHA_FIRST, CommandHistory
@@ -26,7 +26,6 @@ from frictrack.flow.opening import open_study
 from frictrack.flow.pipeline import Progress, no_progress
 from frictrack.flow.session import Session
 from frictrack.flow.tried_models import FitRequest
-from frictrack.measure.calibration import parse_scale
 from frictrack.results import to_builtins
 from frictrack.results.candidates import candidate_rows
 from frictrack.study import Study
@@ -175,18 +174,15 @@ def _setup_without_runs(study: Study) -> ExperimentSetup:
     """Return the set-up of a study without films: mass and camera are given, the rest is assumed."""
     from frictrack.diagnose.experiments import default_setup  # noqa: PLC0415
 
-    faults = []
-    if study.mass is None:
-        faults.append('expected a mass in [study] but got none; give mass = "0.35 kg" (roughly is enough)')
-    if study.fps is None:
-        faults.append("expected the frame rate in [camera] but got none; give fps = 4000")
-    if study.scale is None:
-        faults.append('expected a scale in [camera] but got none; give scale = "0.5 mm/px" (roughly is enough)')
-    if faults:
-        raise UsageError(f"{study.path.name}, plan: " + "; ".join(faults))
-    assert study.mass is not None
-    assert study.fps is not None
-    pitch = parse_scale(study.scale)[0]
+    needed = (
+        (study.mass, 'a mass in [study] but got none; give mass = "0.35 kg" (roughly is enough)'),
+        (study.fps, "the frame rate in [camera] but got none; give fps = 4000"),
+        (study.scale, 'a scale in [camera] but got none; give scale = "0.5 mm/px" (roughly is enough)'),
+    )
+    if study.mass is None or study.fps is None or study.scale is None:
+        faults = (f"expected {words}" for value, words in needed if value is None)
+        raise UsageError(f"{study.path.name}, plan: {'; '.join(faults)}")
+    pitch = measure.calibration.parse_scale(study.scale)[0]
     if not np.isfinite(pitch):
         raise FrictrackError(
             "expected a scale that is known before filming but got one that needs a picture; give its rough value, "

@@ -9,3 +9,24 @@ friction      mass and drive -> friction force, free flights, impacts
 error_budget  the sources of the error of F
 plausibility  numbers that cannot be right
 """
+
+# ruff: noqa: F401 - the imports are for type checkers; at run time the modules are imported on first use
+
+from typing import TYPE_CHECKING
+
+from frictrack.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from frictrack.measure import (
+        calibration,
+        error_budget,
+        friction,
+        motion,
+        plausibility,
+        points,
+        repairing,
+        sensors,
+        tables,
+    )
+
+__getattr__, __all__ = lazy_names(__name__)

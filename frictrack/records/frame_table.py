@@ -26,12 +26,10 @@ class NotebookView:
 
     def plot(self) -> Figure:
         """Draw it as a matplotlib figure."""
-        figure: Figure = imported(self.drawn_by)(self)
-        return figure
+        return imported(self.drawn_by)(self)
 
     def _repr_html_(self) -> str:
-        page: str = imported("frictrack.present.plots:html")(self)
-        return page
+        return imported("frictrack.present.plots:html")(self)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return it as a pandas DataFrame; ``attrs["units"]`` holds the units of the columns where they differ."""

@@ -158,8 +158,7 @@ class Run(NotebookView):
                 f'run "{self.name}": expected a record over time but it is a table of speeds and forces; draw its law '
                 'with fit.plot("law")'
             )
-        figure: Figure = imported(f"frictrack.present.plots:{what}")(self)
-        return figure
+        return imported(f"frictrack.present.plots:{what}")(self)
 
     def _cut_to_motion(self) -> None:
         """Cut off the frames before the first and after the last one of the motion."""
@@ -231,10 +230,7 @@ class Run(NotebookView):
 
         """
         optional = {"friction": friction, "drive": drive, "sigma": sigma}
-        run: Run = imported("frictrack.measure.tables:run_of_arrays")(
-            t, x, mass=mass, optional=optional, settings=settings
-        )
-        return run
+        return imported("frictrack.measure.tables:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
 
     @classmethod
     def from_dataframe(
@@ -283,8 +279,7 @@ class Run(NotebookView):
 
         """
         make = imported("frictrack.measure.tables:run_of_dataframe")
-        run: Run = make(frame, columns or {}, mass, settings)
-        return run
+        return make(frame, columns or {}, mass, settings)
 
     @classmethod
     def from_curve(
@@ -335,8 +330,7 @@ class Run(NotebookView):
         """
         deviation = "sigma_friction" if mu is None else "sigma_mu"
         columns = {"v": v, "friction": friction, "mu": mu, deviation: sigma, "load": load}
-        run: Run = imported("frictrack.measure.points:run_of_curve")(columns, settings)
-        return run
+        return imported("frictrack.measure.points:run_of_curve")(columns, settings)
 
     def __repr__(self) -> str:
         if self.steady and self.friction_N is not None:

@@ -34,9 +34,8 @@ class DE(SearchMethod):
     population: int = setting(15, low=1, high=10**6)  # individuals per parameter, but never fewer than 40 in all
     mutation: tuple[float, float] = setting((0.5, 1.0), low=0, high=2)  # differential weight, drawn each generation
     recombination: float = setting(0.7, low=0, high=1)
-    tolerance: float = setting(
-        1e-8, low=0
-    )  # converged when the population's costs scatter by less than this share of their mean
+    # converged when the population's costs scatter by less than this share of their mean
+    tolerance: float = setting(1e-8, low=0)
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until converged or until the evaluator stops it."""

@@ -96,8 +96,7 @@ def rank_fitness(costs: Array) -> Array:
     """
     ordered, n = np.sort(costs), len(costs)
     better, no_worse = ordered.searchsorted(costs, "left"), ordered.searchsorted(costs, "right")
-    out: Array = (2 * n - 1 - better - no_worse) / (n - 1)
-    return out
+    return (2 * n - 1 - better - no_worse) / (n - 1)
 
 
 def universal_sampling(fitness: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -490,9 +489,8 @@ class MGA(GeneticMethod):
     a: float | None = setting(None, low=0)  # Eq. 5; None: 10/G_max
     b: float = setting(0.4, low=0, high=1)  # Eq. 5
     c: float | None = setting(None, low=0)  # Eq. 6; None: 20/G_max, as printed 2/G_max
-    p_const: float | None = setting(
-        None, low=0, high=1
-    )  # Eq. 6; None: four bits of the longest chromosome, printed 0.05
+    # Eq. 6; None: four bits of the longest chromosome, printed 0.05
+    p_const: float | None = setting(None, low=0, high=1)
     l_const: int = setting(10, low=1, high=MAX_BITS // 2)  # Eq. 7
     d: float = setting(0.2, above=0)  # Eq. 7
     s: float | None = setting(None, above=0)  # Eq. 7; None: G_max/4

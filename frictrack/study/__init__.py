@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from frictrack.study import writing
     from frictrack.study.column_names import (
         base_name,
         columns_line,
@@ -51,19 +52,6 @@ if TYPE_CHECKING:
     )
     from frictrack.study.table_files import open_table
     from frictrack.study.table_layout import TableFile, stated
-    from frictrack.study.writing import (
-        NewRun,
-        find_recordings,
-        is_picture_folder,
-        is_table,
-        list_files,
-        name_of_table,
-        refuse_existing,
-        with_effect,
-        with_key,
-        with_runs,
-        without_run,
-        write_study,
-    )
+    from frictrack.study.writing import find_recordings, is_table, list_files, with_key, write_study
 
 __getattr__, __all__ = lazy_names(__name__)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.base.units import parse_quantity
 from frictrack.study.schema import COLUMNS as RECORD_COLUMNS
 from frictrack.study.schema import POINT_COLUMNS
@@ -25,10 +25,9 @@ _RUN_LABEL = re.compile(rf"^.*:|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGN
 _COUNT = re.compile(
     r"\s*/?\s*\b(counts?|cts?|inc(rements?)?|inkremente?|pulses?|imp(ulse)?|ticks?|digits?|lsb|steps?)\b", re.I
 )
-_DEGREE = math.pi / 180
-ANGLES = {"rad": 1.0, "mrad": 1e-3, "rev": math.tau, "turns": math.tau} | dict.fromkeys(
-    ("deg", "°", "degree", "degrees", "Grad"), _DEGREE
-)  # units of a position that is an angle, in rad
+_DEGREES = ("deg", "°", "degree", "degrees", "Grad")
+# Units of a position that is an angle, in rad.
+ANGLES = {"rad": 1.0, "mrad": 1e-3, "rev": math.tau, "turns": math.tau} | dict.fromkeys(_DEGREES, math.pi / 180)
 # Usual names of a column, in English, German, French, Spanish, Chinese and Japanese; "/x" ends those of one program.
 _USUAL_NAMES = {
     "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit(stempel)?|temps|tiempo|时间|時間"),
@@ -40,9 +39,8 @@ _USUAL_NAMES = {
     "friction": re.compile(r"friction([ _]force)?|reib(ungs)?kraft|tangential[ _](force|kraft)|摩擦力"),
     "drive": re.compile(r"driv(e|ing)([ _]force)?|antriebs?(kraft)?|zugkraft|pull(ing)?[ _]force|驱动力"),
 }
-TURNS = re.compile(
-    r"rpm|drehzahl|(r|rev|u|1)/min|min\^?-1|rps|1/s|hz|(rad|deg|°)/s", re.IGNORECASE
-)  # of a turning speed
+# Of a turning speed.
+TURNS = re.compile(r"rpm|drehzahl|(r|rev|u|1)/min|min\^?-1|rps|1/s|hz|(rad|deg|°)/s", re.IGNORECASE)
 _NAMES_OF_POINTS = {
     "v": re.compile(
         r"v|(sliding |set )?(speed|velocity)|v_m_s|(gleit)?geschwindigkeit|vitesse|velocidad|速度|rpm|drehzahl"
@@ -263,11 +261,7 @@ def may_hold(header: str, key: str) -> bool:
     unit = stated_unit(header)
     if unit is None or CAMERA_UNITS.get(unit) == COLUMNS[key][1]:
         return True
-    try:
-        unit_size(unit, COLUMNS[key][1], header)
-    except FrictrackError:
-        return False
-    return True
+    return result_or_none(unit_size, unit, COLUMNS[key][1], header) is not None
 
 
 def has_units(columns: Mapping[str, str]) -> bool:
@@ -289,10 +283,6 @@ def columns_line(columns: Mapping[str, str]) -> str:
 
 
 def _with_unit(key: str, header: str) -> str:
-    has_unit = (
-        stated_unit(header)
-        or TURNS.fullmatch(header)
-        or COLUMNS[key][1] == "1"
-        or (header == COLUMNS[key][0] and key in POINT_COLUMNS)
-    )
-    return header if has_unit else f"{header} ({COLUMNS[key][1]})"
+    standard, si = COLUMNS[key]
+    needs_none = TURNS.fullmatch(header) or si == "1" or (header == standard and key in POINT_COLUMNS)
+    return header if stated_unit(header) or needs_none else f"{header} ({si})"

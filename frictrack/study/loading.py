@@ -30,7 +30,7 @@ TABLES: dict[str, type[schema.Keys]] = {
     "search": schema.SearchTable,
 }
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
-ARRAY_TABLES = ("run", "effect")  # written with two brackets
+ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 RESERVED_NAME = "study"  # name of the file with the results of all runs
 MAX_STUDY_BYTES = 1 << 19  # a study file of a thousand runs has 100 kB
 MAX_DOTS_PER_LINE = 50  # outside of texts and numbers; the time to parse a dotted key grows with the square of them
@@ -167,22 +167,21 @@ def read_toml(name: str, text: str) -> dict[str, Any]:
         raise UsageError(f"{name} is not valid TOML: {e}{_toml_hint(str(e), text)}") from e
 
 
+TOML_HINTS = (  # a usual mistake in a line -> what to write instead
+    ("[“”„«»‘’]", 'texts stand in plain quotes: "0.35 kg"'),
+    (r"\\", "write paths with / instead of \\"),
+    (r"=\s*[+-]?[\d.]+\s*[A-Za-zµ]", 'a number with a unit is a text in quotes: mass = "0.35 kg"'),
+    (r"=\s*[+-]?\d+,\d", "write a decimal point instead of the comma"),
+    (r"=\s*[A-Za-z/.]", 'texts stand in quotes: video = "a.avi"'),
+)
+
+
 def _toml_hint(message: str, text: str) -> str:
     """Return what to write instead, for the usual mistakes in the line that an error names."""
     found = re.search(r"at line (\d+)", message)
     lines = text.splitlines()
     line = lines[int(found[1]) - 1] if found and int(found[1]) <= len(lines) else ""
-    if re.search("[“”„«»‘’]", line):
-        return '; texts stand in plain quotes: "0.35 kg"'
-    if "\\" in line:
-        return "; write paths with / instead of \\"
-    if re.search(r"=\s*[+-]?[\d.]+\s*[A-Za-zµ]", line):
-        return '; a number with a unit is a text in quotes: mass = "0.35 kg"'
-    if re.search(r"=\s*[+-]?\d+,\d", line):
-        return "; write a decimal point instead of the comma"
-    if re.search(r"=\s*[A-Za-z/.]", line):
-        return '; texts stand in quotes: video = "a.avi"'
-    return ""
+    return next((f"; {hint}" for pattern, hint in TOML_HINTS if re.search(pattern, line)), "")
 
 
 def _read(path: Path) -> str:
@@ -200,11 +199,8 @@ def _read(path: Path) -> str:
         raise UsageError(f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8") from e
     except OSError as e:
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        hint = (
-            schema.suggest(path.name, there)
-            if there
-            else f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
-        )
+        new = f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
+        hint = schema.suggest(path.name, there) if there else new
         state = "cannot read it" if path.exists() else "there is none"
         raise UsageError(f"expected a study file {path} but {state}; {hint}") from e
 
@@ -225,12 +221,10 @@ class _Reader:
         for name, value in raw.items():
             if len(self.faults) < MAX_FAULTS:
                 self._check_table(name, value)
-        head = self._table("study", 0, raw.get("study", {}))
-        camera = self._table("camera", 0, raw.get("camera", {}))
-        motion = self._table("motion", 0, raw.get("motion", {}))
+        head, camera, motion = (self._table(name, 0, raw.get(name, {})) for name in ("study", "camera", "motion"))
         if motion:
             where = f"[motion], {self._line('motion', 0, '')}"
-            self.faults += [f"{where}: {fault}" for fault in schema.chosen_filter(motion).faults()]
+            self.faults += [f"{where}: {fault}" for fault in motion.filter_choice.faults()]
         runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
         costs = self._table("costs", 0, raw.get("costs", {}))
         search = self._table("search", 0, raw["search"]) if "search" in raw else None
@@ -314,14 +308,8 @@ class _Reader:
             came = "neither" if run.video is None else "both"
             self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
             return run
-        inherited = {
-            "mass": head.mass,
-            "plausible": head.plausible,
-            "fps": camera.fps,
-            "scale": camera.scale,
-            "lens": camera.lens,
-            **({} if run.filter else motion.model_dump()),  # settings of one filter make no sense for another
-        }
+        filtering = {} if run.filter else dict(motion)  # settings of one filter make no sense for another
+        inherited = {"mass": head.mass, "plausible": head.plausible, **dict(camera), **filtering}
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
         if run.table and schema.needs_film(run.scale):  # a board in the camera's view gives no scale of a table
@@ -395,6 +383,12 @@ def _and_more(places: list[str]) -> str:
 def _tables(raw: dict[str, Any], name: str) -> list[Any]:
     value = raw.get(name, [])
     return value if isinstance(value, list) else []
+
+
+def name_of_table(table: Mapping[str, Any], kind: str) -> str:
+    """Return the name of a table; a run without a name has that of its recording."""
+    name = table.get(ARRAY_TABLES[kind])
+    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem
 
 
 def _title(table: str, index: int, raw: Any) -> str:

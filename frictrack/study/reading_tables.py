@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
 from frictrack.study import column_names
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
-from frictrack.study.table_files import open_table
 from frictrack.study.table_layout import TableFile, TrackColumns
 
 if TYPE_CHECKING:
@@ -58,10 +58,11 @@ ANGLE_NOTE = (
     "in N m; for the way of a wheel of 25 mm radius, write its unit as (25 mm/rad)"
 )
 NO_COLUMNS: Mapping[str, str] = {}
-CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> `CameraUnits`, its name, an example
-    ("px", "m"): ("pixel", "scale", 'scale = "0.5 mm/px"'),
-    ("frames", "s"): ("interval", "frame rate", "fps = 240"),
+CAMERA_UNITS = {  # units that only the camera knows, and the unit they stand for -> what tells it, and an example
+    ("px", "m"): ("scale", 'scale = "0.5 mm/px"'),
+    ("frames", "s"): ("frame rate", "fps = 240"),
 }
+Camera = Mapping[str, float | None]  # "px" and "frames" in m and s; None if it is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +90,6 @@ class TableData:
     # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
     of_speeds: bool = False  # whether x is the integral of measured speeds
-
-
-@dataclass(frozen=True)
-class CameraUnits:
-    """What the camera's own units of a table are in SI units."""
-
-    pixel: float | None = None  # size of a pixel, m; None if it is not known
-    interval: float | None = None  # time from frame to frame, s; None if it is not known
-
-
-UNKNOWN_CAMERA = CameraUnits()
 
 
 def read_table(
@@ -131,10 +121,10 @@ def read_table(
         With all faults: a column is missing, a value is not a number, time does not rise, fewer than two rows.
 
     """
-    table = open_table(path, _wanted(columns))
+    table = _opened(path, _wanted(columns))
     _check_choice(table, columns, path.name)
     chosen = chosen_track(table, columns)
-    camera = CameraUnits(pixel, 1.0 / fps if fps else None)
+    camera = {"px": pixel, "frames": 1.0 / fps if fps else None}
     table, gaps = _without_gaps(table, chosen.columns)
     values = _read(table, path.name, chosen.columns, camera=camera)
     notes = (chosen.note, gaps, *values.pop("notes", ()))
@@ -151,10 +141,9 @@ def read_run_table(run: RunTable) -> TableData:
 
     """
     assert run.table is not None
-    pixel = (
-        None if run.scale is None or isinstance(run.scale, dict | list) else parse_quantity(run.scale, "m/px", "scale")
-    )
-    return read_table(local_path(run.table), run.columns, pixel=pixel[0] if pixel else None, fps=run.fps)
+    scale: Any = None if isinstance(run.scale, dict | list) else run.scale
+    pixel = None if scale is None else parse_quantity(scale, "m/px", "scale")[0]
+    return read_table(local_path(run.table), run.columns, pixel=pixel, fps=run.fps)
 
 
 def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
@@ -168,7 +157,7 @@ def read_points(path: Path, columns: Mapping[str, str]) -> TableData:
         Headers by short name: v, and friction or mu.
 
     """
-    values = _read(open_table(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
+    values = _read(_opened(path, _wanted(columns, POINT_COLUMNS)), path.name, columns, POINT_COLUMNS)
     return TableData(np.arange(len(values["v"]), dtype=float), **values)
 
 
@@ -212,7 +201,7 @@ def read_sensor_table(path: Path, wanted: Sequence[str], columns: Mapping[str, s
 
     """
     known = {key: SENSOR_COLUMNS[key] for key in ("t", *wanted)}
-    values = _read(open_table(path, _wanted(columns, known)), path.name, columns, known)
+    values = _read(_opened(path, _wanted(columns, known)), path.name, columns, known)
     if len(values) == 1:
         headers = " or ".join(SENSOR_COLUMNS[name][0] for name in wanted)
         raise FrictrackError(
@@ -270,6 +259,13 @@ def _without_gaps(table: TableFile, columns: Mapping[str, str]) -> tuple[TableFi
     return replace(table, frame=table.frame[filled]), note if gaps and not table.tracks else ""
 
 
+def _opened(path: Path, wanted: Collection[str]) -> TableFile:
+    """Open a table; pandas takes half a second to load, which runs of arrays do not need."""
+    from frictrack.study.table_files import open_table  # noqa: PLC0415
+
+    return open_table(path, wanted)
+
+
 def _wanted(columns: Mapping[str, str], known: Mapping[str, tuple[str, str]] = COLUMNS) -> set[str]:
     """Return names that only stand in a header."""
     return {header for header, _ in known.values()} | {header.lstrip("-") for header in columns.values()}
@@ -281,7 +277,7 @@ def _read(
     columns: Mapping[str, str],
     known: Mapping[str, tuple[str, str]] = COLUMNS,
     *,
-    camera: CameraUnits = UNKNOWN_CAMERA,
+    camera: Camera = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Read the columns of `known` that are there; empty cells are allowed in columns that are not required."""
     frame = table.frame
@@ -313,7 +309,7 @@ def _read(
     if missing:
         faults.append(_missing_columns(missing, frame, columns, name if known is not COLUMNS else ""))
     if not faults and "t" in known:
-        values["t"], notes = _rising(values["t"], values.get("x"), camera.interval if known is COLUMNS else None)
+        values["t"], notes = _rising(values["t"], values.get("x"), camera.get("frames") if known is COLUMNS else None)
         faults += _time_faults(values["t"])
         if "sigma" in values and not np.all(values["sigma"] > 0):
             faults.append(f"expected standard deviations above 0 but got {np.min(values['sigma']):g} m")
@@ -359,9 +355,8 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
         return f"{expected}; a table needs a column of times and a column of positions"
     where = f'{{table = "{sensor}", {line}}}' if sensor else f"{line} in its [[run]]"
     bare = any(column_names.stated_unit(proposed[key]) is None for key in missing)
-    return f"{expected}; to name them, write {where}" + (
-        ", with the units of the file, or the size of a count, in the brackets" if bare else ""
-    )
+    units = ", with the units of the file, or the size of a count, in the brackets" if bare else ""
+    return f"{expected}; to name them, write {where}{units}"
 
 
 def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS) -> dict[str, str]:
@@ -382,25 +377,18 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     """
     present = [str(header) for header in frame.columns]
     standard = {key: header for key, (header, _) in COLUMNS.items() if header in present}
-    found = (
-        column_names.guess_columns([header for header in present if header not in standard.values()])
-        | standard
-        | dict(columns)
-    )
-    numbers = {
-        i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])
-    }  # one may be there twice
-    clocks = [
-        i for i, header in numbers.items() if column_names.may_hold(header, "t") and _rises_evenly(frame.iloc[:, i])
-    ]
+    others = [header for header in present if header not in standard.values()]
+    found = column_names.guess_columns(others) | standard | dict(columns)
+    # by place: a header may be there twice
+    numbers = {i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])}
+    clocks = [i for i, h in numbers.items() if column_names.may_hold(h, "t") and _rises_evenly(frame.iloc[:, i])]
     if "t" not in found and len(clocks) == 1:
-        found = {key: header for key, header in found.items() if header != present[clocks[0]]} | {
-            "t": present[clocks[0]]
-        }
+        clock = present[clocks[0]]
+        found = {key: header for key, header in found.items() if header != clock} | {"t": clock}
     lengths = [header for header in numbers.values() if not column_names.is_named_speed(header)]
     for key, choice in (("t", list(numbers.values())), ("x", lengths)):
-        others = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
-        if key not in found and (header := next(others, None)) is not None:
+        free = (header for header in choice if header not in found.values() and column_names.may_hold(header, key))
+        if key not in found and (header := next(free, None)) is not None:
             found[key] = header
     if "x" not in found and (speed := next((h for h in numbers.values() if column_names.is_named_speed(h)), None)):
         found["x"] = speed if column_names.stated_unit(speed) else f"{speed} (m/s)"
@@ -419,13 +407,11 @@ def _clock_unit(series: pd.Series[Any]) -> str:
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     if 0 < step < MAX_STEP_OF_DAYS:
         return "d"
-    since_1970 = (
-        unit
-        for unit, size in EPOCHS.items()
-        if step and EPOCH_S[0] < times[0] * size < EPOCH_S[1] and step * size < MAX_EPOCH_STEP_S
-    )
+    for unit, size in EPOCHS.items() if step else ():
+        if EPOCH_S[0] < times[0] * size < EPOCH_S[1] and step * size < MAX_EPOCH_STEP_S:
+            return unit
     counts_rows = step == 1.0 and _ROW_COUNTER.fullmatch(column_names.base_name(str(series.name)).strip())
-    return next(since_1970, "frames" if counts_rows else "")
+    return "frames" if counts_rows else ""
 
 
 def _rises_evenly(series: pd.Series[Any]) -> bool:
@@ -445,7 +431,7 @@ def _unsigned(written: str, present: Sequence[str]) -> tuple[str, float]:
     return written, 1.0
 
 
-def _factor(written: str, header: str, standard: str, unit: str, camera: CameraUnits) -> float:
+def _factor(written: str, header: str, standard: str, unit: str, camera: Camera) -> float:
     """Return the size of the column's unit in SI units."""
     if wheel := column_names.radius(written) if unit == "m" else None:
         return wheel[0] * column_names.ANGLES.get(column_names.stated_unit(header) or "", wheel[1])
@@ -460,8 +446,8 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: CameraU
     if (named, unit) == ("g", "m/s^2"):
         return GRAVITY
     if (named, unit) in CAMERA_UNITS:
-        key, what, example = CAMERA_UNITS[named, unit]
-        size: float | None = getattr(camera, key)
+        what, example = CAMERA_UNITS[named, unit]
+        size = camera.get(named)
         if size is None:
             raise FrictrackError(
                 f'expected the {what} of "{header}" in {named} but got none; give {example} in [camera]'
@@ -472,7 +458,7 @@ def _factor(written: str, header: str, standard: str, unit: str, camera: CameraU
 
 def _numbers(series: pd.Series[Any]) -> Array:
     """Return the numbers of a column, time codes as seconds; NaN for other texts."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
+    import pandas as pd  # noqa: PLC0415 - half a second, which runs of arrays do not need
 
     if series.dtype.kind == "m":
         return np.asarray(series.dt.total_seconds(), dtype=float)

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from frictrack.base.errors import FrictrackError
 from frictrack.base.polygons import Polygon, are_coordinates, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
 from frictrack.base.units import parse_quantity
@@ -178,10 +177,7 @@ def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
     """
     if not isinstance(raw, str) or not raw:
         raise ValueError(f"expected the path of a file but got {raw!r}")
-    try:
-        path = locate(raw, _folder(info))
-    except FrictrackError as e:
-        raise ValueError(str(e)) from e
+    path = locate(raw, _folder(info))
     if isinstance(path, Path) and not _exists(path):
         there = [p.name for p in path.parent.iterdir()] if _exists(path.parent / "..") else []
         near = difflib.get_close_matches(path.name, there, 1)
@@ -208,10 +204,7 @@ def _results_folder(raw: Any) -> Any:
 def _prior(raw: Any, info: ValidationInfo) -> Path:
     """Return the path of a prior file whose content is sound."""
     path = _path(raw, info)
-    try:
-        Prior.read(path)
-    except FrictrackError as e:
-        raise ValueError(str(e)) from e
+    Prior.read(path)
     return path
 
 
@@ -396,8 +389,7 @@ def _headers(raw: Any, keys: tuple[str, ...]) -> dict[str, str]:
 
 def _folder(info: ValidationInfo) -> Path:
     """Return the folder to which paths are relative."""
-    folder: Path = (info.context or {})["folder"]
-    return folder
+    return (info.context or {})["folder"]
 
 
 def _model(raw: Any) -> Any:
@@ -675,8 +667,13 @@ class MotionTable(Keys):
     window: int | None = None
     causal: bool | None = None
 
+    @property
+    def filter_choice(self) -> FilterChoice:
+        """The filter of the displacement."""
+        return FilterChoice(self.filter or STRUCTURAL, self.cutoff, self.order, self.window, bool(self.causal))
 
-class RunTable(Keys):
+
+class RunTable(CameraTable, MotionTable):
     """The keys of ``[[run]]``; after loading, with those that it inherits from ``[study]`` and ``[camera]``.
 
     Attributes
@@ -761,9 +758,6 @@ class RunTable(Keys):
     video: Source | None = None
     table: Source | None = None
     mass: Mass | None = None
-    fps: FrameRate | None = None
-    scale: Scale | None = None
-    lens: File | None = None
     target: Target | None = None
     reference: Reference = "auto"
     targets: Targets = {}
@@ -778,11 +772,6 @@ class RunTable(Keys):
     origin_px: Pair | None = None
     x_offset: Place = 0.0
     free: Times | None = None
-    filter: str | None = None
-    cutoff: Frequency | None = None
-    order: int | None = None
-    window: int | None = None
-    causal: bool | None = None
     incline: Angle | None = None
     rolling: Rolling = 0.0
     normal_load: Load | None = None
@@ -809,16 +798,6 @@ class RunTable(Keys):
         path = self.video or self.table
         assert path is not None  # checked by `load`
         return path
-
-    @property
-    def filter_choice(self) -> FilterChoice:
-        """The filter of its displacement."""
-        return chosen_filter(self)
-
-
-def chosen_filter(keys: MotionTable | RunTable) -> FilterChoice:
-    """Return the filter that some keys describe."""
-    return FilterChoice(keys.filter or STRUCTURAL, keys.cutoff, keys.order, keys.window, bool(keys.causal))
 
 
 def _fixed(raw: Any) -> Any:

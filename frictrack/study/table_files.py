@@ -22,20 +22,18 @@ import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base.errors import FrictrackError
 from frictrack.study import table_layout
 from frictrack.study.column_names import guess_columns, may_hold, runs_of_columns
 from frictrack.study.schema import COLUMNS
 from frictrack.study.track_formats import find_track_format
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MIN_ROWS_OF_RECORD, MAX_JUMP_STEPS = 16, 3.0  # of records below one another; usual steps, beyond which one begins
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that else holds a few words
@@ -72,8 +70,6 @@ def open_table(path: Path, wanted: Collection[str] = ()) -> table_layout.TableFi
 
 def _stacked_records(frame: pd.DataFrame) -> pd.DataFrame:
     """Return records below one another, of which each begins anew in time and place, as runs side by side."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     names = guess_columns(list(map(str, frame.columns)))
     if not names.keys() >= set("tx"):
         return frame
@@ -121,8 +117,6 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
 
 
 def _text_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     layout = table_layout.find_layout(path, wanted)
     header = layout.header
     with path.open(encoding=layout.encoding) as file:  # pandas would cut a line at a # within it
@@ -178,8 +172,6 @@ def _column_names(header: Sequence[str], units: Sequence[str], groups: Sequence[
 
 def _table_of_sheets(sheets: dict[str, list[tuple[Any, ...]]], wanted: Collection[str]) -> table_layout.TableFile:
     """Return the table of the first sheet; of several with times and positions all, side by side."""
-    import pandas as pd  # noqa: PLC0415
-
     read = {name: _table_of_rows(rows, wanted) for name, rows in sheets.items() if rows}
     runs = {name: one.frame for name, one in read.items() if guess_columns(list(one.frame.columns)).keys() >= set("tx")}
     if len(runs) > 1:
@@ -190,8 +182,6 @@ def _table_of_sheets(sheets: dict[str, list[tuple[Any, ...]]], wanted: Collectio
 
 def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> table_layout.TableFile:
     """Return the table among the rows of a sheet; titles may stand above it, and further tables below it."""
-    import pandas as pd  # noqa: PLC0415
-
     if not rows:
         raise ValueError("no rows")
     width = max(i for row in rows for i, cell in enumerate(row, 1) if cell is not None)
@@ -202,21 +192,15 @@ def _table_of_rows(rows: list[tuple[Any, ...]], wanted: Collection[str]) -> tabl
     below = texts[at + 1] if at + 1 < len(texts) and table_layout.is_units_row(header, texts[at + 1]) else ()
     data = rows[at + 2 if below else at + 1 :]
     if at:  # a sheet with titles may hold further tables
-        end = next(
-            (i for i, row in enumerate(data) if not any(table_layout.is_number(str(cell)) for cell in row)), len(data)
-        )
-        data = data[:end]
+        data = list(takewhile(lambda row: any(table_layout.is_number(str(cell)) for cell in row), data))
     names = [*_column_names(header, below, ()), *[""] * (max(map(len, rows)) - len(header))]
     if table_layout.decimal_sign((cell for row in data for cell in row if isinstance(cell, str)), ",") == ",":
         data = [tuple(cell.replace(",", ".") if isinstance(cell, str) else cell for cell in row) for row in data]
     frame = pd.DataFrame([(*row, *[None] * (len(names) - len(row))) for row in data], columns=names)
     coordinates = next((found for row in texts[:at] for cell in row if (found := _COORDINATES.match(cell))), None)
-    above = "\n".join(" ".join(row) for row in texts[:at])
-    return (
-        table_layout.TableFile(frame, above=above)
-        if coordinates is None
-        else _kinovea_sheet(frame, texts, *coordinates.groups())
-    )
+    if coordinates is not None:
+        return _kinovea_sheet(frame, texts, *coordinates.groups())
+    return table_layout.TableFile(frame, above="\n".join(" ".join(row) for row in texts[:at]))
 
 
 def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: str, time: str) -> table_layout.TableFile:
@@ -272,8 +256,6 @@ def _named(frame: pd.DataFrame) -> pd.DataFrame:
 
     A separator at the end of every row is ignored. Raises `ValueError` if the further fields have content.
     """
-    import pandas as pd  # noqa: PLC0415
-
     if isinstance(frame.index, pd.RangeIndex):
         return frame
     names = frame.columns

@@ -108,7 +108,6 @@ class TableLayout:
     groups: tuple[str, ...] = ()
     skipped: tuple[int, ...] = ()  # numbers of the lines, from 0, that are neither header nor data
     encoding: str = "utf-8-sig"  # encoding of the text
-    line: int = 0  # number of the line of the header, from 0
     in_comment: bool = False  # whether the header is a comment
     above: str = ""  # the lines up to the header
 
@@ -128,9 +127,10 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         named = [(i, line.lstrip("# ")) for i, line in seen if in_comment and i < head[0][0]]
         above = [one for one in named if len(split(one[1], _separator([one[1]]))) == first][-1:] or named[-1:]
         head = [*above, *head]
-        at = find_header([line for _, line in head], wanted)
-        separator = _separator([line for _, line in head[at : at + 3]])
-        rows = [split(line, separator) for _, line in head[at : at + 2]]
+        texts = [line for _, line in head]
+        at = header_row([split(line, _separator(texts[i : i + 3])) for i, line in enumerate(texts)], wanted)
+        separator = _separator(texts[at : at + 3])
+        rows = [split(line, separator) for line in texts[at : at + 2]]
         below = rows[1] if len(rows) > 1 and is_units_row(rows[0], rows[1]) else []
         first = at + 2 if below else at + 1
         rest = itertools.chain(head[first:], lines)
@@ -146,7 +146,6 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         _groups(head[at - 1][1], separator) if at else (),
         (*range(number), *([head[at + 1][0]] if below else [])),
         encoding,
-        number,
         bool(above) and at == 0 and len(rows) > 1 and len(rows[0]) == len(rows[1]),
         "".join(line for i, line in seen if i <= number),
     )
@@ -181,23 +180,11 @@ def text_encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def find_header(lines: Sequence[str], wanted: Collection[str]) -> int:
-    """Return the place of the header among some lines: the last line without numbers before the first rows of numbers.
-
-    Parameters
-    ----------
-    lines
-        The first lines of a table.
-    wanted
-        Names that only stand in a header.
-
-    """
-    rows = [split(line, _separator(lines[i : i + 3])) for i, line in enumerate(lines)]
-    return header_row(rows, wanted)
-
-
 def header_row(rows: Sequence[Sequence[str]], wanted: Collection[str]) -> int:
-    """Return the place of the header among rows of cells; 0 if none can be found."""
+    """Return the place of the header: the last row without numbers before the first of numbers; 0 if there is none.
+
+    The first row that holds one of the `wanted` names, which only stand in a header, is it in any case.
+    """
     for i, row in enumerate(rows):
         if set(row) & set(wanted):
             return i

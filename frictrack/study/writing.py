@@ -13,8 +13,11 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
+from frictrack.study.column_names import REQUIRED, guess_columns, is_named_speed
+from frictrack.study.loading import ARRAY_TABLES, name_of_table
+from frictrack.study.schema import COLUMNS
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
@@ -27,11 +30,13 @@ INTRO = """A study of frictrack: the runs that were filmed, and what is known ab
 Lengths, masses and times are in SI units, or texts with a unit: 0.35 or "350 g" or "0.350 +/- 0.002 kg".
 Paths are relative to this file. Lines that begin with # are comments.
 `frictrack run {name}` runs the whole analysis and writes a report."""
-STUDY = {
+Words = Mapping[str, tuple[Any, str]]
+STUDY: Words = {  # key -> example and explanation
+    "name": ("", ""),
     "mass": ("0.350 +/- 0.002 kg", "the sliding mass; weigh it: the friction force is proportional to it"),
     "model": ("tustin", "the first model: tustin, atm1:2, or a list such as ['coulomb', 'viscous']"),
 }
-CAMERA = {
+CAMERA: Words = {
     "fps": (4000, "frame rate while filming (not the playback rate); the friction force scales with its square"),
     "scale": (
         "0.500 +/- 0.002 mm/px",
@@ -141,12 +146,9 @@ def write_study(
     for line in INTRO.format(name=path.name).splitlines() if commented else ():
         document.add(tomlkit.comment(line))
     runs = [one if isinstance(one, NewRun) else NewRun(one) for one in recordings]
-    said = remarks or {}
-    study, camera = ({k: (e, said.get(k, "") + why) for k, (e, why) in table.items()} for table in (STUDY, CAMERA))
-    document["study"] = _commented_table(
-        {"name": path.resolve().parent.name} | known, ("name", *STUDY), study, commented
-    )
-    document["camera"] = _commented_table(known, tuple(CAMERA), camera, commented)
+    named = {"name": path.resolve().parent.name} | known
+    document["study"] = _commented_table(named, STUDY, remarks or {}, commented)
+    document["camera"] = _commented_table(known, CAMERA, remarks or {}, commented)
     document["run"] = tomlkit.aot()
     for new, run in zip(runs, run_tables([new.recording for new in runs], path.parent), strict=True):
         table = with_blank_line(tomlkit.item(run))
@@ -191,13 +193,10 @@ def _is_recording(path: Path) -> bool:
 
 def _holds_times_and_positions(path: Path) -> bool:
     """Return whether the headers of a file name times and positions, or it holds tracks of another program."""
-    from frictrack.study.column_names import REQUIRED, guess_columns, is_named_speed  # noqa: PLC0415 - only for such files
-    from frictrack.study.schema import COLUMNS  # noqa: PLC0415
-    from frictrack.study.table_files import open_table  # noqa: PLC0415
+    from frictrack.study.table_files import open_table  # noqa: PLC0415 - only for such files
 
-    try:
-        table = open_table(path)
-    except FrictrackError:
+    table = result_or_none(open_table, path)
+    if table is None:
         return False
     headers = list(map(str, table.frame.columns))
     known = table.columns.keys() | guess_columns(headers) | {key for key in REQUIRED if COLUMNS[key][0] in headers}
@@ -216,15 +215,12 @@ def _many_pages(path: Path) -> bool:
         return True  # the fault is reported when the file is opened
 
 
-def _commented_table(
-    known: Mapping[str, Any], keys: Sequence[str], words: Mapping[str, tuple[Any, str]], commented: bool
-) -> Any:
+def _commented_table(known: Mapping[str, Any], words: Words, remarks: Mapping[str, str], commented: bool) -> Any:
+    """Return a table of known keys; the others are comments, each with a remark and its explanation, if asked for."""
     table = tomlkit.table()
-    for key in keys:
-        example, why = words.get(key, ("", ""))
-        if commented and why:
-            for line in why.splitlines():
-                table.add(tomlkit.comment(line))
+    for key, (example, why) in words.items():
+        for line in (remarks.get(key, "") + why).splitlines() if commented else ():
+            table.add(tomlkit.comment(line))
         if key in known:
             table[key] = known[key]
         elif commented:
@@ -248,9 +244,6 @@ def with_blank_line(table: Any) -> Any:
     """Return a table with an empty line before it."""
     table.trivia.indent = "\n"
     return table
-
-
-ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 
 
 def with_key(text: str, table: str, key: str, value: Any, which: str | None = None) -> str:
@@ -347,9 +340,3 @@ def _find_table(document: tomlkit.TOMLDocument, table: str, which: str | None) -
         raise UsageError(f'expected a run of the study file but got "{which}"; it has {known}')
     tables.append(with_blank_line(tomlkit.item({ARRAY_TABLES[table]: which})))
     return tables[-1]
-
-
-def name_of_table(table: Mapping[str, Any], kind: str) -> str:
-    """Return the name of a table; a run without a name has that of its recording."""
-    name = table.get(ARRAY_TABLES[kind])
-    return str(name) if name else Path(str(table.get("video") or table.get("table") or "")).stem

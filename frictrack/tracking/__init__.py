@@ -11,18 +11,26 @@ measure             positions in every frame, without pixels that do not fit; fo
 pose_tracker        targets that rotate by any angle
 checks              self-checks of a track
 """
-# ruff: noqa: F401 - the imports are the interface
 
-from frictrack.tracking.areas import Areas, is_polygon
-from frictrack.tracking.detection import find_reference, find_target
-from frictrack.tracking.driver import (
-    align_track,
-    learn_target,
-    relearn_target,
-    track,
-    track_frames,
-    track_in_parallel,
-    track_same_target,
-)
-from frictrack.tracking.show import contact_sheet, overlay_video, target_line
-from frictrack.tracking.template import TargetModel
+# ruff: noqa: F401 - the imports are for type checkers; at run time the names are imported on first use
+
+from typing import TYPE_CHECKING
+
+from frictrack.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from frictrack.tracking import checks, detection
+    from frictrack.tracking.areas import Areas, is_polygon
+    from frictrack.tracking.detection import find_reference, find_target
+    from frictrack.tracking.driver import (
+        align_track,
+        learn_target,
+        relearn_target,
+        track,
+        track_frames,
+        track_same_target,
+    )
+    from frictrack.tracking.show import contact_sheet, overlay_video, target_line
+    from frictrack.tracking.template import TargetModel
+
+__getattr__, __all__ = lazy_names(__name__)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.recording import Frame, Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
@@ -292,9 +292,8 @@ class BatchTracker:
 
     def _search(self, i: int, path: _PathPredictor, result: RawTrack) -> None:
         """Search frame `i` for the target, near the prediction and then everywhere."""
-        try:
-            frame = self.film.frame(i)
-        except FrictrackError:
+        frame = result_or_none(self.film.frame, i)
+        if frame is None:
             return
         if frame.min() == frame.max():
             result.reason[i] = FLAT

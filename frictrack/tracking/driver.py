@@ -57,7 +57,7 @@ MIN_CORRECTION_PX = 0.02  # a smaller offset is not corrected
 MIN_CORE_PX = 12  # shortest side of the compared part
 
 
-def track(
+def track(  # noqa: PLR0913 - one door with named settings, all but one of them optional
     recording: Recording,
     target: Target | Areas = None,
     *,
@@ -65,6 +65,7 @@ def track(
     known: TargetModel | None = None,
     name: str = "target",
     progress: Progress | None = None,
+    pool: WorkerPool | None = None,
 ) -> Track:
     """Track the target in every frame: position in pixels, standard deviation and match score.
 
@@ -84,6 +85,9 @@ def track(
         Name of the track.
     progress : callable, optional
         Called as ``progress(done, total, step)``.
+    pool : WorkerPool, optional
+        Processes of this machine (`base.workers.local_workers`) or of a Dask cluster (`cluster_workers`) that take over
+        segments of a long uncompressed film (`Recording.direct`) that all of them can read; the positions are the same.
 
     Returns
     -------
@@ -104,58 +108,14 @@ def track(
     (150, 59.0)
 
     """
-    drawn, work = _areas(target), Work(progress)
-    once = _single_pass(recording, drawn.target, template, known)
+    drawn, work = _areas(target), Work(progress, pool if recording.direct else None)
+    once = not recording.direct and _single_pass(recording, drawn.target, template, known)
     with random_access(recording, once=once) as film:
         followed = replace(_follow(film, drawn, template, known, work), rereadable=not once)
         track = measure_track(recording, film, followed, name, work)
         if drawn.target is None and (fault := target_fault(film, track)):
             raise FrictrackError(f"{recording.path.name}: {fault}")
         return track
-
-
-def track_in_parallel(
-    recording: Recording,
-    target: Target | Areas = None,
-    *,
-    pool: WorkerPool | None,
-    template: int = 0,
-    known: TargetModel | None = None,
-    progress: Progress | None = None,
-) -> Track:
-    """Track the target of one long film in several processes; the positions are those of `track`, bit for bit.
-
-    Parameters
-    ----------
-    recording : Recording
-        Uncompressed film (`Recording.direct`) that all processes can read. A compressed film is decoded from its first
-        frame on and is tracked in this process.
-    target, template, known, progress
-        As in `track`.
-    pool : WorkerPool or None
-        Processes of this machine (`base.workers.local_workers`) or of a Dask cluster (`cluster_workers`); None for
-        this process alone.
-
-    Returns
-    -------
-    Track
-        As by `track`.
-
-    Raises
-    ------
-    FrictrackError
-        As `track` does.
-
-    Examples
-    --------
-    >>> from frictrack.base.workers import local_workers
-    >>> with local_workers(2) as pool:  # doctest: +SKIP
-    ...     track = track_in_parallel(open_recording("long.mraw"), pool=pool)
-
-    """
-    work = Work(progress, pool if recording.direct else None)
-    with random_access(recording) as film:
-        return measure_track(recording, film, _follow(film, _areas(target), template, known, work), "target", work)
 
 
 def _rectangle_at(corner: Array, known: TargetModel) -> Rectangle:
@@ -184,7 +144,7 @@ def track_same_target(
     recording : Recording
         Film.
     target, template, progress, pool
-        As in `track_in_parallel`.
+        As in `track`.
     known : TargetModel
         Model of the target, learnt from another film.
 
@@ -243,7 +203,7 @@ def learn_target(
     recording : Recording
         Film of the target.
     target, template, progress, pool
-        As in `track_in_parallel`.
+        As in `track`.
 
     Returns
     -------

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.distributions import robust_std
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, MIN_SCORE, MIN_SCORE_SHARE, Progress
@@ -250,11 +250,8 @@ def _search_rotated(
     film: Recording, i: int, corner: Array, rotatable: RotatableTemplate, typical_score: float
 ) -> Pose | None:
     """Find a rotated target in frame `i`, from a corner (2,) px on; None without a match as good as is typical."""
-    try:
-        frame = film.frame(i)
-    except FrictrackError:
-        return None
-    if frame.min() == frame.max():
+    frame = result_or_none(film.frame, i)
+    if frame is None or frame.min() == frame.max():
         return None
     pose = search_pose(frame, Pose(corner + rotatable.middle, 0.0), rotatable, typical_score)
     return pose if pose and pose.converged and pose.score >= MIN_SCORE_SHARE * typical_score else None
@@ -345,9 +342,8 @@ class _PoseTracker:
         for done, i in enumerate(frames):
             if progress and done % 16 == 0:
                 progress(done, len(frames), "follow the rotating target")
-            try:
-                frame = self.film.frame(i)
-            except FrictrackError:
+            frame = result_or_none(self.film.frame, i)
+            if frame is None:
                 continue
             if self.misses_left < 0:
                 return

@@ -556,11 +556,9 @@ class TargetModel:
     template: Template
     pattern: FixedPattern | None = None
     typical_misfit: float = np.nan  # nan: that of the frames at hand
-    sigma_inflation: Array = field(
-        default_factory=lambda: np.ones(3)
-    )  # of the standard deviations, see `position_errors`
-    systematic_covariance: Array = field(
-        default_factory=lambda: np.zeros((2, 2))
-    )  # px^2, of what the target's changing look adds
+    # of the standard deviations, see `position_errors`
+    sigma_inflation: Array = field(default_factory=lambda: np.ones(3))
+    # px^2, of what the target's changing look adds
+    systematic_covariance: Array = field(default_factory=lambda: np.zeros((2, 2)))
     rotates: bool = False  # the target turns by more than small rotations
     rotation_seen: bool = True

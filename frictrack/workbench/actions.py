@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench import MissingError, OutdatedError, jobs
 from frictrack.workbench.live_study import LiveStudy
@@ -64,7 +65,6 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
 
     """
     from frictrack.base.number_format import upper_first  # noqa: PLC0415 - loads NumPy
-    from frictrack.flow import CommandHistory, Session, open_study  # noqa: PLC0415
     from frictrack.workbench.summaries import change_words, refuse_implausible  # noqa: PLC0415
 
     if do not in CHANGES:
@@ -73,16 +73,16 @@ def change(live: LiveStudy, do: Any, arguments: Any, seen: Any) -> dict[str, Any
     given = _mapping(arguments, "arguments")
     if do == "edit":
         refuse_implausible(str(given.get("table")), str(given.get("key")), given.get("value"))
-    study = open_study(live.path, allow_incomplete=True)
+    study = flow.open_study(live.path, allow_incomplete=True)
     _check_revision(study.output, seen)
     try:
-        Session(study, author=AUTHOR, expected_revision=seen).apply(do, **given)
+        flow.Session(study, author=AUTHOR, expected_revision=seen).apply(do, **given)
     except FrictrackError:
         _check_revision(study.output, seen)
         raise
     except TypeError as e:
         raise UsageError(f"expected other arguments of {do}: {e}") from e
-    history = CommandHistory(study.output)
+    history = flow.CommandHistory(study.output)
     live.resumes_background = False
     _end_useless_work(live, do, history.revision)
     return {"revision": history.revision, "words": f"{upper_first(change_words(history.changes[-1]))}."}
@@ -176,7 +176,6 @@ def cancel(live: LiveStudy) -> dict[str, Any]:
 
 def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
     """Write a study file for some recordings, or take them into the study."""
-    from frictrack.flow import CommandHistory  # noqa: PLC0415
     from frictrack.workbench.summaries import new_study  # noqa: PLC0415
 
     if not isinstance(recordings, list) or not recordings or not all(isinstance(one, str) for one in recordings):
@@ -184,10 +183,10 @@ def take_in(live: LiveStudy, recordings: Any, fields: Any) -> dict[str, Any]:
     for name in recordings:
         need_plain_name(name)
     if live.path.exists():
-        return change(live, "take_in", {"recordings": recordings}, CommandHistory(live.output).revision)
+        return change(live, "take_in", {"recordings": recordings}, flow.CommandHistory(live.output).revision)
     texts = {key: str(text) for key, text in _mapping(fields, "fields").items() if text not in (None, "")}
     new_study(live.path, recordings, texts)
-    return {"revision": CommandHistory(live.output).revision, "words": f"{live.path.name} is written."}
+    return {"revision": flow.CommandHistory(live.output).revision, "words": f"{live.path.name} is written."}
 
 
 def copy_sample(live: LiveStudy) -> dict[str, Any]:
@@ -225,12 +224,10 @@ def _need_study(live: LiveStudy) -> None:
 
 def _check_revision(output: Path, seen: Any) -> None:
     """Refuse a command for a state of the study that is no longer there."""
-    from frictrack.flow import CommandHistory  # noqa: PLC0415
-
     if seen is not None and not isinstance(seen, int):
         raise UsageError(f"expected the revision of the study as a number but got {seen!r}")
     try:
-        CommandHistory(output, expected_revision=seen).check_revision()
+        flow.CommandHistory(output, expected_revision=seen).check_revision()
     except FrictrackError as e:
         raise OutdatedError(str(e)) from e
 

@@ -19,6 +19,7 @@ from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.workbench import MissingError, OutdatedError, actions
 from frictrack.workbench.films import FilmFile, film_file
@@ -282,7 +283,6 @@ async def _plots(api: Api) -> None:
 
 def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
     """Prepare the plots of a view."""
-    from frictrack.flow import preview_motion  # noqa: PLC0415 - loads the science
     from frictrack.workbench import plot_data  # noqa: PLC0415
 
     results = snapshot.results if snapshot else None
@@ -304,7 +304,7 @@ def packed_plots(snapshot: Any, query: Mapping[str, str]) -> bytes:
     if not cutoff:
         return plot_data.motion_plots(run, index=index).pack()
     frequency = _frequency(cutoff)
-    return plot_data.motion_plots(run, preview_motion(run, frequency), f"at {frequency:.3g} Hz", index).pack()
+    return plot_data.motion_plots(run, flow.preview_motion(run, frequency), f"at {frequency:.3g} Hz", index).pack()
 
 
 def _named(items: Sequence[Any], name: str, what: str) -> Any:
@@ -360,11 +360,10 @@ def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | N
 
 def _content(what: str, study: Study, results: Results, form: str) -> Content:
     """Make one of the files that exist or can be made of the results."""
-    from frictrack.flow import replay_script  # noqa: PLC0415
     from frictrack.present import export  # noqa: PLC0415
 
     if what == "repeat.py":
-        return BytesIO(replay_script(study).encode())
+        return BytesIO(flow.replay_script(study).encode())
     if what == "tables.zip":
         return zip_files((path.name, path) for path in export.write(results, "csv"))
     if what == "hdf5.zip":
@@ -419,11 +418,10 @@ def page_figure(name: str, snapshot: Any) -> bytes:
 
 async def _sheet(api: Api) -> None:
     """The contact sheet of a run."""
-    from frictrack.flow import contact_sheet_path  # noqa: PLC0415
-
     snapshot = await api.live.read_snapshot()
     study: Any = snapshot.study if snapshot else None
-    path = contact_sheet_path(study, _named(study.runs if study else (), api.asked("run"), "run of the study").name)
+    run = _named(study.runs if study else (), api.asked("run"), "run of the study")
+    path = flow.contact_sheet_path(study, run.name)
     if not path.exists():
         raise MissingError(f"expected the contact sheet {path.name} but it does not exist; track the film first")
     api.send(await asyncio.to_thread(path.read_bytes), "image/png")

@@ -26,6 +26,7 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
+from frictrack import flow
 from frictrack.base import files
 from frictrack.base.errors import FrictrackError
 from frictrack.workbench import BusyError
@@ -219,13 +220,11 @@ def start(path: Path, output: Path, spec: JobSpec, launch: Callable[[Path], None
         If another job of this study is running that is still of use.
 
     """
-    from frictrack.flow import CommandHistory  # noqa: PLC0415 - loads the science
-
     with files.lock_folder(output):
         folder = files.make_subfolder(files.make_internal_folder(output), "jobs")
         earlier, busy = list_jobs(output), running_job(output)
         if busy is not None:
-            if not is_superseded(busy, spec.do, CommandHistory(output).revision):
+            if not is_superseded(busy, spec.do, flow.CommandHistory(output).revision):
                 raise BusyError(f"{busy.words} is still running; wait until it ends or cancel it")
             busy.cancel()
             busy.wait(MAX_CANCEL_SECONDS)

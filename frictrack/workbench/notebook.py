@@ -19,6 +19,7 @@ import anywidget
 import numpy as np
 import traitlets
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError
 from frictrack.present.plots import AnyModel, AnyRun, as_model, as_runs
 from frictrack.records import Array
@@ -195,10 +196,8 @@ def look(
 
 def _read_study(path: Path) -> tuple[Results, dict[str, FilmFile]]:
     """Results of a study, and its films by name of the run."""
-    from frictrack.flow import open_study, read_results  # noqa: PLC0415 - seconds that a fit does not need
-
-    study = open_study(path)
-    results = read_results(study)
+    study = flow.open_study(path)
+    results = flow.read_results(study)
     if results.current is None:
         raise FrictrackError(f"expected a study with a model but {path} has none; run `frictrack run` on it")
     films = {run.name: (run.video, run.fps) for run in study.runs if isinstance(run.video, Path)}

@@ -72,8 +72,7 @@ class Comparison(NotebookView):
 
     def plot(self) -> Figure:
         """Draw the held-out error of every model in the order tried."""
-        figure: Figure = imported("frictrack.present.plots:history")(self.models)
-        return figure
+        return imported("frictrack.present.plots:history")(self.models)
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON of `frictrack compare` and `frictrack history`."""

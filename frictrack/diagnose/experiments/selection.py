@@ -13,12 +13,7 @@ from frictrack.base.distributions import chi2_isf
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments.candidates import ExperimentSetup
-from frictrack.diagnose.experiments.evidence import (
-    MEASUREMENT_NOISE_RATIO,
-    EvidenceTables,
-    Progress,
-    tabulate_evidence,
-)
+from frictrack.diagnose.experiments.evidence import MEASUREMENT_NOISE_RATIO, EvidenceTables, Progress, tabulate_evidence
 from frictrack.diagnose.experiments.virtual_runs import RunDesign, VirtualRun
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.diagnose.power import noncentrality

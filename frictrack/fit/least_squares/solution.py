@@ -358,8 +358,7 @@ def displacement_response(response: PieceResponse, force: Array) -> Array:
         linear = LinearResponse(piece.panels, still, still)
     edges = linear.edge_states(-force / piece.mass)
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
-    left: Array = moved - response.q @ (response.q.T @ moved)
-    return left
+    return moved - response.q @ (response.q.T @ moved)
 
 
 def position_and_velocity(response: PieceResponse) -> tuple[Array, Array]:

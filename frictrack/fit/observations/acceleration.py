@@ -254,8 +254,7 @@ class AccelerationProblem(LeastSquaresProblem):
 def _alternate_blocks(t: Array, chain: AccelerationChain) -> Mask:
     """Every other block of the frames t (n,)."""
     length = max(round(BLOCK_PERIODS / (chain.cutoff * float(np.median(np.diff(t))))), 1)
-    odd: Mask = (np.arange(len(t)) // min(length, max(len(t) // 4, 1))) % 2 == 1
-    return odd
+    return (np.arange(len(t)) // min(length, max(len(t) // 4, 1))) % 2 == 1
 
 
 class AccelerationObservation(DisplacementObservation):

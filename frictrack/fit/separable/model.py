@@ -84,8 +84,7 @@ def displacement_block(piece: Piece) -> DataBlock:
 
     def picture(rows: Array) -> Array:
         white = np.moveaxis(piece.whitened(np.moveaxis(rows, -1, 0)), 0, -1)
-        clean: Array = white - (white @ q) @ q.T
-        return clean
+        return white - (white @ q) @ q.T
 
     known = np.interp(piece.t, piece.panels.t, piece.known)
     return DataBlock(

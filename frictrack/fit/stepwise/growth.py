@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.cutting import MIN_FRAMES, cut_into_pieces
@@ -453,10 +453,7 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
         starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
         if model.problem.model.memory:  # its motion takes long to find from afar
             problem = problem.beginning_at(model.responses)
-    try:
-        first = refine(problem, trial.p, starts, tau=tau, max_steps=SETTLING_STEPS)
-    except FrictrackError:
-        first = None
+    first = result_or_none(refine, problem, trial.p, starts, tau=tau, max_steps=SETTLING_STEPS)
     if first is None or first.objective > model.objective:
         first = _without_effect(problem, trial, model)
     frames = problem.n_frames

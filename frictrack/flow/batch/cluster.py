@@ -107,9 +107,8 @@ class _ClusterPool:
             elif isinstance(error, DiskFullError) and not workers and (others := self._others(error.worker)):
                 workers = others
             elif error is not None:
-                found.set_exception(
-                    FrictrackError(_describe_deaths(error)) if isinstance(error, KilledWorker) else error
-                )
+                killed = isinstance(error, KilledWorker)
+                found.set_exception(FrictrackError(_describe_deaths(error)) if killed else error)
             else:
                 found.set_result(value)
 

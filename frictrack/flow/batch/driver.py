@@ -25,9 +25,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.base import __version__
 from frictrack.base.distributions import student_sf
@@ -42,9 +43,6 @@ from frictrack.present.report import write_campaign
 from frictrack.records import Array
 from frictrack.results import to_builtins
 from frictrack.settings.priors import Prior
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MIN_POINTS = 4  # needed to fit a slope
 MIN_VARIANCE = 1e-12  # of values without a deviation, over their spread
@@ -208,13 +206,8 @@ def _entry(name: str, outcomes: Sequence[StudyOutcome]) -> dict[str, Any]:
         found = trend([laws[i] for i in same], [stated[i][1][0] for i in same], name)
     except FrictrackError as e:
         return {**head, "load": None, "trends": [], "reason": str(e), "words": [f"no trend over {name}: {e}"]}
-    return {
-        **head,
-        "load": found.load,
-        "trends": [one.summary() for one in found.trends.values()],
-        "reason": None,
-        "words": list(_words(found, unit)),
-    }
+    trends = [one.summary() for one in found.trends.values()]
+    return {**head, "load": found.load, "trends": trends, "reason": None, "words": list(_words(found, unit))}
 
 
 def _words(found: CovariateTrends, unit: str) -> Iterator[str]:
@@ -229,10 +222,8 @@ def _words(found: CovariateTrends, unit: str) -> Iterator[str]:
 
 def _change(one: CovariateTrend, own: str, unit: str) -> str:
     """Return the slope, or the value of every category."""
-    rows: Mapping[str, str] = {
-        term: f"{format_plus_minus(float(value), float(std))}{own}"
-        for term, value, std in zip(one.terms, one.coefficients, one.std, strict=True)
-    }
+    found = zip(one.terms, one.coefficients, one.std, strict=True)
+    rows = {term: f"{format_plus_minus(float(value), float(std))}{own}" for term, value, std in found}
     if one.origin is not None:
         return f"changes by {rows['slope']} per {unit or 'unit'}"
     return "is " + ", ".join(f"{value} ({term})" for term, value in rows.items())
@@ -308,11 +299,8 @@ def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state:
         }
     )
     folder = stem.resolve().parent
-    reports = {
-        str(label): Path(os.path.relpath(Path(one.summary["results"]) / "report.html", folder)).as_posix()
-        for label, one in done
-        if one.summary.get("results")
-    }
+    results = {str(label): Path(one.summary["results"]) for label, one in done if one.summary.get("results")}
+    reports = {name: Path(os.path.relpath(own / "report.html", folder)).as_posix() for name, own in results.items()}
     plots = [trend.to_plot() for trend in found]
     page = write_campaign(result, plots, reports, stem.with_name(f"{stem.name}.html"))
     return result | {"output": str(page)}
@@ -389,8 +377,6 @@ class Journal:
 
 def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     """Return the rows as a table; missing values are empty."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
     names = list(dict.fromkeys([*FIRST_COLUMNS, *(name for row in rows for name in row)]))
     table = pd.DataFrame(list(rows), columns=names)
     for name in FIRST_COLUMNS:

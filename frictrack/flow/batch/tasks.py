@@ -176,28 +176,18 @@ def _measure_run(study: Study, name: str) -> str | None:
 def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOutcome:
     """Return the outcome of a study that was run."""
     fit, diagnosis = result["fit"], result["diagnose"]
-    shared = {
-        "verdict": diagnosis["verdict"],
-        "missing": " ".join(diagnosis["missing"]),
-        "model": " ".join(fit["model"]),
-        "domain": fit["domain"],
-        **{name: p["value"] for name, p in fit["parameters"].items()},
-        **{f"{name} std": p["std"] for name, p in fit["parameters"].items()},
-        **{f"{name} std_misfit": p["std_misfit"] for name, p in fit["parameters"].items() if "std_misfit" in p},
-    }
+    parameters = fit["parameters"].items()
+    shared = {"verdict": diagnosis["verdict"], "missing": " ".join(diagnosis["missing"])}
+    shared |= {"model": " ".join(fit["model"]), "domain": fit["domain"]}
+    shared |= {name: p["value"] for name, p in parameters}
+    shared |= {f"{name} {key}": p[key] for key in ("std", "std_misfit") for name, p in parameters if key in p}
     own = ("run", "role", "level", "noise_um", "segments")
     rows = [shared | {k: run.get(k) for k in own} | run.get("errors", {}) for run in fit["per_run"]]
     rows += [{"run": run, "reason": why} for run, why in failed.items()]
-    summary = {
-        "verdict": diagnosis["verdict"],
-        "missing": diagnosis["missing"],
-        "runs": len(fit["per_run"]),
-        "reduced_chi2": fit["errors"]["reduced_chi2"],
-        "reason": None,
-        "left_out": list(failed),
-        "results": result["output"],
-    }
-    return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in fit["parameters"].items()})
+    summary = {"verdict": diagnosis["verdict"], "missing": diagnosis["missing"], "runs": len(fit["per_run"])}
+    summary |= {"reduced_chi2": fit["errors"]["reduced_chi2"], "reason": None}
+    summary |= {"left_out": list(failed), "results": result["output"]}
+    return StudyOutcome(str(path), summary, rows, {name: p["unit"] for name, p in parameters})
 
 
 POLL_INTERVAL_S = 0.5
@@ -224,9 +214,8 @@ class BatchState:
 Watch = Callable[[BatchState], None]
 
 
-Call = tuple[
-    Callable[..., Any], tuple[Any, ...], str
-]  # a function of this module, its arguments, and the film it is of
+# A function of this module, its arguments, and the film it is of.
+Call = tuple[Callable[..., Any], tuple[Any, ...], str]
 
 
 def study_steps(path: Path, seed: int) -> Generator[list[Call], list[Any], StudyOutcome]:
@@ -260,9 +249,8 @@ class Scheduler:
         self.pool = pool
         self.state = state
         self._studies = deque(_Running(path, study_steps(path, seed)) for path in studies)
-        self._calls: deque[tuple[_Running, int, Call]] = (
-            deque()
-        )  # of studies that have begun: they come before new ones
+        # Of studies that have begun: they come before new ones.
+        self._calls: deque[tuple[_Running, int, Call]] = deque()
         self._running: dict[Future[Any], tuple[_Running, int, str]] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
@@ -298,8 +286,7 @@ class Scheduler:
         try:
             calls = study.steps.send(study.results) if study.results else next(study.steps)
         except StopIteration as end:
-            outcome: StudyOutcome = end.value
-            return outcome
+            return end.value
         study.results, study.waits_for = [None] * len(calls), len(calls)
         self._calls += [(study, place, call) for place, call in enumerate(calls)]
         return None

@@ -22,9 +22,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import FrictrackError, os_errors_as, result_or_none
 from frictrack.base.remote import RemoteFile, local_path, locate
-from frictrack.flow import RunPipeline, Session, hash_path
+from frictrack.flow import Session, hash_path
+from frictrack.flow.pipeline import RunPipeline
 from frictrack.recording import open_recording
 from frictrack.results import Results
 from frictrack.study import Study, read_toml
@@ -32,7 +33,6 @@ from frictrack.study import Study, read_toml
 MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
 MAX_EXPANSION = 200  # times the size of the zip file, above `MAX_UNPACKED_BYTES`; deflate reaches 1030
 MAX_UNPACKED_BYTES = 1_000_000_000  # that any crate may unpack to
-COPY_BYTES = 1 << 20  # that are copied at once
 _NAME = re.compile(r'(?!\.\.?$)[^\x00-\x1f\\/:*?"<>|]{0,254}[^\x00-\x1f\\/:*?"<>|. ]')  # on Windows, too
 
 
@@ -60,8 +60,7 @@ def unpack(crate: Path, folder: Path) -> None:
         with zipfile.ZipFile(crate) as file:
             infos = [info for info in file.infolist() if not info.is_dir()]
             _check(crate, infos, folder)
-            for info in infos:
-                _copy(file, info, folder / safe_place(info.filename))
+            file.extractall(folder, infos)  # each file ends at the size that was declared; its checksum is compared
     except FrictrackError:
         raise
     except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, LookupError, RuntimeError, ValueError) as e:
@@ -88,13 +87,6 @@ def _check(crate: Path, infos: list[zipfile.ZipInfo], folder: Path) -> None:
         raise FrictrackError(
             f"expected {total / 1e9:.2f} GB of free disk for {crate} but there are {free / 1e9:.2f} GB"
         )
-
-
-def _copy(file: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> None:
-    """Copy one file; zipfile ends it at the size that was declared, and compares its checksum."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with file.open(info) as source, path.open("xb") as copy:
-        shutil.copyfileobj(source, copy, COPY_BYTES)
 
 
 MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
@@ -142,9 +134,7 @@ def list_payload(session: Session, *, include_recordings: bool) -> Payload:
     return Payload(tuple(found.values()), places.moved(), places.results)
 
 
-def _sources(
-    session: Session, places: _Places, include_recordings: bool
-) -> Iterator[tuple[Path, str, str, bool, bool]]:
+def _sources(session: Session, places: _Places, with_films: bool) -> Iterator[tuple[Path, str, str, bool, bool]]:
     """Yield source, place, role, whether it is of a film, and whether it is included."""
     study = session.study
     yield _absolute(study.path), study.path.name, "study", False, True
@@ -158,7 +148,7 @@ def _sources(
             places.of(path)
             for file in files:
                 place = places.of_part(path, file)
-                yield file, place, "input", is_film, not is_film or small or include_recordings
+                yield file, place, "input", is_film, not is_film or small or with_films
     for path in _result_files(session):
         yield path, f"{places.results}/{path.relative_to(_absolute(study.output)).as_posix()}", "result", False, True
 
@@ -219,9 +209,8 @@ class _Places:
         return {text: place for text, place in found.items() if place not in (None, text)}
 
     def _place(self, text: str) -> str | None:
-        try:
-            path = locate(text, self._folder)
-        except FrictrackError:  # no text that names a file
+        path = result_or_none(locate, text, self._folder)
+        if path is None:  # no text that names a file
             return None
         return self._moved.get(path.url if isinstance(path, RemoteFile) else _absolute(path))
 
@@ -349,10 +338,7 @@ def _processor() -> str:
 
 COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
 TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
-TOTALS = (
-    ("combined standard uncertainty", 1),
-    (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR),
-)
+TOTALS = (("combined standard uncertainty", 1), (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR))
 BUDGET_COLUMNS = {  # of the table -> of a row of an error budget
     "source": "source",
     "input_standard_uncertainty": "size",
@@ -373,20 +359,10 @@ def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
         for name, found in model.summary["parameters"].items():
             code = unit_code(found["unit"])
             low, high = found.get("interval") or (None, None)
-            yield {
-                "model": model.name,
-                "current": model.current,
-                "parameter": name,
-                "value": found["value"],
-                "standard_uncertainty": found["std"],
-                "standard_uncertainty_misfit": found.get("std_misfit"),
-                "interval_low": low,
-                "interval_high": high,
-                "unit": found["unit"],
-                "ucum": code.ucum,
-                "qudt": code.address,
-                "reason": found["reason"],
-            }
+            row = {"model": model.name, "current": model.current, "parameter": name, "value": found["value"]}
+            row |= {"standard_uncertainty": found["std"], "standard_uncertainty_misfit": found.get("std_misfit")}
+            row |= {"interval_low": low, "interval_high": high, "unit": found["unit"]}
+            yield row | {"ucum": code.ucum, "qudt": code.address, "reason": found["reason"]}
 
 
 def budget_rows(results: Results) -> Iterator[dict[str, Any]]:

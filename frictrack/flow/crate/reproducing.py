@@ -25,6 +25,9 @@ from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
 from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
 from frictrack.flow.crate.writing import METADATA, MOVED
+from frictrack.flow.pipeline import hash_path
+from frictrack.flow.verification import EXCLUDED, Values, stored_values
+from frictrack.flow.workflows import recorded_models, repeat_models
 
 MAX_METADATA_BYTES = 200_000_000  # of ro-crate-metadata.json
 ABSENT = "ni:"  # how the address of a file begins that the crate does not contain
@@ -82,7 +85,7 @@ def read_crate(folder: Path) -> Crate:
 def has_same_bytes(path: Path, described: CrateFile) -> bool:
     """Return whether a file exists and has the bytes that a crate describes."""
     with os_errors_as(f"cannot read {path}"):
-        return path.is_file() and path.stat().st_size == described.size and flow.hash_path(path) == described.sha256
+        return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
 
 
 def _inside(folder: Path, place: str) -> Path:
@@ -100,16 +103,11 @@ def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
     action = entities[_ids(root["mentions"])[0]]
     study = root["mainEntity"]["@id"]
     objects = [entities[name] for name in _ids(action["object"])]
-    files = [one for one in objects if one["@type"] == "File" and one["@id"] != study]
+    inputs = tuple(_file(one) for one in objects if one["@type"] == "File" and one["@id"] != study)
+    results = tuple(_file(entities[name]) for name in _ids(action["result"]))
     moved = {one["name"]: safe_place(one["value"]) for one in objects if one.get("propertyID") == MOVED}
-    return Crate(
-        folder,
-        _file(entities[study]),
-        tuple(_file(one) for one in files),
-        tuple(_file(entities[name]) for name in _ids(action["result"])),
-        moved,
-        _versions(entities, entities[action["instrument"]["@id"]]),
-    )
+    versions = _versions(entities, entities[action["instrument"]["@id"]])
+    return Crate(folder, _file(entities[study]), inputs, results, moved, versions)
 
 
 def _file(entity: Mapping[str, Any]) -> CrateFile:
@@ -242,7 +240,7 @@ MAX_TEXT = 200  # characters of a text in a difference
 
 
 def compare_files(
-    stored: Mapping[str, Mapping[str, flow.Values]], computed: Mapping[str, Mapping[str, flow.Values]], *, exact: bool
+    stored: Mapping[str, Mapping[str, Values]], computed: Mapping[str, Mapping[str, Values]], *, exact: bool
 ) -> list[dict[str, Any]]:
     """Compare all groups of all files; return the JSON of each, of which "same_conclusions" is no part of the output.
 
@@ -274,9 +272,7 @@ def tolerance_of(name: str) -> float:
     return next(found, RELATIVE_TOLERANCE)
 
 
-def _compare_group(
-    place: tuple[str, str], old: flow.Values | None, new: flow.Values | None, *, exact: bool
-) -> dict[str, Any]:
+def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> dict[str, Any]:
     where = dict(zip(("file", "group"), place, strict=True))
     numbers, largest, found = 0, 0.0, list[dict[str, Any]]()
     if old is None or new is None:
@@ -306,10 +302,10 @@ def _compare_values(
     old: Sequence[Any], new: Sequence[Any], tolerance: float
 ) -> tuple[int, float, tuple[Any, Any] | None]:
     """Return how many numbers were compared, their largest relative difference, and the values that differ."""
-    a, b = _numbers(old), _numbers(new)
-    if a is None or b is None or a.shape != b.shape:
-        same = _as_text(old) == _as_text(new)
-        return 0, 0.0, None if same else (_shown(_as_text(old)), _shown(_as_text(new)))
+    a, b = _flat(old), _flat(new)
+    if a.dtype.kind != "f" or b.dtype.kind != "f" or a.shape != b.shape:
+        texts = list(map(str, a)), list(map(str, b))
+        return 0, 0.0, None if texts[0] == texts[1] else (_shown(texts[0]), _shown(texts[1]))
     if not len(a):
         return 0, 0.0, None
     with np.errstate(invalid="ignore", over="ignore"):
@@ -321,19 +317,12 @@ def _compare_values(
     return len(a), relative, (_plain(a[worst]), _plain(b[worst])) if relative > tolerance else None
 
 
-def _numbers(values: Sequence[Any]) -> np.ndarray | None:
-    """Return the numbers of values in one row; None where there are others. An unknown number is NaN."""
-    rows = []
-    for value in values:
-        array = np.asarray(np.nan if value is None else value)
-        if array.dtype.kind not in "biuf":
-            return None
-        rows.append(array.astype(np.float64).ravel())
-    return np.concatenate(rows) if rows else np.empty(0)
-
-
-def _as_text(values: Sequence[Any]) -> list[str]:
-    return [str(part) for value in values for part in (value.ravel() if isinstance(value, np.ndarray) else [value])]
+def _flat(values: Sequence[Any]) -> np.ndarray:
+    """Return values in one row: numbers, where an unknown one is NaN; texts if any of them is none."""
+    rows = [np.ravel(np.nan if value is None else value) for value in values]
+    if any(row.dtype.kind not in "biuf" for row in rows):
+        return np.array([str(part) for row in rows for part in row])
+    return np.concatenate([np.empty(0), *rows])
 
 
 def _shown(texts: Sequence[str]) -> str:
@@ -401,10 +390,10 @@ def reproduce_crate(
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     stored = _stored_files(crate)
     with only_listed(known):
-        flow.repeat_models(flow.Session(study, progress, author="reproduce"), flow.recorded_models(stored[STUDY_FILE]))
+        repeat_models(flow.Session(study, progress, author="reproduce"), recorded_models(stored[STUDY_FILE]))
     progress(0, 0, "comparing")
-    computed = {file.name: flow.stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
-    known_values = {name: flow.stored_values(file) for name, file in stored.items()}
+    computed = {file.name: stored_values(file) for file in sorted(study.output.glob("[!.]*.h5"))}
+    known_values = {name: stored_values(file) for name, file in stored.items()}
     groups = compare_files(known_values, computed, exact=not versions)
     return _summary(crate, versions, groups) | {
         "crate": str(path),
@@ -450,7 +439,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, 
         "largest_difference": None if None in largest else max(largest, default=0.0),
         "groups": rows,
         "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
-        "excluded": [{"names": list(names), "reason": reason} for names, reason in flow.EXCLUDED.items()],
+        "excluded": [{"names": list(names), "reason": reason} for names, reason in EXCLUDED.items()],
         "approximate": [
             {"names": pattern.pattern, "tolerance": tolerance, "reason": reason}
             for pattern, tolerance, reason in APPROXIMATE

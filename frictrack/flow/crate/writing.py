@@ -31,7 +31,6 @@ from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
-    COPY_BYTES,
     FRICTRACK,
     MACHINE,
     Part,
@@ -120,13 +119,7 @@ CONTEXT = (
     # newer than the context of version 1.1; the second is of RO-Crate 1.2
     {"sha256": "http://schema.org/sha256", "localPath": "https://w3id.org/ro/terms#localPath"},
 )
-MEDIA_TYPES = {
-    ".toml": "application/toml",
-    ".csv": "text/csv",
-    ".h5": "application/x-hdf5",
-    ".jsonl": "application/x-ndjson",
-    ".avi": "video/x-msvideo",
-}
+MEDIA_TYPES = {".toml": "application/toml", ".jsonl": "application/x-ndjson"}  # which Python does not know
 OTHER_MEDIA_TYPE = "application/octet-stream"
 UNCERTAINTIES = {  # columns of `tables`
     "standard_uncertainty": "standard uncertainty",
@@ -363,12 +356,9 @@ def _check_target(target: Path) -> None:
 def _write(target: Path, parts: Sequence[Part]) -> None:
     """Write the files of a crate, which gets its name when it is complete."""
     if target.suffix == ".zip":
-        with atomic_write(target) as unfinished, zipfile.ZipFile(unfinished, "w") as file:
+        with atomic_write(target) as unfinished, zipfile.ZipFile(unfinished, "w", strict_timestamps=False) as file:
             for part in parts:
-                info = zipfile.ZipInfo.from_file(part.source, part.place, strict_timestamps=False)
-                info.compress_type = zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED
-                with part.source.open("rb") as source, file.open(info, "w", force_zip64=True) as copy:
-                    shutil.copyfileobj(source, copy, COPY_BYTES)
+                file.write(part.source, part.place, zipfile.ZIP_STORED if part.is_film else zipfile.ZIP_DEFLATED)
         return
     with os_errors_as(f"cannot write {target}"):
         target.parent.mkdir(parents=True, exist_ok=True)

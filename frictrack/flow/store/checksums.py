@@ -28,9 +28,8 @@ def read_array(dataset: Any) -> Any:
     text = h5py.check_string_dtype(dataset.dtype)
     if text is None:
         return dataset[()]
-    return _strings(
-        dataset, 16 * dataset.file.id.get_filesize() + _ALWAYS_ALLOWED_BYTES if text.length is None else math.inf
-    )
+    limit = 16 * dataset.file.id.get_filesize() + _ALWAYS_ALLOWED_BYTES
+    return _strings(dataset, limit if text.length is None else math.inf)
 
 
 def check_size(dataset: Any) -> None:

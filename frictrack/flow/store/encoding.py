@@ -97,9 +97,8 @@ def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
 
 def _subgroups(group: h5py.Group | None) -> dict[str, h5py.Group]:
     """Return the groups inside a group by name, without links."""
-    return (
-        {} if group is None else {name: item for name, item in checksums.members(group) if isinstance(item, h5py.Group)}
-    )
+    inside = () if group is None else checksums.members(group)
+    return {name: item for name, item in inside if isinstance(item, h5py.Group)}
 
 
 def _is_current(model: h5py.Group) -> bool:

@@ -52,7 +52,8 @@ def header_of(hdf5: bytes | memoryview, version: str, sign: Callable[[memoryview
 
 def read_header(path: Path) -> tuple[int, str] | None:
     """Return schema and frictrack version of a file; None without a header (schema 1, or another program)."""
-    match = _FIRST_LINE.fullmatch(_first_line(path))
+    with path.open("rb") as file:
+        match = _FIRST_LINE.fullmatch(_first_line_of(file.read(HEADER_BYTES)))
     return None if match is None else (int(match[1]), match[2])
 
 
@@ -92,22 +93,14 @@ def _is_intact(path: Path, *_: int) -> bool:
         return _FIRST_LINE.fullmatch(first) is not None and room == _header_bytes(first, digest.hexdigest())
 
 
-def _first_line(path: Path) -> str:
-    """Return the first line of a file."""
-    with path.open("rb") as file:
-        return _first_line_of(file.read(HEADER_BYTES))
-
-
 def _first_line_of(header: bytes) -> str:
     return header.split(b"\n")[0].decode(errors="replace")
 
 
 def _header_bytes(first: str, digest: str) -> bytes:
     """Return the header of an intact file."""
-    return (
-        f"{first}\nsha256 of this line and all after byte {CHECKSUM_START}: {digest}\n".encode().ljust(HEADER_BYTES - 1)
-        + b"\n"
-    )
+    text = f"{first}\nsha256 of this line and all after byte {CHECKSUM_START}: {digest}\n"
+    return text.encode().ljust(HEADER_BYTES - 1) + b"\n"
 
 
 _BYTES = 32

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
 from functools import lru_cache
@@ -103,24 +103,29 @@ def provenances(path: Path) -> dict[str, Provenance]:
 
 def attributes(path: Path, group: str) -> dict[str, Any]:
     """Return the numbers and strings of a group, without its arrays; empty if there is no such file or group."""
+    return without_marks({k: v for k, v in _attributes(path, group).items() if k != CHECKSUM})
+
+
+def checksum(path: Path, group: str) -> str:
+    """Return the stored checksum of a group with everything in it; empty if there is none."""
+    return str(_attributes(path, group).get(CHECKSUM, ""))
+
+
+def _attributes(path: Path, group: str) -> dict[str, Any]:
+    """Return the attributes of a group; those of many groups are kept, since a page asks again and again."""
     if not path.exists():
         return {}
     with _reading(path) as file:
-        return without_marks({k: v for k, v in _attributes(file, path, group).items() if k != CHECKSUM})
-
-
-def _attributes(file: h5py.File, path: Path, group: str) -> dict[str, Any]:
-    """Return the attributes of a group; those of many groups are kept, since a page asks again and again."""
-    version = _opened_version(file)
-    known = _ATTRIBUTES.get((path, version, group)) if version else None
-    if known is None:
-        found = _found(file, path, group)
-        known = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
-        if version:
-            if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
-                _ATTRIBUTES.clear()
-            _ATTRIBUTES[path, version, group] = known
-    return known
+        version = _opened_version(file)
+        known = _ATTRIBUTES.get((path, version, group)) if version else None
+        if known is None:
+            found = _found(file, path, group)
+            known = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+            if version:
+                if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
+                    _ATTRIBUTES.clear()
+                _ATTRIBUTES[path, version, group] = known
+        return known
 
 
 def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
@@ -129,14 +134,6 @@ def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
         return None
     found = os.fstat(file.id.get_vfd_handle())
     return found.st_ino, found.st_mtime_ns, found.st_size
-
-
-def checksum(path: Path, group: str) -> str:
-    """Return the stored checksum of a group with everything in it; empty if there is none."""
-    if not path.exists():
-        return ""
-    with _reading(path) as file:
-        return str(_attributes(file, path, group).get(CHECKSUM, ""))
 
 
 def names(path: Path, group: str = "/") -> list[str]:
@@ -150,19 +147,13 @@ def names(path: Path, group: str = "/") -> list[str]:
 @contextmanager
 def snapshot(*paths: Path) -> Iterator[None]:
     """Read several files at one version: reads in the block see the same content, even if the files are replaced."""
-    if not paths:
-        yield
-    elif not paths[0].exists() or paths[0] in _HELD.get():
-        with snapshot(*paths[1:]):
+    with ExitStack() as opened:
+        files = {path: opened.enter_context(_reading(path)) for path in dict.fromkeys(paths) if path.exists()}
+        before = _HELD.set({**_HELD.get(), **files})
+        try:
             yield
-    else:
-        with _reading(paths[0]) as file:
-            before = _HELD.set({**_HELD.get(), paths[0]: file})
-            try:
-                with snapshot(*paths[1:]):
-                    yield
-            finally:
-                _HELD.reset(before)
+        finally:
+            _HELD.reset(before)
 
 
 def _provenance_of(held: Mapping[str, Any]) -> Provenance | None:

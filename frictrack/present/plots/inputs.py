@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.measure.friction import find_events, friction
 from frictrack.records import Array, Filtered, Friction, Run
 from frictrack.results import ModelResults, RunResults
@@ -86,7 +86,4 @@ def _friction_of(run: Run) -> Friction | None:
     """Friction force of a run; None without a mass, or if it has no free section."""
     if run.mass is None and run.friction_N is None:
         return None
-    try:
-        return friction(run)
-    except FrictrackError:
-        return None
+    return result_or_none(friction, run)

@@ -32,11 +32,11 @@ class TrackFormat:
     is_one: Callable[[Path], bool] | None = None
 
 
+TEXTS = (".txt", ".csv", ".tsv", ".dat")
+HDF5 = (".h5", ".hdf5", ".nc")
 FORMATS = (
     TrackFormat("LabVIEW", (".lvm",), instruments.read_labview_text),
-    TrackFormat(
-        "LabVIEW", (".txt", ".csv", ".tsv", ".dat"), instruments.read_labview_text, instruments.is_labview_text
-    ),
+    TrackFormat("LabVIEW", TEXTS, instruments.read_labview_text, instruments.is_labview_text),
     TrackFormat("LabVIEW", (".tdms",), instruments.read_tdms),
     TrackFormat("MATLAB", (".mat",), instruments.read_matlab),
     TrackFormat("NumPy", (".npz",), instruments.read_npz),
@@ -44,14 +44,9 @@ FORMATS = (
     TrackFormat("Kinovea", (".kva",), video_projects.read_kinovea_project),
     TrackFormat("Kinovea", (".xml",), video_projects.read_kinovea_project, video_projects.is_kinovea_project),
     TrackFormat("DeepLabCut", (".csv",), picture_tracks.read_deeplabcut_text, picture_tracks.is_deeplabcut_text),
-    TrackFormat("DICe", (".txt", ".csv"), picture_tracks.read_dice, picture_tracks.is_dice_file),
+    TrackFormat("DICe", TEXTS[:2], picture_tracks.read_dice, picture_tracks.is_dice_file),
     TrackFormat("DICe", (FOLDER,), picture_tracks.read_dice, picture_tracks.is_dice_folder),
-    TrackFormat(
-        "DeepLabCut, movement or SLEAP",
-        (".h5", ".hdf5", ".nc"),
-        picture_tracks.read_hdf5_tracks,
-        picture_tracks.is_hdf5,
-    ),
+    TrackFormat("DeepLabCut, movement or SLEAP", HDF5, picture_tracks.read_hdf5_tracks, picture_tracks.is_hdf5),
     TrackFormat("pyidi", (".npy",), picture_tracks.read_pyidi_displacements),
     TrackFormat("pyidi", (".pkl", ".pickle"), picture_tracks.refuse_pickle),
 )

@@ -30,11 +30,7 @@ from frictrack.study.table_layout import MAX_UNPACKED_BYTES
 MAX_MEMORY_BYTES = 2 << 30
 MAX_NAMES = 10_000
 MAX_PICKLE_BYTES = 1 << 22
-MATLAB_NUMBERS = (
-    b"double",
-    b"single",
-    *(f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)),
-)
+MATLAB_NUMBERS = (b"double", b"single", *(f"{u}int{n}".encode() for u in ("", "u") for n in (8, 16, 32, 64)))
 DEEPLABCUT_KEY = "df_with_missing"
 TRACK_DIMENSIONS = ("individual", "keypoint")  # movement 0.x writes the plural
 
@@ -132,9 +128,8 @@ def _fields(values: Mapping[str, Any], before: str) -> Iterator[tuple[str, np.nd
         parts: Any = np.ravel(value) if isinstance(value, np.ndarray) and value.dtype == object else []
         if hasattr(value, "_fieldnames"):
             fields = {field: getattr(value, field) for field in value._fieldnames}
-            named = (
-                str(fields.pop("Name", name)) if "Data" in fields else ""
-            )  # a signal of dSPACE: its name, unit, data
+            # a signal of dSPACE: its name, unit, data
+            named = str(fields.pop("Name", name)) if "Data" in fields else ""
             unit = f" ({fields['Unit']})" if fields.get("Unit") else ""
             signal = {f"{named}{unit}": fields["Data"]} if named and np.ndim(fields["Data"]) == 1 else {}
             yield from _fields(signal, before) if signal else _fields(fields, f"{before}{name}.")
@@ -196,16 +191,12 @@ def _movement(file: h5py.File) -> dict[str, Any]:
         confidence, _ = _with_dimensions(file, "confidence")
     x, y = (_by_track(np.take(position, labels["space"].index(axis), axis=1)) for axis in "xy")
     individuals, keypoints = (labels.get(kind, [""]) for kind in TRACK_DIMENSIONS)
-    return {
-        "program": "movement",
-        "source": _text(file.attrs.get("source_software", "")),
-        "names": np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals]),
-        "at": _numbers(file, "time"),
-        "in_seconds": _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames")) == "seconds",
-        "x": x,
-        "y": y,
-        "confidence": _by_track(confidence),
-    }
+    names = np.array([(individual, keypoint) for keypoint in keypoints for individual in individuals])
+    unit = _text(file.attrs.get("time_unit", "seconds" if "fps" in file.attrs else "frames"))
+    source = _text(file.attrs.get("source_software", ""))
+    found: dict[str, Any] = {"program": "movement", "source": source, "names": names}
+    found |= {"at": _numbers(file, "time"), "in_seconds": unit == "seconds"}
+    return found | {"x": x, "y": y, "confidence": _by_track(confidence)}
 
 
 def _with_dimensions(file: h5py.File, name: str) -> tuple[np.ndarray[Any, Any], Mapping[str, list[str]]]:
@@ -235,13 +226,7 @@ def _sleap(file: h5py.File) -> dict[str, Any]:
             f"expected tracks of {len(individuals)} individuals with {len(keypoints)} nodes but got {tracks.shape}"
         )
     x, y = (tracks[:, axis].reshape(-1, tracks.shape[3]) for axis in (0, 1))
-    return {
-        "program": "SLEAP",
-        "source": "SLEAP",
-        "names": np.array([(individual, keypoint) for individual in individuals for keypoint in keypoints]),
-        "at": np.arange(tracks.shape[3], dtype=float),
-        "in_seconds": False,
-        "x": x,
-        "y": y,
-        "confidence": np.full(x.shape, np.nan),
-    }
+    names = np.array([(individual, keypoint) for individual in individuals for keypoint in keypoints])
+    found: dict[str, Any] = {"program": "SLEAP", "source": "SLEAP", "names": names}
+    found |= {"at": np.arange(tracks.shape[3], dtype=float), "in_seconds": False}
+    return found | {"x": x, "y": y, "confidence": np.full(x.shape, np.nan)}

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
 from frictrack.study.track_formats.picture_tracks import read_arrays
@@ -70,19 +71,10 @@ def _segments(parts: list[str]) -> Iterator[tuple[str, str]]:
 
 def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channels:
     """Return the channels of one recording."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     decimal = said.get("Decimal_Separator", ["."])[0]
     names = body.partition("\n")[0].split(separator)
-    frame = pd.read_csv(
-        StringIO(body),
-        sep=separator,
-        decimal=decimal,
-        header=None,
-        skiprows=1,
-        names=range(len(names)),
-        index_col=False,
-    )
+    how: dict[str, Any] = {"header": None, "skiprows": 1, "names": range(len(names)), "index_col": False}
+    frame = pd.read_csv(StringIO(body), sep=separator, decimal=decimal, **how)
     clocks = [i for i, name in enumerate(names) if name == "X_Value"]
     channels = [i for i, name in enumerate(names) if i not in clocks and name.strip() not in ("Comment", "")]
     units = dict(zip(channels, said.get("Y_Unit_Label", []), strict=False))
@@ -165,8 +157,6 @@ def _with_unit(name: str, unit: str) -> str:
 
 def _table(program: str, recordings: Mapping[str, Channels], rate: float | None = None) -> TableFile:
     """Return the table of some recordings; a shorter one has empty cells at its end."""
-    import pandas as pd  # noqa: PLC0415
-
     filled = {name: channels for name, channels in recordings.items() if channels}
     if not filled:
         raise ValueError("it holds no channel with numbers")
@@ -176,6 +166,6 @@ def _table(program: str, recordings: Mapping[str, Channels], rate: float | None 
         for header, values in channels.items()
     }
     frame = pd.DataFrame(cells)
-    if rate is not None:
-        frame.insert(0, SECONDS, np.arange(len(frame)) / rate) if SECONDS not in cells and "t" not in cells else None
+    if rate is not None and not cells.keys() & {SECONDS, "t"}:
+        frame.insert(0, SECONDS, np.arange(len(frame)) / rate)
     return TableFile(frame, {"t": SECONDS} if SECONDS in frame else {}, program)

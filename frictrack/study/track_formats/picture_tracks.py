@@ -34,22 +34,15 @@ from collections.abc import Mapping, Sequence
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from frictrack.records import Array
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile
-from frictrack.study.track_formats.track_table import (
-    FRAMES,
-    SECONDS,
-    TargetPositions,
-    table_of_tracks,
-    with_likely_points,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
+from frictrack.study.track_formats import track_table
+from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
 
 LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))  # rows of the header
 
@@ -61,8 +54,6 @@ def is_deeplabcut_text(path: Path) -> bool:
 
 def read_deeplabcut_text(path: Path) -> TableFile:
     """Read the points of a table of DeepLabCut, by frame; unlikely ones count as missing."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     levels = _levels(path) or LEVELS[0]
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
@@ -89,7 +80,7 @@ def deeplabcut_table(names: Sequence[Sequence[str]], frames: Array, values: Arra
             raise ValueError(f"expected columns x and y of {' '.join(name)} but got {', '.join(columns)}")
         shown = " ".join(name[1:] if alone and len(name) > 1 else name)
         track = TargetPositions(shown, frames, columns["x"], columns["y"])
-        tracks.append(with_likely_points(track, columns.get("likelihood", np.full(len(frames), np.nan))))
+        tracks.append(track_table.with_likely_points(track, columns.get("likelihood", np.full(len(frames), np.nan))))
     return table_of_tracks("DeepLabCut", tracks, FRAMES)
 
 
@@ -123,7 +114,7 @@ def read_hdf5_tracks(path: Path) -> TableFile:
     for name, x, y, confidence in zip(found["names"], found["x"], found["y"], found["confidence"], strict=True):
         shown = " ".join(str(part) for part, same in zip(name, alone, strict=True) if not same)
         track = TargetPositions(shown, at, x, y)
-        tracks.append(with_likely_points(track, confidence) if source == "DeepLabCut" else track)
+        tracks.append(track_table.with_likely_points(track, confidence) if source == "DeepLabCut" else track)
     return table_of_tracks(str(found["program"]), tracks, SECONDS if found["in_seconds"] else FRAMES)
 
 
@@ -169,8 +160,6 @@ def is_dice_file(path: Path) -> bool:
 
 def read_dice(path: Path) -> TableFile:
     """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
     if (size := sum(one.stat().st_size for one in files)) > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB of solutions")
@@ -185,8 +174,6 @@ def read_dice(path: Path) -> TableFile:
 
 def _solution(path: Path) -> pd.DataFrame:
     """Return the rows of one file, with the number of the frame and of the subset."""
-    import pandas as pd  # noqa: PLC0415
-
     header = _dice_header(path)
     if not (names := header.names):
         raise ValueError(f"{path.name} has no column {FRAME} or {SUBSET}")
@@ -195,9 +182,7 @@ def _solution(path: Path) -> pd.DataFrame:
     how: dict[str, Any] = {"sep": header.separator, "skiprows": header.lines_above + 1, "header": None}
     rows = pd.read_csv(path, names=names, index_col=False, encoding_errors="replace", **how)
     rows = rows.apply(pd.to_numeric, errors="raise")
-    if names[0] == SUBSET:
-        return rows.assign(**{FRAME: _number_in(path)})
-    return rows.assign(**{SUBSET: _number_in(path)})
+    return rows.assign(**{FRAME if names[0] == SUBSET else SUBSET: _number_in(path)})
 
 
 class _Header(NamedTuple):
@@ -230,18 +215,15 @@ def _track(rows: pd.DataFrame) -> TargetPositions:
     rows = rows.sort_values(FRAME).drop_duplicates(FRAME)
     sigma = rows["SIGMA"].to_numpy(dtype=float) if "SIGMA" in rows else None
     failed = np.zeros(len(rows), dtype=bool) if sigma is None else sigma < 0
-    x, y = (
-        np.where(failed, np.nan, (rows[f"COORDINATE_{axis}"] + rows[f"DISPLACEMENT_{axis}"]).to_numpy(dtype=float))
-        for axis in "XY"
-    )
+    places = (rows[f"COORDINATE_{axis}"] + rows[f"DISPLACEMENT_{axis}"] for axis in "XY")
+    x, y = (np.where(failed, np.nan, place.to_numpy(dtype=float)) for place in places)
     note = f"DICe could not match {np.sum(failed)} of {len(failed)} frames; they are missing" if np.any(failed) else ""
     if sigma is not None:
         sigma = np.where(failed, np.nan, sigma)
         if np.any(sigma[np.isfinite(x)] <= 0):  # pictures without noise
             sigma = None
-    return TargetPositions(
-        f"subset {rows[SUBSET].iloc[0]:.0f}", rows[FRAME].to_numpy(dtype=float), x, y, sigma=sigma, note=note
-    )
+    name, frames = f"subset {rows[SUBSET].iloc[0]:.0f}", rows[FRAME].to_numpy(dtype=float)
+    return TargetPositions(name, frames, x, y, sigma=sigma, note=note)
 
 
 SAVE = 'numpy.save("displacements.npy", displacements)'
@@ -258,10 +240,8 @@ def read_pyidi_displacements(path: Path) -> TableFile:
     if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind != "f":
         raise ValueError(f"expected displacements (points, frames, 2) but got {found.dtype} {found.shape}")
     frames = np.arange(found.shape[1], dtype=float)
-    tracks = [
-        TargetPositions(f"point {i}", frames, np.array(point[:, 1], dtype=float), np.array(point[:, 0], dtype=float))
-        for i, point in enumerate(found)
-    ]
+    points = (np.array(point, dtype=float) for point in found)
+    tracks = [TargetPositions(f"point {i}", frames, point[:, 1], point[:, 0]) for i, point in enumerate(points)]
     return table_of_tracks("pyidi", tracks, FRAMES)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
 from frictrack.records import Array
 from frictrack.study.table_layout import TableFile, TrackColumns
@@ -49,8 +50,6 @@ def table_of_tracks(program: str, tracks: Sequence[TargetPositions], clock: str)
         If no track has a position, or there are too many.
 
     """
-    import pandas as pd  # noqa: PLC0415 - takes half a second, which `--help` does not need
-
     seen = [track for track in tracks if np.any(np.isfinite(track.x))]
     if not seen:
         raise ValueError("it holds no track with positions")

@@ -30,10 +30,8 @@ NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
 MIN_GHOST_FRAMES = 2  # that show a place without the body
-CLUSTER_SIGMAS, FREQUENT_RATIO = (
-    3.0,
-    1.5,
-)  # of noise, that equal grey values differ by; and more samples than at the median
+# of noise, that equal grey values differ by; and more samples than at the median
+CLUSTER_SIGMAS, FREQUENT_RATIO = 3.0, 1.5
 GHOST_REACH = 6  # px about the outline of a region that are compared
 CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
 ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
@@ -179,9 +177,8 @@ def _still_scene(stack: Picture) -> Picture:
     middle = np.median(stack, axis=0)
     stack = stack / np.array([light_ratio(picture, middle) for picture in stack], np.float32)[:, None, None]
     middle = np.median(stack, axis=0)
-    steps = np.quantile(np.abs(np.diff(stack, axis=0)), NOISE_QUANTILE, axis=0).astype(
-        np.float32
-    )  # most may be a body's
+    # most may be a body's
+    steps = np.quantile(np.abs(np.diff(stack, axis=0)), NOISE_QUANTILE, axis=0).astype(np.float32)
     steps = cv2.blur(steps, (5, 5)) / np.float32(np.sqrt(2) * normal_ppf(0.5 + 0.5 * NOISE_QUANTILE))
     least = max(float(np.quantile(steps, NOISE_QUANTILE)), 0.5)
     near = CLUSTER_SIGMAS * np.clip(steps, least, MAX_NOISE_RATIO * least)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import result_or_none
 from frictrack.effects import Path, models
 from frictrack.effects.models import Model, Values
 from frictrack.fit import Fit, fit
@@ -238,8 +238,7 @@ class Identification:
     @property
     def parameters(self) -> Array:
         """Parameters of `chosen`, in the papers' order, (d,)."""
-        found: Array = self.over_seeds[int(np.argmin(self.errors))]
-        return found
+        return self.over_seeds[int(np.argmin(self.errors))]
 
 
 def parameters_of(law: str, found: Fit) -> Array:
@@ -250,9 +249,8 @@ def parameters_of(law: str, found: Fit) -> Array:
     reported, own = reported_by_address(found.solution, found.solution.p), laws.addresses(law)
     p = np.array([reported[address] for address in own.values()])
     phases = np.array([name.startswith("phi") for name in own])
-    since_release = (
-        p[phases] - 2 * np.pi * p[np.roll(phases, -1)] * found.curves[0].t[0]
-    )  # a phase follows its frequency
+    # a phase follows its frequency
+    since_release = p[phases] - 2 * np.pi * p[np.roll(phases, -1)] * found.curves[0].t[0]
     p[phases] = (since_release + np.pi) % (2 * np.pi) - np.pi
     return p
 
@@ -297,10 +295,7 @@ def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, Syntheti
 
 def fit_with_frictrack(law: str, run: Run) -> Fit | None:
     """Fit a law to one run in the displacement domain; None if the fit fails."""
-    try:
-        return fit(law, [replace(run, name=laws.RUN)])
-    except FrictrackError:
-        return None
+    return result_or_none(fit, law, [replace(run, name=laws.RUN)])
 
 
 def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:

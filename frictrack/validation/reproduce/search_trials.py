@@ -80,8 +80,7 @@ def fisher_p_value(hits: tuple[int, int], of: tuple[int, int]) -> float:
 
 def _bootstrap_means(x: Array, n: int, rng: np.random.Generator) -> Array:
     """Means of n values drawn with replacement, (N_BOOTSTRAP,)."""
-    out: Array = x[rng.integers(len(x), size=(N_BOOTSTRAP, n))].mean(axis=1)
-    return out
+    return x[rng.integers(len(x), size=(N_BOOTSTRAP, n))].mean(axis=1)
 
 
 Problem = tuple[Callable[[Array], Array], Any, int, float, int]  # cost, box, seeds, reach, budget
@@ -171,8 +170,7 @@ def eq8(x: Array) -> Array:
     [-2.0, -3.85]
 
     """
-    out: Array = -(x[:, 0] * np.sin(10 * np.pi * x[:, 0]) + 2)
-    return out
+    return -(x[:, 0] * np.sin(10 * np.pi * x[:, 0]) + 2)
 
 
 def maximum() -> tuple[float, float]:

@@ -17,7 +17,7 @@ import psutil
 from frictrack.base.workers import WorkerPool, local_workers
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Track
-from frictrack.tracking import TargetModel, learn_target, track, track_in_parallel
+from frictrack.tracking import TargetModel, learn_target, track
 from scale.length import rendered_film
 
 FRAMES, PROCESSES = 16000, 2
@@ -47,7 +47,7 @@ def _compared(film: Recording, known: TargetModel | None, pool: WorkerPool) -> d
     start, before = time.perf_counter(), _processor_times()
     one = track(film, place, known=known)
     middle, between = time.perf_counter(), _processor_times()
-    several = track_in_parallel(film, place, known=known, pool=pool)
+    several = track(film, place, known=known, pool=pool)
     took, after = (middle - start, time.perf_counter() - middle), _processor_times()
     own = os.getpid()
     alone = between[own] - before[own]
