@@ -359,13 +359,15 @@ class Explanations:
     def pair_instead(self, best: Explanation) -> Explanation:
         """Return a set in which two effects, in place of one, explain decisively more than the best one, or that one.
 
-        An effect with another incline is one cause too, and only has to explain a little more.
+        An effect with another incline is one cause too, and only has to explain a little more. One effect more beside
+        all of the best set was not significant in its examination, and is none.
         """
         decisive, near = best.criterion - MIN_CHI2_SEPARATED, best.criterion + MAX_BIC_EQUAL
 
         def limit(effects: Sequence[Effect]) -> float:
-            in_its_place = not best.names <= {e.title for e in effects}
-            return near if in_its_place and sum(not e.of_record for e in effects) <= best.n_causes else decisive
+            if best.names <= {e.title for e in effects}:
+                return -np.inf
+            return near if sum(not e.of_record for e in effects) <= best.n_causes else decisive
 
         size = len(best.effects) + 1
         for rest in self.subsets(best):
