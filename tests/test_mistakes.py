@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -123,7 +124,7 @@ def test_ms_and_mm_are_noticed(capsys: pytest.CaptureFixture[str], caplog: pytes
     study(TABLE_STUDY)
     assert typed(capsys, "motion study.toml")[0] == 0
     assert "less than in a ball bearing, over" in caplog.text
-    assert 'probably t holds ms and x mm: give columns = {t = "t (ms)", x = "x (mm)"}' in caplog.text
+    assert 'probably t_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}' in caplog.text
     study(TABLE_STUDY + 'columns = {t = "t_s (ms)", x = "x_m (mm)"}\n')
     caplog.clear()
     assert typed(capsys, "motion study.toml")[0] == 0
@@ -136,7 +137,7 @@ def test_wrong_units_of_a_table_are_noticed_before_films_are_tracked(capsys: pyt
     study(TABLE_STUDY + FILM_RUN)
     code, err = refused(capsys, "motion study.toml")
     assert code == 1
-    assert 'probably t holds ms and x mm: give columns = {t = "t (ms)", x = "x (mm)"}' in err
+    assert 'probably t_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}' in err
 
 
 # ---- study files
@@ -446,3 +447,17 @@ def test_a_command_to_type_next_has_quotes_where_a_folder_has_a_blank(capsys: py
     with pytest.raises(SystemExit):
         main(["init", "my runs"])
     assert "frictrack run 'my runs/study.toml'" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("head", "column"), [("Weg [m]", "Weg [m]"), ("Weg", "Weg (m)"), ("x_m", None)])
+def test_the_remedy_for_a_unit_works_whatever_the_header_is(
+    capsys: pytest.CaptureFixture[str], head: str, column: str | None
+) -> None:
+    table(length=1e4, head=f"t_s,{head}")
+    named = "" if column is None else f'columns = {{t = "t_s", x = "{column}"}}\n'
+    study(TABLE_STUDY + named)
+    _, err = refused(capsys, "motion study.toml")
+    remedy = re.search(r'x = "([^"]*)"', err)
+    assert remedy is not None
+    study(TABLE_STUDY + f'columns = {{t = "t_s", x = "{remedy[1]}"}}\n')
+    assert typed(capsys, "motion study.toml")[0] == 0

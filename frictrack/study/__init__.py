@@ -20,7 +20,6 @@ from frictrack.base.lazy import lazy_names
 if TYPE_CHECKING:
     from frictrack.study import writing
     from frictrack.study.column_names import (
-        base_name,
         columns_line,
         find_header,
         guess_points,
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
         may_hold,
         stated_unit,
     )
-    from frictrack.study.loading import Study, load, parse, read_toml, results_folder
+    from frictrack.study.loading import Study, load, name_of_table, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         ANGLE_NOTE,
         TableData,

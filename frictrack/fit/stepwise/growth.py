@@ -43,6 +43,7 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     model_without,
     refine_on_measured_motion,
+    reversed_ties,
     scan_effect,
     ties_are_resolved,
     try_effect,
@@ -94,16 +95,19 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
         return _through_reversals(model, pieces, names, fps)
     of = pieces, names, fps
     found: list[Solution] = []
-    with suppress(FrictrackError):  # its motion cannot be integrated; another way may work
-        found.append(_by_variable_projection(model, *of))
+    reached = False
+    for tied in (model, *reversed_ties(model)):
+        with suppress(FrictrackError):  # its motion cannot be integrated; another way may work
+            found.append(_with_ties_of(_by_variable_projection(tied, *of), model))
+        if reached := any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found):
+            break
     *rest, last = model.effects
-    reached = any(s.chi2 < GOOD_CHI2_PER_FRAME * s.problem.n_frames for s in found)
     if rest and not reached and not _is_found_in_simulation(last) and all(ties_are_resolved(e, rest) for e in rest):
         with suppress(FrictrackError):  # the last may find what all together miss
             apart = _added(_by_variable_projection(Model(tuple(rest)), *of), [last])
             if all(apart.objective < s.objective for s in found):
                 found = [refine_to_end(reorder_effects(apart, model))]
-    return refit_until_stop(found[0] if found else _by_growth(model, *of))
+    return refit_until_stop(min(found, key=lambda s: s.objective) if found else _by_growth(model, *of))
 
 
 def _is_found_in_simulation(effect: Effect) -> bool:
@@ -173,6 +177,24 @@ def _by_growth(model: Model, *of: Any) -> Solution:
 def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, later: list[Effect]) -> Solution:
     """The fit of a first problem from p (P,), and then of the later effects of a model."""
     return _add_later(fit_with_scatter(problem, p, problem.first_starts()), model, later)
+
+
+def _with_ties_of(solution: Solution, model: Model) -> Solution:
+    """The fit under the ties of `model`, refined from values found under other ties."""
+    old = solution.problem.layout
+    changes = {e.name: _changed_ties(old.effect(e.name), e) for e in model.effects}
+    if not any(changes.values()):
+        return solution
+    layout = replace(old, model=Model(tuple(old.effect(name).adjusted(**own) for name, own in changes.items())))
+    each = [old.values(solution.p, run) for run in range(len(old.run_names))]
+    p = [each[s.run or 0][1] if s.effect == LEVEL else each[s.run or 0][0][s.effect][s.parameter] for s in layout.slots]
+    return fit_with_scatter(solution.problem.rebuild(layout), np.array(p), solution.starts, solution.tau or 0.03)
+
+
+def _changed_ties(fitted: Effect, wanted: Effect) -> dict[str, dict[str, Any]]:
+    """Tie and fixed value of the parameters of an effect whose tie is to be another one."""
+    changed = [p for p in wanted.parameters if p.tie != fitted.parameter(p.name).tie]
+    return {p.name: {"tie": p.tie, "fixed": p.fixed} for p in changed}
 
 
 def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:

@@ -114,6 +114,28 @@ def ties_are_resolved(effect: Effect, known_values: Sequence[Effect]) -> bool:
     return leaders <= {effect.name, *(e.name for e in known_values)}
 
 
+def reversed_ties(model: Model) -> list[Model]:
+    """Return the same model with each tie between two scanned effects reversed, one model per tie.
+
+    A scan sees the leading effect first and alone, so the other direction may find a better start.
+    """
+    out = []
+    for e in model.effects:
+        for p in (p for p in e.nonlinear if p.tie):
+            tie = Tie.read(str(p.tie))
+            leader = next(other for other in model.effects if other.name == tie.effect)
+            leader_parameter = leader.parameter(tie.parameter)
+            if leader is e or not leader_parameter.free or leader_parameter.scan is None or tie.factor == 0:
+                continue
+            reversed_tie = f"{1 / tie.factor!r}*{e.name}.{p.name}"
+            reversed_effects = {
+                leader.name: leader.adjusted(**{leader_parameter.name: {"tie": reversed_tie, "prior": None}}),
+                e.name: e.adjusted(**{p.name: {"tie": None}}),
+            }
+            out.append(Model(tuple(reversed_effects.get(o.name, o) for o in model.effects)))
+    return out
+
+
 def model_without(solution: Solution, name: str) -> Model:
     """Return the model without one effect; parameters tied to it are fixed at their current values."""
     model = solution.problem.model
