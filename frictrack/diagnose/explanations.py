@@ -51,6 +51,9 @@ from frictrack.records import Array
 
 N_CENTRES = 2  # best sets of one size to which every effect is added in turn
 N_PAIRS = 10  # pairs that are fitted at most: true ones are among the first that linear approximation ranks
+MAX_P_ONE_MORE = (
+    0.05  # p-value above which one effect more beside a set that leaves nothing is chance, whatever the BIC
+)
 MAX_SIZE = 3  # effects in a set
 MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
 Names = frozenset[str]
@@ -356,25 +359,28 @@ class Explanations:
         if old is None or (old.solution is None and (bool(why), new.criterion) < (bool(old.objection), old.criterion)):
             self.known[new.names] = new
 
-    def pair_instead(self, best: Explanation) -> Explanation:
+    def pair_instead(self, best: Explanation, examined: Examination) -> Explanation:
         """Return a set in which two effects, in place of one, explain decisively more than the best one, or that one.
 
         An effect with another incline is one cause too, and only has to explain a little more. One effect more beside
-        all of the best set was not significant in its examination, and is none.
+        all of the best set is none that chance explains as well, in the draws of its examination.
         """
         decisive, near = best.criterion - MIN_CHI2_SEPARATED, best.criterion + MAX_BIC_EQUAL
 
         def limit(effects: Sequence[Effect]) -> float:
-            if best.names <= {e.title for e in effects}:
-                return -np.inf
-            return near if sum(not e.of_record for e in effects) <= best.n_causes else decisive
+            in_its_place = not best.names <= {e.title for e in effects}
+            return near if in_its_place and sum(not e.of_record for e in effects) <= best.n_causes else decisive
+
+        def is_chance(one: Explanation) -> bool:
+            more = [e for e in one.effects if e.title not in best.names]
+            return len(more) == 1 and examined.p_of_excess(more[0].title, one.gain(best, more[0])) > MAX_P_ONE_MORE
 
         size = len(best.effects) + 1
         for rest in self.subsets(best):
             self._propose_pairs(rest, limit)
         self.refine(size, below=lambda one: limit(one.effects))
         needed = best.criterion - MAX_BIC_BARE_MENTION * dispersion(best.law)
-        better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), needed)]
+        better = [o for o in self.laws(size) if o.criterion < min(limit(o.effects), needed) and not is_chance(o)]
         return better[0] if better else best
 
     def refine(self, size: int, below: Callable[[Explanation], float] = lambda one: np.inf) -> None:

@@ -208,7 +208,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         elif size > 1 or not last.leaves_misfit:
             break
     if 0 < len(best.effects) < MAX_SIZE and not last.something_is_missing:
-        pair = space.pair_instead(best)
+        pair = space.pair_instead(best, last)
         if pair is not best:
             best, last = take(pair)
     misfit = baseline_misfit(first.draws.law)
