@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack import effects, measure, sampling
+from frictrack import effects, measure, sampling, study
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.remote import local_path
 from frictrack.base.units import lacks_unit
@@ -22,7 +22,7 @@ from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Displacement, Run
 from frictrack.results import to_builtins
-from frictrack.study import COLUMNS, Study, find_header, name_of_table, open_table, read_toml
+from frictrack.study import COLUMNS, Study, name_of_table, read_toml
 
 LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
@@ -150,9 +150,9 @@ def _error_messages(errors: Sequence[measure.plausibility.Finding]) -> list[str]
 def slide_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:
     """Return findings on the motion of one run, with the headers of its own table."""
     found, run = measure.plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)), pipeline.run
-    present = list(map(str, open_table(local_path(run.table)).frame.columns)) if found and run.table else []
+    present = list(map(str, study.open_table(local_path(run.table)).frame.columns)) if found and run.table else []
     for key, header in run.columns.items() if present else ():
-        own = COLUMNS[key][0], find_header(header.lstrip("-"), present) or header
+        own = COLUMNS[key][0], study.find_header(header.lstrip("-"), present) or header
         found = tuple(
             replace(one, words=one.words.replace(*own), correction=one.correction.replace(*own)) for one in found
         )
