@@ -308,8 +308,15 @@ def measured(t, x, *, sigma, mass=MASS, name="run", pitch=PITCH, rng=None, valid
     valid = np.ones(len(t), bool) if valid is None else valid
     y = np.where(valid, x + sigma * rng.standard_normal(len(t)), np.nan)
     seen = Displacement(t, y, nan, nan, np.full(len(t), sigma), nan, valid, pixel_pitch=pitch)
-    plain = replace(low_pass(seen, method="kalman"), asked=False)  # its own deviations: no second search for the best
-    return Run(seen, differentiate(plain), mass=mass, name=name, **known)
+    return Run(seen, plain_motion(seen), mass=mass, name=name, **known)
+
+
+def plain_motion(seen):
+    """The motion of a displacement smoothed by a trend of one stiffness, with the deviations of that smoother itself.
+
+    Deviations that hold for any motion take a second search, for the best smoother, which costs most of making a run.
+    """
+    return differentiate(replace(low_pass(seen, method="kalman"), asked=False))
 
 
 def study(model: Model | str = "tustin", values=BASE, specs=SIX, *, sigma=1e-8, scatter=0.0, rng=None, gap=None):

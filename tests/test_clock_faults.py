@@ -7,14 +7,13 @@ rounded to 1 us (8.64 us: Excel) up to 10 ms, and a fault of the clock.
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from runs import plain_motion
 
 import frictrack as ft
-from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.tables import displacement_of_table
 from frictrack.study import TableData, read_table, unrolled_clock
 
@@ -63,8 +62,7 @@ def law(folder: Path, rate: float, rounding: float, fault: str, fps: float | Non
         columns = np.column_stack(record(rate, rounding, fault, v0, seed))
         np.savetxt(folder / "t.csv", columns, delimiter=",", header="t_s,x_m", comments="", fmt=["%.8f", "%.9f"])
         measured = displacement_of_table(read_table(folder / "t.csv", fps=fps), fps=fps)
-        trend = replace(low_pass(measured, method="kalman"), asked=False)  # its own deviations, without a better search
-        made.append(ft.Run(measured, differentiate(trend), mass=M, name=f"r{seed}"))
+        made.append(ft.Run(measured, plain_motion(measured), mass=M, name=f"r{seed}"))
     found = ft.fit(["coulomb", "viscous"], made).parameters
     pairs = ((found["coulomb.F_c"], F_C), (found["viscous.F_v"], F_V))
     return [(estimate.value - truth) / estimate.std for estimate, truth in pairs]

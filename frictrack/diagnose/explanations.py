@@ -51,9 +51,7 @@ from frictrack.records import Array
 
 N_CENTRES = 2  # best sets of one size to which every effect is added in turn
 N_PAIRS = 10  # pairs that are fitted at most: true ones are among the first that linear approximation ranks
-MAX_P_ONE_MORE = (
-    0.05  # p-value above which one effect more beside a set that leaves nothing is chance, whatever the BIC
-)
+MAX_P_ONE_MORE = 0.05  # p-value above which one effect more is chance where a set leaves nothing, whatever the BIC
 MAX_SIZE = 3  # effects in a set
 MIN_ERROR_OF_PROMISE = 0.02  # first estimate of the error of a promised misfit, over its part above the noise
 Names = frozenset[str]

@@ -1,7 +1,8 @@
 """Fit displacements from scratch, and add an effect to a fitted model or remove one.
 
 From scratch, variable projection along the measured motion gives the start, output-error Gauss-Newton the result. If
-that leaves more than noise, effects are added one by one, each where its scan gains most.
+that leaves more than noise, the last effect is added to a fit of the others, where its scan gains most. Where no such
+motion can be integrated, all effects with a scan are added so, one by one.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ TRIAL_MAX_STEPS = 16  # Gauss-Newton steps; the true effect needs fewer, a wrong
 
 
 def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], fps: float) -> Solution:
-    """Fit a model to displacements from scratch, in several ways; the best result is returned.
+    """Fit a model to displacements from scratch; the best result is returned where several ways are tried.
 
     Parameters
     ----------

@@ -125,12 +125,12 @@ def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array |
     order = difference_order(*(int(np.sum(whole)) for whole in complete.values()))
     if not np.any(complete[order]):
         return np.nan, np.nan
-    return _level_of_differences(x, valid, relative, order)
+    return _level_of_differences(x, valid, complete[order], relative)
 
 
-def _level_of_differences(x: Array, valid: Mask, relative: Array | None, order: int) -> tuple[float, float]:
-    """White noise of a series (n,) from differences of one order, and its relative standard deviation."""
-    whole = _complete_differences(valid, order)
+def _level_of_differences(x: Array, valid: Mask, whole: Mask, relative: Array | None = None) -> tuple[float, float]:
+    """White noise of a series (n,) from its complete differences of one order, and its relative standard deviation."""
+    order = len(x) - len(whole)
     d = np.diff(np.where(valid, x, 0.0), order)[whole] / _expected(relative, valid, order)[whole]
     kept = d[np.abs(d) <= OUTLIER_SIGMAS * robust_std(d)]
     return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
@@ -140,9 +140,10 @@ def noise_of_smooth(x: Array) -> float:
     """White noise of a series (n,) that may change fast: the order of differences rises while they hold signal."""
     level, valid = white_noise(x), np.isfinite(x)
     for order in HIGHER_ORDERS:
-        if np.sum(_complete_differences(valid, order)) < MIN_FRAMES:
+        whole = _complete_differences(valid, order)
+        if np.sum(whole) < MIN_FRAMES:
             break
-        higher, error = _level_of_differences(x, valid, None, order)
+        higher, error = _level_of_differences(x, valid, whole)
         if higher > (1 - FALL_SIGMAS * error) * level:  # of white noise, all orders find the same
             break
         level = higher
