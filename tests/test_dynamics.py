@@ -11,7 +11,8 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path, direction_of_motion, models
 from frictrack.effects.library.presliding import bending
 from frictrack.simulate import Conditions, simulate
-from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, Panels, solve_motion
+from frictrack.simulate.dynamics import EdgeResponse, LinearResponse, Panels, response_with_memory, solve_motion
+from frictrack.simulate.trajectory import interleave
 
 NM = 1e-9
 
@@ -102,7 +103,7 @@ def test_linear_response_is_the_derivative_of_the_motion():
         np.testing.assert_allclose(column[:, 1], truth[1], atol=1e-5 * np.max(np.abs(truth[1])))
     # The response of the acceleration at the nodes: what moves there less the input itself.
     truth = difference(2e-3, c=1.0)[2]
-    np.testing.assert_allclose(nodes_by_c[:, 0], truth, atol=1e-5 * np.max(np.abs(truth)))
+    np.testing.assert_allclose(nodes_by_c[:, 0], truth, atol=2e-4 * np.max(np.abs(truth)))
 
 
 def test_linear_response_of_a_free_mass_is_exact():
@@ -124,18 +125,52 @@ def test_a_law_that_runs_away_is_an_error_and_no_warning():
         solved(lambda x, v, t: 1e7 * np.exp(x**2) * v**3, frames(0.02), (1.0, 5.0))
 
 
-def bristle(x, v, t, length=1e-4):
-    """Acceleration (1 + 3 p,) of a mass under a drive, held by a contact that bends; closed form between reversals."""
-    s = direction_of_motion(v)
-    s[0] = 0.0
-    w = bending(Path(t, x, v, s), length, 1.0)
-    return (4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * w - v) / MASS
+class Bristle:
+    """A mass under a drive, held by a contact that bends (closed form between reversals), and pushed by `push(t)`."""
+
+    tolerance = 2e-11
+
+    def __init__(self, panels, length=1e-4, push=np.zeros_like):
+        self.panels, self.length, self.push = panels, length, push
+
+    def bending(self, t, x, v, starts=(0,), begin=None):
+        s = direction_of_motion(v)
+        s[0] = 0.0
+        return bending(Path(t, x, v, s, starts=starts, begin=begin), self.length, 1.0)
+
+    def acceleration(self, t, v, w):
+        return (4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * w - v) / MASS + self.push(t)
+
+    def along(self, motion):
+        x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
+        t = np.append(self.panels.edges[0], self.panels.t)
+        return self.acceleration(t, v, self.bending(t, x, v))[1:]
+
+    def linearised(self, motion):
+        return self.along(motion), response_with_memory(self, motion)
+
+    def states(self, motion):
+        pairs = (self.panels.t, self.panels.edges), (motion.x, motion.x_edge), (motion.v, motion.v_edge)
+        return self.bending(*(interleave(*pair) for pair in pairs))[None, :-1:4]
+
+    def within(self, x, v, states):
+        edges, nodes = self.panels.edges, self.panels.t.reshape(-1, 3)
+        t = np.column_stack([edges[:-1], nodes, edges[1:]]).ravel()
+        w = self.bending(t, x.T.ravel(), v.T.ravel(), tuple(range(0, len(t), 5)), states.T)
+        return self.acceleration(t, v.T.ravel(), w).reshape(-1, 5)[:, 1:4].T, w[None, 4::5]
+
+    def first_states(self, x, v):
+        return np.zeros((1, 1))
+
+
+def bristle_motion(t, start, guess=0.0, **law):
+    panels = Panels(t)
+    return solve_motion(Bristle(panels, **law), panels, start, np.full(len(panels.t), guess))
 
 
 def test_a_law_with_memory_is_followed_through_reversals():
     t = frames(0.15)
-    panels = Panels(t)
-    motion, _ = solve_motion(bristle, panels, (0.0, 0.0), np.zeros(len(panels.t)), memory=True)
+    motion, _ = bristle_motion(t, (0.0, 0.0))
 
     def rate(t, z):
         push = 4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * z[2] - z[1]
@@ -149,19 +184,16 @@ def test_a_law_with_memory_is_followed_through_reversals():
 
 
 def test_the_response_with_memory_is_the_derivative_of_the_motion():
-    panels = Panels(frames(0.08))
-
-    def law(c):
-        return lambda x, v, t: bristle(x, v, t) + c * np.cos(150 * t)
-
-    motion, response = solve_motion(law(0.0), panels, (1e-4, 0.01), np.zeros(len(panels.t)), memory=True)
-    g = np.cos(150 * panels.t)[:, None]
-    _, by_c = response.respond(g, np.zeros((2, 1)))
-    _, by_start = response.respond(np.zeros((len(g), 2)), np.eye(2))
+    t = frames(0.08)
+    motion, response = bristle_motion(t, (1e-4, 0.01))
+    g = np.cos(150 * motion.panels.t)[:, None]
+    by_c = response.edge_states(g)
+    by_start = response.edge_states(np.zeros((len(g), 2)), np.eye(2))
 
     def moved(c, x, v):
         ends = [
-            solve_motion(law(k * c), panels, (1e-4 + k * x, 0.01 + k * v), motion.a, memory=True)[0] for k in (1, -1)
+            bristle_motion(t, (1e-4 + k * x, 0.01 + k * v), push=lambda t, k=k: k * c * np.cos(150 * t))[0]
+            for k in (1, -1)
         ]
         return (ends[0].x_edge - ends[1].x_edge) / (2 * max(c, x, v))
 
@@ -170,14 +202,12 @@ def test_the_response_with_memory_is_the_derivative_of_the_motion():
         (by_start[:, 0, 0], moved(0.0, 1e-7, 0.0)),
         (by_start[:, 0, 1], moved(0.0, 0.0, 1e-6)),
     ):
-        np.testing.assert_allclose(made, truth, atol=1e-3 * np.max(np.abs(truth)))
+        np.testing.assert_allclose(made, truth, atol=2e-4 * np.max(np.abs(truth)))
 
 
-def test_a_stiff_contact_that_sticks_first_is_followed_stretch_after_stretch():
-    panels = Panels(frames(0.1))
-    far_off = np.full(len(panels.t), 30.0)
-    motion, _ = solve_motion(lambda x, v, t: bristle(x, v, t, 1e-5), panels, (0.0, 0.0), far_off, memory=True)
-    stuck = panels.edges < 3e-3  # until the drive overcomes friction the contact only bends
+def test_a_stiff_contact_that_sticks_first_is_followed():
+    motion, _ = bristle_motion(frames(0.1), (0.0, 0.0), guess=30.0, length=1e-5)
+    stuck = motion.panels.edges < 3e-3  # until the drive overcomes friction the contact only bends
     assert np.max(np.abs(motion.x_edge[stuck])) < 2e-5
     assert np.ptp(motion.x_edge) > 5e-4
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from runs import BASE, EARLIER, HIDDEN, Spec, study
-from test_reality import swinging
 
 from frictrack import effects
 from frictrack.effects import LIBRARY, Path, models
 from frictrack.fit import fit
-from frictrack.fit.pieces import JoinedPieces
 from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 
 LAW = ["coulomb", "stribeck", "viscous"]
@@ -46,9 +44,25 @@ def test_an_effect_varies_with_the_quantities_that_it_declares_at_each_sample_al
     np.testing.assert_allclose(columns_of(effect, half), columns[20:], rtol=1e-13)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
-    "added", [(), ("texture", "vibration"), ("load_modulation", "slope"), ("beam_vibration",), ("heating",)]
+    "added",
+    [
+        (),
+        ("texture", "vibration"),
+        ("load_modulation", "slope"),
+        ("beam_vibration",),
+        ("heating",),
+        ("bouc_wen", "texture"),
+        ("elastic_joint", "beam_vibration"),
+        ("elasto_plastic",),
+        ("friction_lag", "heating"),
+        ("lugre",),
+        ("maxwell_slip", "slope"),
+        ("presliding", "vibration"),
+        ("rate_state_ageing",),
+        ("rate_state_slip", "texture"),
+    ],
 )
 def test_runs_that_are_simulated_together_respond_as_each_of_them_alone(added):
     law = {name: BASE[name] for name in LAW}
@@ -86,30 +100,3 @@ def test_two_motions_end_to_end_follow_their_closed_forms():
     assert isinstance(response, LinearResponse)
     moved = response.edge_states(np.zeros((len(panels.t), 1)), np.array([[0.0], [1.0]]))[:, 0, 0]
     np.testing.assert_allclose(moved[101:], (1 - np.exp(-6 * t)) / 12, atol=1e-13)
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize("law", ["bouc_wen", "presliding", "friction_lag", "lugre", "rate_state_slip"])
-def test_a_law_with_memory_that_is_continued_is_the_same_as_along_the_whole_motion(law):
-    run = swinging(0, (-1.2, 0.0), seconds=0.6)
-    start = fit(["viscous"] if law in {"lugre", "rate_state_slip"} else LAW, [run]).solution
-    layout = replace(start.problem.layout, model=start.problem.model + law)
-    known = dict(zip(start.problem.layout.names, start.p, strict=True))
-    p = np.array([known.get(n, 1.5 if s.linear else 0.2) for n, s in zip(layout.names, layout.slots, strict=True)])
-    problem = start.problem.rebuild(layout, start.problem.pieces)
-    piece = problem.pieces[0]
-    x, v, t = piece.x_hat, piece.v_hat, piece.panels.t
-    begin = x[0] - v[0] * t[0], v[0], piece.panels.edges[0]
-    x, v, t = (np.append(first, rest) for first, rest in zip(begin, (x, v, t), strict=True))
-    whole = problem._law(JoinedPieces((piece,)), p)
-    expected = whole.acceleration(x, v, t)
-    assert np.ptp(expected - problem._law(JoinedPieces((piece,)), 0.7 * p).acceleration(x, v, t)) > 0.01
-    continued = whole
-    for first, last in ((0, 300), (300, 900), (900, len(t) - 1)):
-        part = slice(first, last + 1)
-        part = (x[part], v[part], t[part])
-        # derivatives of the target at the joint know one sample less
-        np.testing.assert_allclose(
-            continued.acceleration(*part)[1:-2], expected[first + 1 : last - 1], atol=1e-3 * np.ptp(expected)
-        )
-        continued = continued.after(*part)

@@ -73,6 +73,7 @@ class Path:
     starts: tuple[int, ...] = (0,)  # where each individual of a population laid end to end begins
     states: Mapping[str, Array] = field(default_factory=dict)  # by effect: the memory it begins with, where known
     begin: Array | None = None  # that of the effect at hand, (P, k)
+    remembered: Array | None = None  # what it remembers at every sample, (n, k), where it is known already
     steady: bool = False  # whether every sample is a measurement of its own, without time, place or a motion before
     runs: tuple[Path, ...] = ()  # the path of each run, if it joins several; their motion is not that of this path
 
@@ -94,10 +95,12 @@ class Path:
 
     def apart(self) -> Iterator[tuple[slice, Path]]:
         """Rows and path of every run that is joined here."""
-        for begin, end, run in zip(self.starts, [*self.starts[1:], len(self.t)], self.runs, strict=True):
-            rows = slice(begin, end)
+        begin = 0
+        for run in self.runs:
+            rows = slice(begin, begin + len(run.t))
             load = np.broadcast_to(self.load, self.t.shape)[begin]
             yield rows, replace(run, x=self.x[rows], v=self.v[rows], s=self.s[rows], load=float(load))
+            begin = rows.stop
 
     def each(self, values: Array) -> Array:
         """One value per individual (P,), spread over the frames of each, (n,)."""

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from frictrack.effects.definition import Path
+from frictrack.effects.definition import Nonlinear, Path
 from frictrack.records import Array, Mask
 
 Complexes = NDArray[np.complex128]
@@ -33,9 +33,9 @@ def slid_per_step(path: Path) -> tuple[Array, Array]:
     share in proportion to their times, so that neither leaps where a sample passes through rest. Zero at the beginning
     of every individual.
     """
-    dx, s = np.diff(path.x), path.s[1:]
-    v0, v1 = path.v[:-1], path.v[1:]
-    back = np.where(path.s[:-1] * s < 0, np.maximum(-s * v0, 0.0), 0.0)
+    way, v0, v1 = np.sign(path.s), path.v[:-1], path.v[1:]
+    dx, s = np.diff(path.x), way[1:]
+    back = np.where(way[:-1] * s < 0, np.maximum(-s * v0, 0.0), 0.0)
     onward = np.abs(v1)
     turn = back / np.maximum(back + onward, 1e-300)
     half = np.diff(path.t) / 2.0
@@ -57,6 +57,11 @@ def preceding_motion(path: Path) -> Path | None:
     starts = tuple(len(t) * i for i in range(count))
     t, x, v, s = (np.tile(q, count) for q in (t, x, v, direction_of_motion(v)))
     return Path(t, x, v, s, starts=starts)
+
+
+def remembered(path: Path, state: Callable[..., Array], nonlinear: Nonlinear, *inner: Array) -> Array:
+    """What an effect remembers at every sample, (n, k): as it is given, or computed."""
+    return state(path, nonlinear, *inner) if path.remembered is None else path.remembered
 
 
 def state_at_beginning(path: Path, unknown: Array, state_of: Callable[..., Array], *values: float | Array) -> Array:
@@ -96,11 +101,11 @@ class DirectionStretches:
         `begin` (P,) are the states of the individuals, `leave(k, y)` is the state at the end of stretch k that was
         entered with y, both in its direction of motion.
         """
-        out, state, begins = np.empty(len(self.first)), 0.0, iter(begin)
-        way, fresh = self.way[self.first].tolist(), self.fresh.tolist()
-        for k, (s, new) in enumerate(zip(way, fresh, strict=True)):
-            out[k] = s * (float(next(begins)) if new else state)
-            state = s * leave(k, float(out[k]))
+        way, out = self.way[self.first], np.empty(len(self.first))
+        out[self.fresh] = way[self.fresh] * begin
+        turns = (way[1:] * way[:-1]).tolist()
+        for k in np.flatnonzero(~self.fresh).tolist():
+            out[k] = turns[k - 1] * leave(k - 1, float(out[k - 1]))
         return out
 
 
@@ -118,12 +123,12 @@ def direction_stretches(path: Path) -> DirectionStretches:
 
 def _ways(path: Path) -> tuple[Array, Mask]:
     """Direction of motion at every sample (n,), that of the next motion where it rests; where individuals begin."""
-    fresh, moves = begins(path), path.s != 0
+    fresh, way, moves = begins(path), np.sign(path.s), path.s != 0
     if moves.all():
-        return path.s, fresh
+        return way, fresh
     rows = np.arange(len(moves))
     following = np.minimum.accumulate(np.where(moves, rows, len(rows) - 1)[::-1])[::-1]
-    return np.where(path.s[following] == 0, 1.0, path.s[following]), fresh
+    return np.where(way[following] == 0, 1.0, way[following]), fresh
 
 
 def direction_of_motion(v: Array) -> Array:
@@ -147,7 +152,7 @@ def time_steps(path: Path) -> Array:
 
 def direction_changed(path: Path) -> Mask:
     """Where a sample's direction is not that of the one before, or there is none before, (n,)."""
-    return begins(path) | (np.diff(path.s, prepend=path.s[:1]) != 0)
+    return begins(path) | (np.diff(np.sign(path.s), prepend=np.sign(path.s[:1])) != 0)
 
 
 def follow_target(

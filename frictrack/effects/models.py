@@ -257,7 +257,7 @@ class Model:
         values : mapping
             Non-linear parameters: effect -> parameter -> value.
         states : dict, optional
-            Takes the states (1, k) at the end of the path by effect: the `Path.states` of a path that continues it.
+            Takes the states (n, k) along the path by effect; the last ones are the `Path.states` of what continues it.
 
         Returns
         -------
@@ -269,7 +269,8 @@ class Model:
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
             if states is not None and e.state is not None:
-                states[e.name] = e.state(entered, values[e.name], *inner)[-1:]
+                states[e.name] = e.state(entered, values[e.name], *inner)
+                entered = replace(entered, remembered=states[e.name])
             return _columns_run_by_run(e, entered, values[e.name], inner)
 
         made = {e.name: columns(e) for e in self.effects if e.acts_on == "force" and not e.modifies}
@@ -283,9 +284,12 @@ class Model:
         return made
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:
-        """States (1, k) of the effects with memory at the last sample of a path, by effect."""
+        """States (n, k) of the effects with memory along a path, by effect."""
         out: dict[str, Array] = {}
-        self.force_columns(path, values, out)
+        remembering = [e for e in self.effects if e.state is not None]
+        inner = {kind for e in remembering for kind in e.modifies}
+        needed = [e for e in self.effects if e.state is not None or e.modifies or e.kind in inner]
+        Model(tuple(needed)).force_columns(path, values, out)
         return out
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:
@@ -358,8 +362,8 @@ class Model:
 
 
 def _columns_run_by_run(e: Effect, path: Path, values: Mapping[str, Any], inner: Sequence[Array]) -> Array:
-    """Columns of an effect; of one that looks along the path, run by run if the path joins several."""
-    if not path.runs or e.varies_with is not None:
+    """Columns of an effect; of one that looks at what lies before the path, run by run if the path joins several."""
+    if not path.runs or e.varies_with is not None or e.memory:
         return e.columns(path, values, *inner)
     made = []
     for rows, own in path.apart():

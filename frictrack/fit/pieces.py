@@ -12,7 +12,7 @@ missing frames and linear, so it also applies to sensitivities.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -23,11 +23,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import cholesky_banded, solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
-from frictrack.records import Array
-from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, MotionResponse, Panels
+from frictrack.records import Array, Mask
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
+OF_RUNS = ("mass_ratio", "gravity", "mass", "travelled", "begins")  # that may differ between the runs of a path
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
 
@@ -202,19 +203,9 @@ class Piece:
         """Return the path at the nodes for a motion x, v (3 p,) there, its load times the friction `level`."""
         return replace(self.path, x=x, v=v, s=self.direction(v), load=self.path.load * level)
 
-    def path_since_start(self, x: Array, v: Array, t: Array, level: float, first: int = 0) -> Path:
-        """Return the path from the start of the piece through its first k nodes, (1 + k,), for a model with memory.
-
-        With `first`, it begins at the last of so many nodes instead of the start.
-        """
-        rows = self.rows_after(first, len(t))
-        s = self._direction(v, begins=not first) if self.turns else self.path.s[rows]
-        series = self._series(lambda q: q[rows])
-        return replace(self.path, t=t, x=x, v=v, s=s, load=self.path.load * level, **series)
-
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the frames for a motion x, v (n,) there, its load times the friction `level`."""
-        s = self._direction(v) if self.turns else np.full_like(x, self.path.s[0])
+        s = self.direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(self._nodes_to_frames) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
@@ -231,22 +222,19 @@ class Piece:
         """Series of the path besides its motion, mapped by `of` from the nodes to other points."""
         return {name: of(q) for name in SERIES if (q := getattr(self.path, name)) is not None}
 
-    @staticmethod
-    def rows_after(first: int, n: int) -> Rows:
-        """Rows of n nodes from the last of the `first` ones on; the start takes the values of the first node."""
-        return np.maximum(np.arange(first - 1, first - 1 + n), 0)
+    def direction(self, v: Array, *, sharp: bool = False) -> Array:
+        """Direction of motion (n,) for velocities at the nodes, or at other points if the piece turns.
 
-    def direction(self, v: Array) -> Array:
-        """Return the direction of motion (3 p,) at the nodes for velocities there."""
-        return self._direction(v) if self.turns else self.path.s
-
-    def _direction(self, v: Array, *, begins: bool = True) -> Array:
-        """Sign of the velocity (n,), at rest the last one; 0 at first where the piece begins, and at rest."""
-        if self.slack:
+        At rest it is the last one; 0 at first where the piece begins at rest. It turns within the `slack` of a swing
+        unless it has to be `sharp`: under a law that does not jump there.
+        """
+        if not self.turns:
+            return self.path.s
+        if self.slack and not sharp:
             near = np.clip(v / self.slack, -1.0, 1.0)
             return near * (2.25 - 1.25 * near**2)  # moves a mass as a sign does, as its first moment is the same
         s = direction_of_motion(v)
-        if begins and self.path.s[0] == 0:
+        if self.path.s[0] == 0:
             s[0] = 0.0
         return s
 
@@ -375,6 +363,43 @@ def _span(pieces: Sequence[Piece], fps: float) -> Span:
     )
 
 
+@dataclass(frozen=True)
+class Samples:
+    """Where a model is evaluated along joined pieces: n samples, some of the edges and nodes of the panels.
+
+    Attributes
+    ----------
+    source : array of int, shape (n,)
+        Position of every sample among all edges, followed by all nodes.
+    nodes : array of int, shape (n,)
+        Node at which the series of the run are read.
+    t : array of shape (n,)
+        Time, s.
+    is_node : array of bool, shape (n,)
+        Whether it is a node.
+    pieces : list of slice
+        Samples of every piece.
+    starts : tuple of int
+        Samples at which the model begins anew, from what it remembers there.
+    runs : tuple of Path
+        Path of every piece at the samples, without motion; empty if there is only one.
+
+    """
+
+    source: Rows
+    nodes: Rows
+    t: Array
+    is_node: Mask
+    pieces: list[slice]
+    starts: tuple[int, ...]
+    runs: tuple[Path, ...] = ()
+
+    def of(self, motion: CollocationSolution) -> tuple[Array, Array]:
+        """Position and velocity of a motion at the samples, (n,) each."""
+        x, v = np.concatenate([motion.x_edge, motion.x]), np.concatenate([motion.v_edge, motion.v])
+        return x[self.source], v[self.source]
+
+
 @dataclass(frozen=True, eq=False)
 class JoinedPieces:
     """Pieces laid end to end, so that one evaluation of a model serves them all.
@@ -414,19 +439,106 @@ class JoinedPieces:
         first = values[0]
         return first if all(v == first for v in values) else self.panels.per_node(np.array(values))
 
+    @cached_property
+    def at_nodes(self) -> Samples:
+        """The nodes."""
+        return self._samples(len(self.panels.edges) + np.arange(len(self.panels.t)), np.arange(len(self.panels.t)))
+
+    @cached_property
+    def since_start(self) -> Samples:
+        """The nodes, and in front of those of every piece its start: a path for a law with memory."""
+        first = 3 * self.panels.first
+        source = np.insert(self.at_nodes.source, first, np.array(self.panels.starts))
+        return self._samples(source, np.insert(self.at_nodes.nodes, first, first))
+
+    @cached_property
+    def with_edges(self) -> Samples:
+        """All edges and nodes in order of time."""
+        panels, nodes = self.panels, self.at_nodes.nodes.reshape(-1, 3)
+        source = np.column_stack([panels.begin, self.at_nodes.source.reshape(-1, 3)]).ravel()
+        after = panels.first + panels.counts
+        last = np.array([*panels.starts[1:], len(panels.edges)]) - 1
+        near = np.insert(nodes[:, [0, 0, 1, 2]].ravel(), 4 * after, nodes[after - 1, 2])
+        return self._samples(np.insert(source, 4 * after, last), near)
+
+    @cached_property
+    def within_panels(self) -> Samples:
+        """Every panel alone: where it begins, its nodes, and where it ends."""
+        begin, nodes = self.panels.begin, self.at_nodes.nodes.reshape(-1, 3)
+        source = np.column_stack([begin, self.at_nodes.source.reshape(-1, 3), begin + 1])
+        return self._samples(source.ravel(), nodes[:, [0, 0, 1, 2, 2]].ravel(), alone=source.shape[1])
+
+    def _samples(self, source: Rows, nodes: Rows, alone: int = 0) -> Samples:
+        t = np.concatenate([self.panels.edges, self.panels.t])[source]
+        ends = np.searchsorted(nodes, 3 * np.cumsum(self.panels.counts))
+        pieces = [slice(int(a), int(b)) for a, b in itertools.pairwise([0, *ends])]
+        starts = tuple(range(0, len(t), alone)) if alone else tuple(own.start for own in pieces)
+        runs = self._runs_at(t, nodes, pieces, starts)
+        return Samples(source, nodes, t, source >= len(self.panels.edges), pieces, starts, runs)
+
     def path_at_nodes(self, x: Array, v: Array, levels: Sequence[float]) -> Path:
         """Return the path at the nodes for a motion x, v (3 p,) there, its loads times the levels of the pieces."""
-        if len(self.pieces) == 1:
-            return self.pieces[0].path_at_nodes(x, v, levels[0])
-        load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
-        s = self._path.s
+        return self.path(self.at_nodes, x, v, levels)
+
+    def path(
+        self,
+        samples: Samples,
+        x: Array,
+        v: Array,
+        levels: Sequence[float],
+        states: Mapping[str, Array] | None = None,
+        *,
+        sharp: bool = False,
+    ) -> Path:
+        """Return the path of a motion x, v (n,) at some samples, its loads times the levels of the pieces.
+
+        `states` is what the effects remember where each individual begins; see `Piece.direction` for `sharp`.
+        """
+        same, base = samples is self.at_nodes, self._path
+        s = base.s if same else base.s[samples.nodes]
         if any(piece.turns for piece in self.pieces):
-            s = np.concatenate([p.direction(v[rows]) for p, rows in zip(self.pieces, self.nodes, strict=True)])
-        return replace(self._path, x=x, v=v, s=s, load=load)
+            each = zip(self.pieces, samples.pieces, strict=True)
+            s = np.concatenate([p.direction(v[own], sharp=sharp) if p.turns else s[own] for p, own in each])
+        load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
+        if same:
+            return replace(base, x=x, v=v, s=s, load=load)
+        known: dict[str, Any] = {
+            name: value[samples.nodes]
+            for name in (*SERIES, *OF_RUNS)
+            if isinstance(value := getattr(base, name), np.ndarray)
+        }
+        earlier = base.earlier
+        if earlier is not None and samples.runs:
+            earlier = tuple(own for own, run in zip(earlier, samples.runs, strict=True) for _ in run.starts)
+        return replace(
+            base,
+            **known,
+            t=samples.t,
+            x=x,
+            v=v,
+            s=s,
+            load=load[samples.nodes] if isinstance(load, np.ndarray) else load,
+            starts=samples.starts,
+            earlier=earlier,
+            states=states or {},
+            runs=samples.runs,
+        )
+
+    def _runs_at(self, t: Array, nodes: Rows, pieces: Sequence[slice], starts: Sequence[int]) -> tuple[Path, ...]:
+        """The path of every piece at some samples, without motion; empty if there is only one."""
+        out = []
+        for piece, own, theirs in zip(self.pieces, pieces, self.nodes, strict=True):
+            rows = nodes[own] - theirs.start
+            series = {name: q[rows] for name in SERIES if (q := getattr(piece.path, name)) is not None}
+            first = tuple(start - own.start for start in starts if own.start <= start < own.stop)
+            out.append(replace(piece.path, t=t[own], starts=first, **series))
+        return tuple(out) if len(out) > 1 else ()
 
     @cached_property
     def _path(self) -> Path:
-        """The path of all pieces, without motion."""
+        """The path of all pieces at the nodes, without motion."""
+        if len(self.pieces) == 1:
+            return self.pieces[0].path
         paths = [piece.path for piece in self.pieces]
         joined: dict[str, Any] = {name: self._joined_series([getattr(path, name) for path in paths]) for name in SERIES}
         for group in (("mass_ratio",), ("gravity",), ("mass",), ("travelled", "begins")):  # a run may lack them
@@ -467,10 +579,10 @@ def column_norms(columns: Array) -> Array:
 
 
 def split_motions(
-    joined: JoinedPieces, motion: CollocationSolution, response: MotionResponse
-) -> list[tuple[CollocationSolution, MotionResponse]]:
+    joined: JoinedPieces, motion: CollocationSolution, response: LinearResponse
+) -> list[tuple[CollocationSolution, LinearResponse]]:
     """Split motions that were solved together: motion and response of every piece."""
-    if len(joined.pieces) == 1 or not isinstance(response, LinearResponse):
+    if len(joined.pieces) == 1:
         return [(motion, response)]
     return [
         (motion.part(piece.panels, nodes, edges), response.part(piece.panels, nodes))
@@ -478,8 +590,8 @@ def split_motions(
     ]
 
 
-def group_by_size(sizes: Sequence[int], limit: int, *, alone: bool = False) -> list[tuple[int, ...]]:
-    """Group neighbours whose sizes add up to at most `limit`; each `alone` if so wanted.
+def group_by_size(sizes: Sequence[int], limit: int) -> list[tuple[int, ...]]:
+    """Group neighbours whose sizes add up to at most `limit`.
 
     Examples
     --------
@@ -490,7 +602,7 @@ def group_by_size(sizes: Sequence[int], limit: int, *, alone: bool = False) -> l
     out: list[tuple[int, ...]] = []
     total = 0
     for i, size in enumerate(sizes):
-        if not out or alone or total + size > limit:
+        if not out or total + size > limit:
             out.append(())
             total = 0
         out[-1] += (i,)

@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.effects import Path, direction_of_motion
 from frictrack.effects.models import Model, Values
 from frictrack.records import GRAVITY, Array, EarlierRuns
 from frictrack.simulate.dynamics import (
+    MEMORY_TOLERANCE_M,
     NODES,
+    NOT_INTEGRATED,
     CollocationSolution,
     LinearResponse,
     Panels,
@@ -218,7 +220,7 @@ class SimulationState:
         if self.model.memory:
             path = self.path(x, v, t, s)
             force = self.model.force(path, self.values)[::4]
-            self.states = self.model.states(path, self.values)
+            self.states = {name: own[-1:] for name, own in self.model.states(path, self.values).items()}
         self.history.add(t[::4], x[::4], v[::4], s, force)
         self.heading = float(np.sign(v[-1])) or self.heading or s
 
@@ -227,7 +229,7 @@ class SimulationState:
         if self.model.memory and self.heading:
             times, still = np.append(t, until), np.append(x, x[-1])
             path = self.path(still, np.zeros_like(still), times, self.heading)
-            self.states = self.model.states(path, self.values)
+            self.states = {name: own[-1:] for name, own in self.model.states(path, self.values).items()}
         self.history.add(t, x, np.zeros_like(t), 0.0)
 
     def driving_force(self, t: Array) -> Array:
@@ -523,23 +525,19 @@ def _slide_until_stop(
 
 def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> CollocationSolution:
     """Solve the motion on the panels, or on as many of the first as converge: far beyond a stop none may."""
-    guess, law, count = _predict_accelerations(state, panels, start, s), state.acceleration(s), len(panels.h)
-    if state.tolerance is None:
-        while count > WINDOW_PANELS:
-            try:
-                return solve_motion(law, Panels(panels.edges[: count + 1]), start, guess[: 3 * count])[0]
-            except FrictrackError:
-                count //= 2
-        some = Panels(panels.edges[: count + 1])
-        return solve_motion(law, some, start, guess[: 3 * count], memory=state.model.memory)[0]
+    guess, count = _predict_accelerations(state, panels, start, s), len(panels.h)
     while count:
-        some = Panels(panels.edges[: count + 1])
-        law_at_nodes = state.acceleration_at_nodes(some, s)
-        motion = solve_simplified_newton(law_at_nodes, some, start, guess[: 3 * count], state.tolerance)
+        some, first = Panels(panels.edges[: count + 1]), guess[: 3 * count]
+        if state.tolerance is None and not state.model.memory:
+            solved = result_or_none(solve_motion, state.acceleration(s), some, start, first)
+            motion = None if solved is None else solved[0]
+        else:
+            law, tolerance = state.acceleration_at_nodes(some, s), state.tolerance or MEMORY_TOLERANCE_M
+            motion = solve_simplified_newton(law, some, start, first, tolerance)
         if motion is not None:
             return motion
         count //= 2
-    return solve_motion(law, Panels(panels.edges[:2]), start, guess[:3], memory=state.model.memory)[0]
+    raise FrictrackError(NOT_INTEGRATED)
 
 
 def _predict_accelerations(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> Array:
@@ -569,7 +567,7 @@ def _locate_stop(
     for _ in range(4):  # the polynomial gives a first guess; the law itself gives the time
         piece = Panels(np.array([begin, begin + tau]))
         start = float(first[0]), float(first[1])
-        motion, _ = solve_motion(law, piece, start, np.full(3, float(a[0])), memory=state.model.memory)
+        motion = _solve_window(state, piece, start, s)
         x, v, t = (interleave(*pair) for pair in (nodes_and_edges(motion)[k] for k in (1, 2, 0)))
         braking = float(law(x, v, t)[-1])
         late = float(motion.v_edge[-1]) / braking if braking else 0.0

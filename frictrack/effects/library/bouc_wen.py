@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
-from frictrack.effects.memory import direction_stretches, state_at_beginning
+from frictrack.effects.memory import direction_stretches, remembered, state_at_beginning
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths
 
 MAX_GROWTH_EXPONENT = 40.0  # growth of an unstable loop in one stretch, as an exponent: beyond it there is no such law
@@ -22,7 +22,7 @@ DELTA_RATIOS = (-1.5, -0.75, 0.0, 0.75)  # of delta to gamma worth trying
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Bending w, shape (n, 1): N per N/m of alpha. `delta` is fitted as the ratio delta/gamma."""
-    return state(path, nonlinear)
+    return remembered(path, state, nonlinear)
 
 
 def state(path: Path, nonlinear: Nonlinear) -> Array:

@@ -4,7 +4,7 @@ import numpy as np
 
 from frictrack.base.number_format import format_number
 from frictrack.effects.definition import Array, EffectInStudy, Nonlinear, Parameter, Path
-from frictrack.effects.memory import Complexes, follow_target, state_at_beginning, time_steps
+from frictrack.effects.memory import Complexes, follow_target, remembered, state_at_beginning, time_steps
 from frictrack.effects.ranges import ScanValues, Span, frequency_range, oscillates
 
 DAMPINGS = (0.04, 0.2)  # damping ratios worth trying
@@ -13,7 +13,7 @@ DAMPINGS = (0.04, 0.2)  # damping ratios worth trying
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Acceleration du/dt of the part on the spring, shape (n, 1): N per kg of it, against the direction of x."""
     omega, damping = 2 * np.pi * nonlinear["frequency"], nonlinear["damping"]
-    z, u = swing(path, nonlinear["frequency"], damping).T
+    z, u = remembered(path, state, nonlinear).T
     return np.asarray((-(omega**2) * z - 2 * damping * omega * (u - path.v))[:, None])
 
 

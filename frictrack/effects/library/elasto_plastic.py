@@ -7,7 +7,7 @@ import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library import presliding
-from frictrack.effects.memory import direction_stretches, state_at_beginning
+from frictrack.effects.memory import direction_stretches, remembered, state_at_beginning
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 
     `stiffness` is fitted as the length level/stiffness, m.
     """
-    return inner * (path.s * elastoplastic_bending(path, nonlinear["stiffness"], nonlinear["share"]))[:, None]
+    return inner * path.s[:, None] * remembered(path, state, nonlinear, inner)
 
 
 def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase, TestDraw
-from frictrack.effects.memory import follow_target, time_steps
+from frictrack.effects.memory import follow_target, remembered, time_steps
 from frictrack.effects.ranges import Span, log_grid, shorter_than_record
 
 
@@ -12,7 +12,7 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 
     A steady change of c arrives tau late. The sign stays the one of the motion: friction never pushes.
     """
-    return state(path, nonlinear, inner) * path.s[:, None]
+    return remembered(path, state, nonlinear, inner) * path.s[:, None]
 
 
 def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

@@ -1,12 +1,19 @@
 """LuGre friction: bristles that bend before they slip, with damping, over a Stribeck curve."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
-from frictrack.effects.memory import direction_changed, follow_target, mean_per_step, slid_per_step, state_at_beginning
+from frictrack.effects.memory import (
+    direction_changed,
+    follow_target,
+    mean_per_step,
+    remembered,
+    slid_per_step,
+    state_at_beginning,
+)
 from frictrack.effects.ranges import ScanValues, Span, breakaway_lengths, stribeck_velocities
+
+CURVE = ("F_s", "v_s", "delta")  # of steady slip
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -17,31 +24,29 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
     sigma_1 are coefficients: F = F_c w + sigma_1 (v - |v| w/gamma). `sigma_0` is fitted as that length, `F_s`
     as F_s/F_c.
     """
-    w, gamma = _bristles(path, nonlinear["sigma_0"], [nonlinear[name] for name in ("F_s", "v_s", "delta")])
-    return path.load * np.column_stack([w, path.v - np.abs(path.v) * w / gamma])
-
-
-def _bending(path: Path, length: float | Array, *curve: float | Array) -> Array:
-    """Bending of the bristles over F_c, (n,)."""
-    return _bristles(path, length, curve)[0]
+    w, gamma = remembered(path, state, nonlinear)[:, 0], _level(path, *(nonlinear[name] for name in CURVE))
+    return np.column_stack([path.load * w, path.load * (path.v - np.abs(path.v) * w / gamma)])
 
 
 def state(path: Path, nonlinear: Nonlinear) -> Array:
     """Bending of the bristles over F_c, (n, 1)."""
-    return _bending(path, *(nonlinear[name] for name in ("sigma_0", "F_s", "v_s", "delta")))[:, None]
+    return _bending(path, *(nonlinear[name] for name in ("sigma_0", *CURVE)))
 
 
-def _bristles(path: Path, length: float | Array, curve: Sequence[float | Array]) -> tuple[Array, Array]:
-    """Bending w and level gamma, both over F_c, (n,)."""
-    highest, v_s, delta = curve
-    gamma = 1.0 + (highest - 1.0) * np.exp(-((path.speed / v_s) ** delta))
+def _level(path: Path, highest: float | Array, v_s: float | Array, delta: float | Array) -> Array:
+    """Level gamma of steady slip over F_c, (n,)."""
+    return np.asarray(1.0 + (highest - 1.0) * np.exp(-((path.speed / v_s) ** delta)))
+
+
+def _bending(path: Path, length: float | Array, *curve: float | Array) -> Array:
+    """Bending of the bristles over F_c, (n, 1)."""
+    gamma = _level(path, *curve)
     before, after = slid_per_step(path)
     broken, starts = direction_changed(path), list(path.starts)
     between = mean_per_step(1 / gamma, np.where(broken, 0.0, after), broken) / length
     target = (path.s * gamma)[:, None]
     begin = state_at_beginning(path, target[starts], _bending, length, *curve)
-    w = follow_target(path, target, begin, after * between, before * between)
-    return w[:, 0], gamma
+    return follow_target(path, target, begin, after * between, before * between)
 
 
 def speeds(span: Span) -> Array:

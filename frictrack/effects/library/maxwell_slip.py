@@ -4,7 +4,7 @@ import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
 from frictrack.effects.library import presliding
-from frictrack.effects.memory import DirectionStretches, direction_stretches, state_at_beginning
+from frictrack.effects.memory import DirectionStretches, direction_stretches, remembered, state_at_beginning
 from frictrack.effects.ranges import ScanValues, breakaway_lengths
 
 N_ELEMENTS = 8  # springs, each with the same share of the level
@@ -16,7 +16,7 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 
     `stiffness` is fitted as the length level/stiffness, m.
     """
-    return inner * (path.s * np.mean(state(path, nonlinear, inner), axis=1))[:, None]
+    return inner * (path.s * np.mean(remembered(path, state, nonlinear, inner), axis=1))[:, None]
 
 
 def state(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

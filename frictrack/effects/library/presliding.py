@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
-from frictrack.effects.memory import direction_stretches, state_at_beginning
+from frictrack.effects.memory import direction_stretches, remembered, state_at_beginning
 from frictrack.effects.ranges import breakaway_lengths
 
 MAX_EXPONENT_DIFFERENCE_DAHL = (
@@ -18,7 +18,7 @@ def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
 
     `stiffness` is fitted as the length level/stiffness, m.
     """
-    return inner * (path.s * bending(path, nonlinear["stiffness"], nonlinear["exponent"]))[:, None]
+    return inner * path.s[:, None] * remembered(path, state, nonlinear, inner)
 
 
 def bending(path: Path, length: float | Array, exponent: float | Array) -> Array:

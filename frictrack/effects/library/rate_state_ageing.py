@@ -3,7 +3,7 @@
 import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Parameter, Path, Phrase
-from frictrack.effects.memory import follow_linear, slid_per_step, state_at_beginning
+from frictrack.effects.memory import follow_linear, remembered, slid_per_step, state_at_beginning
 from frictrack.effects.ranges import breakaway_lengths
 
 REFERENCE_SPEED = 1e-4  # m/s, v_0: below it the direct effect bends to a constant
@@ -13,7 +13,7 @@ MIN_STEP = 1e-9  # of a distance over D_c, below which a step is one of time alo
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Level, direct effect and contact age, shape (n, 3): N per N of F_0, A and B, in the direction of motion."""
-    age = contact_age(path, nonlinear["D_c"], nonlinear["v_0"])
+    age = remembered(path, state, nonlinear)[:, 0]
     made = [np.ones_like(age), np.log1p(path.speed / nonlinear["v_0"]), np.log(np.maximum(age, MIN_AGE))]
     return np.asarray((path.load * path.s)[:, None] * np.column_stack(made))
 

@@ -4,12 +4,12 @@ import numpy as np
 
 from frictrack.effects.definition import Array, Nonlinear, Path
 from frictrack.effects.library import rate_state_ageing
-from frictrack.effects.memory import follow_target, slid_per_step, state_at_beginning
+from frictrack.effects.memory import follow_target, remembered, slid_per_step, state_at_beginning
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """Level, direct effect and state, shape (n, 3): N per N of F_0, A and B, in the direction of motion."""
-    w = state(path, nonlinear)[:, 0]
+    w = remembered(path, state, nonlinear)[:, 0]
     made = [np.ones_like(w), np.log1p(path.speed / nonlinear["v_0"]), w]
     return np.asarray((path.load * path.s)[:, None] * np.column_stack(made))
 

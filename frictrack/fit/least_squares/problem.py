@@ -6,7 +6,6 @@ A model along pieces that are laid end to end: its acceleration, and the sensiti
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,13 +17,21 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Path
 from frictrack.effects.models import Model, Values
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.pieces import JoinedPieces, Piece, group_by_size, spans_of, split_motions
+from frictrack.fit.pieces import JoinedPieces, Piece, Samples, group_by_size, spans_of, split_motions
 from frictrack.fit.separable.model import DataBlock, displacement_block
 from frictrack.records import Array, Mask
 from frictrack.search import EvaluationBudget
-from frictrack.simulate.dynamics import CollocationSolution, MotionResponse, Start, solve_motion
+from frictrack.simulate.dynamics import (
+    MEMORY_TOLERANCE_M,
+    TOLERANCE_M,
+    CollocationSolution,
+    LinearResponse,
+    Start,
+    difference_steps,
+    response_with_memory,
+    solve_motion,
+)
 
-PATH_SERIES = ("t", "x", "v", "s", "drive", "lift", "angle")  # arrays of a path with one value per node
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
 SHARPENING = 1.5  # by which the speed of a reversal falls from step to step, where a swing cannot be solved at once
 
@@ -77,13 +84,11 @@ class JoinedLaw:
     groups : tuple of UnknownGroup
         The K groups of unknowns.
     joined : JoinedPieces
-        The pieces; a single one if the model has memory.
+        The pieces.
     p : array of shape (P,)
         The unknowns.
     remembers : bool
         Whether the force depends on the motion since the start of the piece.
-    so_far : Path, optional
-        The motion that the law continues, up to the last of its nodes; by default it begins at the start of the piece.
 
     """
 
@@ -92,12 +97,16 @@ class JoinedLaw:
     joined: JoinedPieces
     p: Array
     remembers: bool
-    so_far: Path | None = None
 
     @property
     def model(self) -> Model:
         """The model."""
         return self.layout.model
+
+    @property
+    def tolerance(self) -> float:
+        """Newton step at which a motion has converged, m."""
+        return MEMORY_TOLERANCE_M if self.remembers else TOLERANCE_M
 
     @cached_property
     def _inputs(self) -> tuple[Values, list[float]]:
@@ -126,84 +135,125 @@ class JoinedLaw:
         of = self.layout.effect(effect)
         return spread[:, None] if of.parameter(parameter).role == "depth" else spread
 
+    @cached_property
+    def _samples(self) -> Samples:
+        """Where the model is evaluated along a motion."""
+        return self.joined.since_start if self.remembers else self.joined.at_nodes
+
     def acceleration(self, x: Array, v: Array, t: Array) -> Array:
-        """Return the acceleration for a motion at the nodes; a model with memory takes the start in front of them."""
-        values, levels = self._inputs
-        if not self.remembers:
-            return np.asarray(self.joined.known - self._force(x, v) / self.joined.mass)
-        piece, force = self.joined.pieces[0], self.model.force(self._path(x, v, t, values, levels), values)
-        return np.asarray(piece.known[piece.rows_after(self._first, len(t))] - force / piece.mass)
+        """Return the acceleration for a motion at the nodes, (3 p,) each, under a model without memory."""
+        return np.asarray(self.joined.known - self._force(x, v) / self.joined.mass)
 
-    def after(self, x: Array, v: Array, t: Array) -> JoinedLaw:
-        """Return the law of what follows a motion (n,), from its last node on; its memory need not be read again."""
-        values, levels = self._inputs
-        path = self._path(x, v, t, values, levels)
-        motion = np.stack([t, x, v])[:, :-1]
-        before = motion if path.before is None else np.concatenate([path.before, motion], axis=1)
-        return replace(self, so_far=replace(path, before=before, states=self.model.states(path, values)))
+    def along(self, motion: CollocationSolution) -> Array:
+        """Return the acceleration at the nodes (3 p,) along a motion."""
+        return np.asarray(self.joined.known - self._force(*self._samples.of(motion)) / self.joined.mass)
 
-    @property
-    def _first(self) -> int:
-        """How many nodes of the piece the motion has passed that the law continues."""
-        if self.so_far is None:
-            return 0
-        return int(np.searchsorted(self.joined.panels.t, self.so_far.t[-1], side="right"))
-
-    def slopes(self, x: Array, v: Array, ex: Array, ev: Array) -> tuple[Array, Array, Array]:
-        """Return the acceleration (3 p,) of a model without memory, and its derivatives by x and v.
-
-        The derivatives are differences with steps ex and ev at every node.
-        """
-        force, mass = self._force(x, v), self.joined.mass
+    def linearised(self, motion: CollocationSolution) -> tuple[Array, LinearResponse]:
+        """Return the same, and the linear response of that motion."""
+        if self.remembers:
+            return self.along(motion), response_with_memory(self, motion)
+        (ex, ev), mass, x, v = difference_steps(motion), self.joined.mass, motion.x, motion.v
+        force = self._force(x, v)
         by_x = (force - self._force(x + ex, v)) / (ex * mass)
         by_v = (force - self._force(x, v + ev)) / (ev * mass)
-        return np.asarray(self.joined.known - force / mass), by_x, by_v
+        return np.asarray(self.joined.known - force / mass), LinearResponse(motion.panels, by_x, by_v)
 
-    def _force(self, x: Array, v: Array) -> Array:
-        """Force (3 p,) of a model without memory."""
-        values, levels = self._inputs
-        return self.model.force(self.joined.path_at_nodes(x, v, levels), values)
+    def states(self, motion: CollocationSolution) -> Array:
+        """Return what the model remembers at the beginning of every panel, (k, p)."""
+        samples = self.joined.with_edges
+        found = self.model.states(*self._path(samples, *samples.of(motion)))
+        edges = np.concatenate([own[~samples.is_node] for own in found.values()], axis=1)
+        return edges[motion.panels.begin].T
 
-    def _path(self, x: Array, v: Array, t: Array, values: Values, levels: Sequence[float]) -> Path:
-        """The path of a motion; a model with memory begins it with its states at the start."""
-        if not self.remembers:
-            return self.joined.path_at_nodes(x, v, levels)
-        path = self.joined.pieces[0].path_since_start(x, v, t, levels[0], self._first)
-        if self.so_far is not None:
-            return replace(path, before=self.so_far.before, states=self.so_far.states)
-        states = self._states if values is self._inputs[0] else self._initial_states(values)
-        return replace(path, states=states)
+    def within(self, x: Array, v: Array, states: Array) -> tuple[Array, Array]:
+        """Return accelerations at the nodes (3, p), and what is remembered at the end of every panel (k, p)."""
+        samples, n = self.joined.within_panels, len(x)
+        names, widths = zip(*self._widths.items(), strict=True)
+        begin = dict(zip(names, np.split(states.T, np.cumsum(widths)[:-1], axis=1), strict=True))
+        path, values = self._path(samples, x.T.ravel(), v.T.ravel(), begin)
+        ends: dict[str, Array] = {}
+        columns = self.model.force_columns(path, values, ends)
+        force = self.model.force_of(columns, values, np.zeros(len(samples.t)))[samples.is_node]
+        a = np.asarray(self.joined.known - force / self.joined.mass)
+        return a.reshape(-1, 3).T, np.concatenate([ends[name][n - 1 :: n] for name in names], axis=1).T
+
+    def first_states(self, x: Array, v: Array) -> Array:
+        """Return what the model remembers at the start (x, v) of every piece, (k, R)."""
+        begin = self._states_at_start(self.p, x, v)
+        return np.concatenate(list(begin.values()), axis=1).T
 
     @cached_property
-    def _states(self) -> dict[str, Array]:
-        """The states at the start; computed once for all motions through the piece."""
-        return self._initial_states(self._inputs[0])
+    def _widths(self) -> dict[str, int]:
+        """How many numbers every effect with memory remembers."""
+        begin = self._states_at_start(self.p, np.zeros(len(self.joined.pieces)), np.ones(len(self.joined.pieces)))
+        return {name: own.shape[1] for name, own in begin.items()}
 
-    def _initial_states(self, values: Values) -> dict[str, Array]:
-        """States of effects with memory after the motion before the piece."""
-        piece = self.joined.pieces[0]
-        path = piece.path
-        if path.before is None or path.before.shape[1] < 2 or path.s[0] == 0:
-            return {}
-        two = {name: getattr(path, name)[[0, 0]] for name in PATH_SERIES if getattr(path, name) is not None}
-        states = self.model.states(replace(path, **two), values)
-        return {e.name: states[e.name] for e in self.model.effects if e.turns}
+    def _force(self, x: Array, v: Array) -> Array:
+        """Force at the nodes (3 p,) for a motion at the samples."""
+        path, values = self._path(self._samples, x, v)
+        return self.model.force(path, values)[self._samples.is_node]
+
+    def _path(
+        self, samples: Samples, x: Array, v: Array, states: Mapping[str, Array] | None = None, p: Array | None = None
+    ) -> tuple[Path, Values]:
+        """The path of a motion at some samples, and the values there for unknowns p (P,)."""
+        values, levels = self._inputs if p is None else self._inputs_at(p)
+        if self.remembers:
+            if states is None and any(self._have_history):
+                first = [own.start for own in samples.pieces]
+                states = self._states_at_start(self.p if p is None else p, x[first], v[first])
+            if len(self.joined.pieces) > 1:
+                values = {
+                    name: {k: q[samples.nodes] if isinstance(q, np.ndarray) else q for k, q in own.items()}
+                    for name, own in values.items()
+                }
+        return self.joined.path(samples, x, v, levels, states, sharp=self.model.turns), values
+
+    @cached_property
+    def _have_history(self) -> list[bool]:
+        """Whether something is known of the motion before each of the pieces."""
+        each = [(piece.path.before, piece.path.s[0]) for piece in self.joined.pieces]
+        return [before is not None and before.shape[1] > 1 and bool(s) for before, s in each]
+
+    def _states_at_start(self, p: Array, x: Array, v: Array) -> dict[str, Array]:
+        """What every effect remembers at the start (x, v) of each of the pieces, (R, k)."""
+        each = []
+        for i, known in enumerate(self._have_history):
+            key = i, p.tobytes()
+            if not known:
+                each.append(self._state_at_start(i, p, x[i], v[i]))
+                continue
+            if key not in self._known_starts:  # what the motion before has left does not depend on the start
+                piece = self.joined.pieces[i]
+                self._known_starts[key] = self._state_at_start(i, p, piece.x_hat[0], piece.v_hat[0])
+            each.append(self._known_starts[key])
+        return {name: np.stack([own[name] for own in each]) for name in each[0]}
+
+    def _state_at_start(self, i: int, p: Array, x: float, v: float) -> dict[str, Array]:
+        """What every effect remembers where a piece begins with x and v, (k,)."""
+        piece = self.joined.pieces[i]
+        values, level = self.layout.values(p, piece.run)
+        nodes, t = np.zeros(2, dtype=int), np.full(2, piece.panels.edges[0])
+        twice = Samples(nodes, nodes, t, nodes > 0, [slice(0, 2)], (0,))
+        path = JoinedPieces((piece,)).path(twice, np.full(2, x), np.full(2, v), [level], sharp=self.model.turns)
+        return {name: own[0] for name, own in self.model.states(path, values).items()}
+
+    @cached_property
+    def _known_starts(self) -> dict[tuple[int, bytes], dict[str, Array]]:
+        """What earlier motions have left, by piece and unknowns."""
+        return {}
 
     def sensitivities(self, motion: CollocationSolution) -> Array:
         """Compute the change of the acceleration at the nodes per unit of the unknown of every group, (K, 3 p)."""
-        x, v, t = motion.x, motion.v, motion.panels.t
-        if self.remembers:
-            start = motion.x_edge[0], motion.v_edge[0], motion.panels.edges[0]
-            x, v, t = (np.append(first, rest) for first, rest in zip(start, (x, v, t), strict=True))
-        values, levels = self._inputs
-        columns = self.model.force_columns(self._path(x, v, t, values, levels), values)
-        out = np.zeros((len(self.groups), len(x)))
+        x, v = self._samples.of(motion)
+        path, values = self._path(self._samples, x, v)
+        columns, is_node = self.model.force_columns(path, values), self._samples.is_node
+        out = np.zeros((len(self.groups), len(motion.x)))
         for j, group in enumerate(self.groups):
             if not group.linear:
-                out[j] = self._difference(group, (x, v, t), columns)
+                out[j] = self._difference(group, x, v, self.model.force_of(columns, values, np.zeros(len(x))))
             elif group.effect in columns:
-                out[j] = columns[group.effect][:, self._column(group)]
-        out = out[:, -len(motion.x) :]
+                out[j] = columns[group.effect][is_node, self._column(group)]
         return np.divide(out, -1.0 * self.joined.mass, out=out)
 
     def _column(self, group: UnknownGroup) -> int:
@@ -211,20 +261,17 @@ class JoinedLaw:
         of = self.layout.effect(group.effect)
         return [q.name for q in of.linear].index(group.parameter)
 
-    def _difference(
-        self, group: UnknownGroup, motion: tuple[Array, Array, Array], columns: Mapping[str, Array]
-    ) -> Array:
-        """Change of the force per unit of a non-linear unknown, by a difference along a motion with these columns."""
+    def _difference(self, group: UnknownGroup, x: Array, v: Array, force: Array) -> Array:
+        """Change of the force at the nodes per unit of a non-linear unknown, by a difference along a motion."""
         p, steps = self.p.copy(), []
         for piece in self.joined.pieces:
             i = group.slot_in(piece.run)
             steps.append(1.0 if i is None else difference_step(self.p[i], self.layout.slots[i].bounds))
             if i is not None:
                 p[i] = self.p[i] + steps[-1]
-        values, levels = self._inputs_at(p)
-        base = self.model.force_of(columns, self._inputs[0], np.zeros(len(motion[0])))
-        moved = self.model.force(self._path(*motion, values, levels), values)
-        return (moved - base) / self.joined.spread(steps)
+        path, values = self._path(self._samples, x, v, p=p)
+        changed = self.model.force(path, values) - force
+        return np.asarray(changed[self._samples.is_node] / self.joined.spread(steps))
 
 
 def difference_step(value: float, bounds: tuple[float, float]) -> float:
@@ -266,7 +313,7 @@ class PieceResponse:
 
     piece: Piece
     motion: CollocationSolution
-    linear: MotionResponse
+    linear: LinearResponse
     active: list[int]
     model_y: Array
     shift_slope: Array  # d(o)/dx at the frames
@@ -290,7 +337,6 @@ class _Simulation:
     joined: JoinedPieces
     columns: list[list[int]]
     guess: Array
-    near: MotionResponse | None
     is_first: bool = True
 
 
@@ -410,9 +456,8 @@ class LeastSquaresProblem:
 
     @cached_property
     def _simulated_together(self) -> list[tuple[int, ...]]:
-        """Positions of the pieces that are simulated together; each alone under a model with memory."""
-        counts = [0 if self.model.memory else len(piece.panels.t) for piece in self.pieces]
-        return group_by_size(counts, MAX_JOINED_NODES, alone=self.model.memory)
+        """Positions of the pieces that are simulated together."""
+        return group_by_size([len(piece.panels.t) for piece in self.pieces], MAX_JOINED_NODES)
 
     def _respond_together(self, rows: tuple[int, ...], p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
         """Simulate and linearise some pieces together."""
@@ -421,10 +466,8 @@ class LeastSquaresProblem:
         law = self._law(joined, p)
         begin = np.array([starts[i] for i in rows], dtype=float)
         motion, linear = self._simulate(simulation, law, begin)
-        g = law.sensitivities(motion)
-        edges = linear.edge_states(*_with_starts(g))
+        edges = linear.edge_states(*_with_starts(law.sensitivities(motion)))
         simulation.guess, simulation.is_first = motion.a, False
-        simulation.near = linear if law.remembers else None  # it takes more memory than all else
         responses, split = [], split_motions(joined, motion, linear)
         for piece, columns, rows_of_edges, own in zip(
             joined.pieces, simulation.columns, joined.edges, split, strict=True
@@ -438,12 +481,10 @@ class LeastSquaresProblem:
         if rows not in self._simulations:
             pieces, near = tuple(self.pieces[i] for i in rows), [self._near[i] for i in rows] if self._near else []
             guesses = [np.interp(q.panels.t, r.motion.panels.t, r.motion.a) for q, r in zip(pieces, near, strict=False)]
-            alone = near[0] if len(near) == 1 and len(near[0].motion.a) == len(pieces[0].panels.t) else None
             self._simulations[rows] = _Simulation(
                 JoinedPieces(pieces),
                 [self._columns_of(q.run) for q in pieces],
                 np.concatenate(guesses or [q.a_hat for q in pieces]),
-                None if alone is None else alone.linear,
             )
         return self._simulations[rows]
 
@@ -463,7 +504,7 @@ class LeastSquaresProblem:
         return JoinedPieces(tuple(q.with_clock(clock) for q, clock in zip(joined.pieces, clocks, strict=True)))
 
     def linearised_response(
-        self, piece: Piece, p: Array, about: tuple[CollocationSolution, MotionResponse], x: Array
+        self, piece: Piece, p: Array, about: tuple[CollocationSolution, LinearResponse], x: Array
     ) -> PieceResponse:
         """Compute residual and sensitivities of one piece, linearised about a given motion.
 
@@ -491,7 +532,7 @@ class LeastSquaresProblem:
         self,
         piece: Piece,
         law: JoinedLaw,
-        about: tuple[CollocationSolution, MotionResponse],
+        about: tuple[CollocationSolution, LinearResponse],
         seen_motion: tuple[Array, Array],
     ) -> PieceResponse:
         """The same from the sensitivities (n, A + 2) of the position to the active unknowns and the start."""
@@ -524,8 +565,12 @@ class LeastSquaresProblem:
         """Return the model's acceleration along one piece as a function of x, v and t."""
         return self._law(JoinedPieces((piece,)), p).acceleration
 
+    def linear_response(self, piece: Piece, p: Array, motion: CollocationSolution) -> LinearResponse:
+        """Return the linear response of one piece along any motion."""
+        return self._law(JoinedPieces((piece,)), p).linearised(motion)[1]
+
     def motion_sensitivities(
-        self, piece: Piece, p: Array, motion: CollocationSolution, linear: MotionResponse
+        self, piece: Piece, p: Array, motion: CollocationSolution, linear: LinearResponse
     ) -> Array:
         """Compute the sensitivities (n, 2, A + 2) of position and speed to the active unknowns and to the start."""
         edges = linear.edge_states(*_with_starts(self.acceleration_sensitivities(piece, p, motion).T))
@@ -538,23 +583,19 @@ class LeastSquaresProblem:
 
     def _simulate(
         self, simulation: _Simulation, law: JoinedLaw, starts: Array
-    ) -> tuple[CollocationSolution, MotionResponse]:
+    ) -> tuple[CollocationSolution, LinearResponse]:
         """Solve the motion of pieces, beginning at a near one."""
-        near = simulation.near if law.remembers else None
-        if simulation.is_first and near is not None:
-            with suppress(FrictrackError):  # the law may have changed too much
-                return self._solve(law, starts, simulation.guess, near)
-            near = None
         try:
-            return self._solve(law, starts, simulation.guess, near)
+            return solve_motion(law, law.joined.panels, _by_motion(starts), simulation.guess)
         except FrictrackError:  # after a previous motion the caller rather takes a shorter step
-            if not simulation.is_first or not any(piece.slack for piece in law.joined.pieces):
+            swings = any(piece.slack for piece in law.joined.pieces) and not self.model.turns
+            if not simulation.is_first or not swings:
                 raise
         return self._solve_sharpening(law, starts, simulation.guess)
 
     def _solve_sharpening(
         self, law: JoinedLaw, starts: Array, guess: Array
-    ) -> tuple[CollocationSolution, MotionResponse]:
+    ) -> tuple[CollocationSolution, LinearResponse]:
         """Solve swinging masses whose dry friction turns slowly at a reversal first, then as sharply as it does."""
         # a mass that swings in the record and comes to rest under the law has no other near motion to begin with
         # (continuation: Allgower & Georg 1990, Numerical Continuation Methods)
@@ -562,26 +603,9 @@ class LeastSquaresProblem:
         widest = max(float(np.max(np.abs(q.v_hat))) / q.slack for q in pieces if q.slack)
         for k in range(max(int(np.ceil(np.log(widest) / np.log(SHARPENING))), 1), -1, -1):
             wider = JoinedPieces(tuple(replace(q, slack=q.slack * SHARPENING**k) for q in pieces))
-            motion, linear = self._solve(self._law(wider, law.p), starts, guess, None)
+            motion, linear = solve_motion(self._law(wider, law.p), wider.panels, _by_motion(starts), guess)
             guess = motion.a
         return motion, linear
-
-    def _solve(
-        self, law: JoinedLaw, starts: Array, guess: Array, near: MotionResponse | None
-    ) -> tuple[CollocationSolution, MotionResponse]:
-        """Solve the motion of pieces from a first guess of the accelerations (3 p,) and the response of a near one."""
-        memory = law.remembers
-        slopes, continued = (None, law) if memory else (law.slopes, None)
-        return solve_motion(
-            law.acceleration,
-            law.joined.panels,
-            _by_motion(starts),
-            guess,
-            slopes=slopes,
-            memory=memory,
-            near=near,
-            continued=continued,
-        )
 
     def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]

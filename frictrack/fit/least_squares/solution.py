@@ -50,7 +50,6 @@ from frictrack.fit.smooth_functions import rms
 from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array, Mask
 from frictrack.search import COST_OF_MEMORY
-from frictrack.simulate.dynamics import KrylovResponse, LinearResponse
 
 MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels
 MAX_DISTANCE_HELD = 1e-9  # from a bound at which an unknown is held, relative beyond 1
@@ -337,8 +336,6 @@ def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> M
 def displacement_response(response: PieceResponse, force: Array) -> Array:
     """Compute the trace of forces in the displacement of one piece: whitened, start projected out.
 
-    A model with memory responds here as if it had none; that is accurate enough over the range of a local force.
-
     Parameters
     ----------
     response : PieceResponse
@@ -353,9 +350,6 @@ def displacement_response(response: PieceResponse, force: Array) -> Array:
 
     """
     linear, piece = response.linear, response.piece
-    if isinstance(linear, KrylovResponse):
-        still = np.zeros(len(piece.panels.t))
-        linear = LinearResponse(piece.panels, still, still)
     edges = linear.edge_states(-force / piece.mass)
     moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     return moved - response.q @ (response.q.T @ moved)

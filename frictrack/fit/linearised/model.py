@@ -314,15 +314,14 @@ def linearised_piece(solution: Solution, response: PieceResponse) -> LinearisedP
 
 
 def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> LinearResponse:
-    """The linear response of the model without memory, with one panel per frame."""
-    if isinstance(response.linear, LinearResponse) and response.piece.per_frame == 1:
+    """The linear response of the model, with one panel per frame."""
+    if response.piece.per_frame == 1:
         return response.linear
     motion, piece = response.motion, response.piece.refined(1)
-    where = CubicSpline(motion.panels.edges, motion.x_edge)(piece.panels.t)
-    speed = CubicSpline(motion.panels.edges, motion.v_edge)(piece.panels.t)
-    start = float(motion.x_edge[0]), float(motion.v_edge[0])
-    acceleration = problem.acceleration(piece, p)
-    return linearise_acceleration(acceleration, piece.panels, (where, speed), start, memory=problem.model.memory)[1]
+    nodes = piece.panels.t
+    x, v = (CubicSpline(motion.panels.edges, q)(nodes) for q in (motion.x_edge, motion.v_edge))
+    edges = (q[:: response.piece.per_frame] for q in (motion.x_edge, motion.v_edge))
+    return problem.linear_response(piece, p, CollocationSolution(piece.panels, x, v, np.zeros_like(x), *edges))
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:

@@ -3,7 +3,7 @@
 The simulator and the fit share this integrator. Three steps use it:
 
 - `Panels` cuts time into panels with three Gauss-Legendre nodes each;
-- `solve_motion` returns the motion as a `CollocationSolution` and its `MotionResponse`, the derivative of the motion
+- `solve_motion` returns the motion as a `CollocationSolution` and its `LinearResponse`, the derivative of the motion
   with respect to small forces and to the start;
 - `EdgeResponse` applies such a response to many forces at once.
 """
@@ -14,10 +14,17 @@ from frictrack.simulate.dynamics.collocation import (
     NODES,
     CollocationSolution,
     EdgeResponse,
-    KrylovResponse,
     LinearResponse,
-    MotionResponse,
     Panels,
     Start,
+    response_with_memory,
 )
-from frictrack.simulate.dynamics.solver import linearise_acceleration, solve_motion, solve_simplified_newton
+from frictrack.simulate.dynamics.solver import (
+    MEMORY_TOLERANCE_M,
+    NOT_INTEGRATED,
+    TOLERANCE_M,
+    difference_steps,
+    linearise_acceleration,
+    solve_motion,
+    solve_simplified_newton,
+)

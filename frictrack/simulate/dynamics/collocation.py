@@ -13,20 +13,20 @@ z[i + 1] = M[i] z[i] + w[i], w linear in g. With the fundamental matrix P[i + 1]
 running sum of P^-1 w: two running sums per row (variation of constants; Hairer, Norsett & Wanner 1993, Solving Ordinary
 Differential Equations I, section I.11). Within a panel g is the cubic through its values at the nearest four edges.
 
-A force with memory depends on the whole motion so far, so derivatives at single nodes do not describe it.
-`KrylovResponse` is solved iteratively from directional differences of the law itself; the response without memory is
-the preconditioner (Newton-Krylov methods: Knoll & Keyes 2004, J. Comput. Phys. 193, 357-397).
+Under a law with memory the state is (x, v, y): what the law remembers is carried on from panel to panel too. Within one
+panel the law is differentiated with respect to where the panel begins, to the accelerations at its nodes and to the
+memory it begins with; the chain of panels is then the exact derivative of the whole (`response_with_memory`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dtbtrs
 
 from frictrack.base.errors import FrictrackError
@@ -47,6 +47,7 @@ _A = np.array(
 _B = np.array([5 / 18, 4 / 9, 5 / 18])
 _AA = _A @ _A
 _BA = _B @ _A
+RELATIVE_STEP = 1e-7  # of a difference, over the range of x or v: the root of the rounding error, roughly
 _WEIGHTS = np.column_stack([_B, _BA, _A.T, _AA.T])  # of velocity and position at the end and at the nodes
 
 
@@ -223,44 +224,50 @@ class LinearResponse:
 
     def __init__(self, panels: Panels, a_x: Array, a_v: Array) -> None:
         self.panels = panels
-        self._a_x, self._a_v = a_x, a_v
-
-    def acceleration(self, dx: Array, dv: Array) -> Array:
-        """Change of the acceleration at the nodes (3 p,), m/s^2, by small changes of position and velocity there."""
-        return self._a_x * dx + self._a_v * dv
+        self._of_law = a_x, a_v
 
     def part(self, panels: Panels, nodes: slice) -> LinearResponse:
         """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
-        return LinearResponse(panels, self._a_x[nodes], self._a_v[nodes])
+        a_x, a_v = self._of_law
+        return LinearResponse(panels, a_x[nodes], a_v[nodes])
 
     # arrays over the panels end with the panel axis, so that every operation runs over all panels at once
 
     @cached_property
-    def _inverse(self) -> Array:
-        """Accelerations at the nodes per unit of what acts there, within one panel, (3, 3, p)."""
-        h, ax, av = self.panels.h, self._a_x.reshape(-1, 3).T, self._a_v.reshape(-1, 3).T
-        stiffness = -(ax * h**2)[:, None] * _AA[:, :, None] - (av * h)[:, None] * _A[:, :, None]
-        return _invert_3x3(stiffness + np.eye(3)[:, :, None])
+    def within(self) -> WithinPanels:
+        """How the law acts within the panels."""
+        h, (ax, av) = self.panels.h, (q.reshape(-1, 3).T for q in self._of_law)
+        return WithinPanels(
+            by_node=(ax * h**2)[:, None] * _AA[:, :, None] + (av * h)[:, None] * _A[:, :, None],
+            by_start=np.stack([ax, ax * h * NODES[:, None] + av], axis=1),
+        )
 
     @cached_property
-    def _by_start(self) -> Array:
-        """What the panel's first position and velocity act at the nodes, (3, 2, p)."""
-        ax, av = self._a_x.reshape(-1, 3).T, self._a_v.reshape(-1, 3).T
-        return np.stack([ax, ax * self.panels.h * NODES[:, None] + av], axis=1)
+    def _inverse(self) -> Array:
+        """Accelerations at the nodes per unit of what acts there, within one panel, (3, 3, p)."""
+        return _invert_3x3(np.eye(3)[:, :, None] - self.within.by_node)
+
+    @cached_property
+    def _end_by_node(self) -> Array:
+        """State at the end of each panel per unit of the accelerations at its nodes, (2 + k, 3, p)."""
+        h = self.panels.h
+        moved = np.stack([h**2 * _BA[:, None], h * _B[:, None]])
+        return moved if self.within.kept_by_node is None else np.concatenate([moved, self.within.kept_by_node])
 
     @cached_property
     def end_gain(self) -> Array:
-        """State at the end of each panel per unit of acceleration at its nodes, (2, 3, p)."""
-        h = self.panels.h
-        return np.einsum("cip,ijp->cjp", np.stack([h**2 * _BA[:, None], h * _B[:, None]]), self._inverse)
+        """State at the end of each panel per unit of what acts at its nodes, (2 + k, 3, p)."""
+        return np.einsum("cip,ijp->cjp", self._end_by_node, self._inverse)
 
     @cached_property
     def transition(self) -> Array:
-        """State at the end of each panel per unit of the state at its beginning, (2, 2, p)."""
-        out: Array = np.einsum("cjp,jsp->csp", self.end_gain, self._by_start)
+        """State at the end of each panel per unit of the state at its beginning, (2 + k, 2 + k, p)."""
+        out: Array = np.einsum("cjp,jsp->csp", self.end_gain, self.within.by_start)
         out[0, 0] += 1
         out[0, 1] += self.panels.h
         out[1, 1] += 1
+        if self.within.kept_by_start is not None:
+            out[2:] += self.within.kept_by_start
         return out
 
     @cached_property
@@ -290,9 +297,9 @@ class LinearResponse:
 
         """
         at_nodes = np.ascontiguousarray(g.reshape(-1, 3).T)
-        edges = self.carry(start[None], np.einsum("cjp,jp->cp", self.end_gain, at_nodes)[None])[0]
-        at_nodes += np.einsum("jsp,sp->jp", self._by_start, edges[:, self.panels.begin])
-        return np.einsum("ijp,jp->pi", self._inverse, at_nodes).ravel(), edges
+        states = self.carry(start[None], np.einsum("cjp,jp->cp", self.end_gain, at_nodes)[None])[0]
+        at_nodes += np.einsum("jsp,sp->jp", self.within.by_start, states[:, self.panels.begin])
+        return np.einsum("ijp,jp->pi", self._inverse, at_nodes).ravel(), states[:2]
 
     def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
         """Compute the change of the motion under k small inputs.
@@ -320,22 +327,24 @@ class LinearResponse:
         at_nodes = np.ascontiguousarray(g.T.reshape(k, -1, 3).transpose(2, 0, 1))
         kicks = np.einsum("cjp,jkp->kcp", self.end_gain, at_nodes)
         first = np.zeros((k, 2, 1)) if start is None else start.T[:, :, None]
-        return self.carry(first, kicks).transpose(2, 1, 0)
+        return self.carry(first, kicks)[:, :2].transpose(2, 1, 0)
 
     def carry(self, start: Array, kicks: Array) -> Array:
-        """States (k, 2, p + R) at the edges from starts (k, 2, R or 1) and kicks (k, 2, p)."""
-        k, panels = len(kicks), self.panels
-        chain = np.empty((k, len(panels.edges), 2))
-        states = chain.transpose(0, 2, 1)
-        if len(panels.starts) == 1:
+        """States (k, d, p + R) at the edges from starts (k, 2, R or 1) and kicks (k, d, p)."""
+        k, d, panels = len(kicks), kicks.shape[1], self.panels
+        chain = np.empty((k, len(panels.edges), d))
+        states, begins = chain.transpose(0, 2, 1), list(panels.starts)
+        if len(begins) == 1:
             states[:, :, 1:] = kicks
         else:
             states[:, :, panels.begin + 1] = kicks
-        states[:, :, list(panels.starts)] = start
+        states[:, :2, begins] = start
+        if self.within.kept_at_start is not None:
+            states[:, 2:, begins] = np.einsum("csr,ksr->kcr", self.within.kept_at_start, states[:, :2, begins])
         solved, info = dtbtrs(self._band, chain.reshape(k, -1).T, uplo="L", diag="U", overwrite_b=True)
         if info:
             raise FrictrackError("the motion could not be integrated: the linear system is singular")
-        return np.asarray(solved.T.reshape(k, -1, 2).transpose(0, 2, 1))
+        return np.asarray(solved.T.reshape(k, -1, d).transpose(0, 2, 1))
 
 
 def _invert_3x3(m: Array) -> Array:
@@ -356,18 +365,106 @@ def _invert_3x3(m: Array) -> Array:
 
 
 def _bidiagonal_band(transition: Array, panels: Panels) -> Array:
-    """Store the block bidiagonal system z[i + 1] - M[i] z[i] = w[i] as LAPACK lower bands, (4, 2 p + 2 R).
+    """Store the block bidiagonal system z[i + 1] - M[i] z[i] = w[i] as LAPACK lower bands, (2 d, d (p + R)).
 
     Nothing is carried from the last edge of a motion to the first of the next.
     """
-    band = np.zeros((len(panels.edges), 2, 4))  # as LAPACK reads it: column by column
+    d = len(transition)
+    band = np.zeros((len(panels.edges), d, 2 * d))  # as LAPACK reads it: column by column
     band[:, :, 0] = 1.0
-    begin = panels.begin
-    band[begin, 0, 2] = -transition[0, 0]
-    band[begin, 1, 1] = -transition[0, 1]
-    band[begin, 0, 3] = -transition[1, 0]
-    band[begin, 1, 2] = -transition[1, 1]
-    return band.reshape(-1, 4).T
+    for row in range(d):
+        for column in range(d):
+            band[panels.begin, column, d + row - column] = -transition[row, column]
+    return band.reshape(-1, 2 * d).T
+
+
+@dataclass(frozen=True)
+class WithinPanels:
+    """How a law acts within each of p panels, per unit of the state (x, v, y) at its beginning and of accelerations.
+
+    Attributes
+    ----------
+    by_node, by_start
+        Acceleration at the nodes by the accelerations there (3, 3, p), and by the state (3, 2 + k, p).
+    kept_by_node, kept_by_start
+        What is remembered at the end, by the same, (k, 3, p) and (k, 2 + k, p); None under a law without memory.
+    kept_at_start
+        What is remembered at the first edge of every motion, by its position and velocity there, (k, 2, R).
+
+    """
+
+    by_node: Array
+    by_start: Array
+    kept_by_node: Array | None = None
+    kept_by_start: Array | None = None
+    kept_at_start: Array | None = None
+
+
+class ResponseWithMemory(LinearResponse):
+    """Linear response of a motion on p panels, or of R motions laid end to end, under a law with memory."""
+
+    def __init__(self, panels: Panels, within: WithinPanels) -> None:
+        self.panels, self.within = panels, within
+
+    def part(self, panels: Panels, nodes: slice) -> LinearResponse:
+        """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
+        rows, motion = (
+            slice(nodes.start // 3, nodes.stop // 3),
+            int(np.searchsorted(3 * self.panels.first, nodes.start)),
+        )
+        own = {f.name: getattr(self.within, f.name)[..., rows] for f in fields(WithinPanels)[:-1]}
+        assert self.within.kept_at_start is not None
+        return ResponseWithMemory(panels, WithinPanels(**own, kept_at_start=self.within.kept_at_start[..., [motion]]))
+
+
+class LawWithMemory(Protocol):
+    """A law whose memory y of k numbers is known wherever a panel begins."""
+
+    def states(self, motion: CollocationSolution) -> Array:
+        """What the law remembers at the beginning of every panel of a motion, (k, p)."""
+
+    def within(self, x: Array, v: Array, states: Array) -> tuple[Array, Array]:
+        """Accelerations at the nodes (3, p), and what is remembered at the end (k, p), of a motion within every panel.
+
+        The motion x, v (5, p) is given where each panel begins, at its nodes, and where it ends.
+        """
+
+    def first_states(self, x: Array, v: Array) -> Array:
+        """What the law remembers at the first edge of every motion, (k, R), that begins there with x, v (R,)."""
+
+
+def response_with_memory(law: LawWithMemory, motion: CollocationSolution) -> ResponseWithMemory:
+    """Differentiate a law with memory within every panel of a motion, by differences."""
+    panels = motion.panels
+    begin, end, h = panels.begin, panels.begin + 1, panels.h
+    x, v = (
+        np.stack([edge[begin], *node.reshape(-1, 3).T, edge[end]])
+        for edge, node in ((motion.x_edge, motion.x), (motion.v_edge, motion.v))
+    )
+    states = law.states(motion)
+    reach, speed = max(float(np.ptp(x)), 1e-3), max(float(np.max(np.abs(v))), 1e-3)
+    at, still, unit = np.array([0.0, *NODES, 1.0]), np.zeros((5, len(h))), np.ones((5, len(h)))
+    a, kept = law.within(x, v, states)
+
+    def slopes(step: Array | float, dx: Array, dv: Array, dy: Array | float = 0.0) -> Array:
+        """Change of the accelerations at the nodes, and of what is remembered at the end, (3 + k, p)."""
+        changed, own = law.within(x + step * dx, v + step * dv, states + step * dy)
+        return np.concatenate([changed - a, own - kept]) / step
+
+    by_start = [slopes(RELATIVE_STEP * reach, unit, still), slopes(RELATIVE_STEP * speed, at[:, None] * h, unit)]
+    size = np.max(np.abs(states), axis=1, initial=0.0) + np.max(np.abs(kept - states), axis=1, initial=0.0)
+    for y, one in zip(size, np.eye(len(states)), strict=True):
+        by_start.append(slopes(RELATIVE_STEP * max(float(y), 1e-12), still, still, one[:, None]))
+    by_node = [
+        slopes(RELATIVE_STEP * speed / h, np.array([0.0, *_AA[:, j], _BA[j]])[:, None] * h**2, dv[:, None] * h)
+        for j, dv in enumerate(np.column_stack([np.zeros(3), _A.T, _B]))
+    ]
+    x0, v0 = motion.x_edge[list(panels.starts)], motion.v_edge[list(panels.starts)]
+    first, (ex, ev) = law.first_states(x0, v0), (RELATIVE_STEP * reach, RELATIVE_STEP * speed)
+    at_start = [(law.first_states(x0 + ex, v0) - first) / ex, (law.first_states(x0, v0 + ev) - first) / ev]
+    of_start, of_node = np.stack(by_start, axis=1), np.stack(by_node, axis=1)
+    within = WithinPanels(of_node[:3], of_start[:3], of_node[3:], of_start[3:], np.stack(at_start, axis=1))
+    return ResponseWithMemory(panels, within)
 
 
 MAX_CONDITION = 1e8  # of the fundamental matrix; beyond it running sums lose digits and panels are chained instead
@@ -387,9 +484,9 @@ class EdgeResponse:
     Attributes
     ----------
     fundamental
-        State (x, v) at each edge per unit of the state at the first edge, shape (p + 1, 2, 2).
+        State (x, v) at each edge per unit of the state at the first edge, (p + 1, 2, 2); only without memory.
     stiff
-        Whether panels are chained one by one, because the fundamental matrix is ill-conditioned.
+        Whether panels are chained one by one, because the fundamental matrix is ill-conditioned, or the law remembers.
     weights
         Of the running sums, shape (5, p + 1), unless stiff: two rows multiply the accelerations before each sum, two
         the sums, the last one the acceleration at the edge.
@@ -400,7 +497,10 @@ class EdgeResponse:
         self._linear = linear
         first, weights = _stencils(linear.panels)
         self._first_edge = first
-        self._kick = linear.end_gain.transpose(2, 0, 1) @ weights  # (p, 2, 4)
+        self._kick = linear.end_gain.transpose(2, 0, 1) @ weights  # (p, 2 + k, 4)
+        self.stiff = len(linear.transition) > 2
+        if self.stiff:
+            return
         self.fundamental = _fundamental(linear.transition.transpose(2, 0, 1))  # (p + 1, 2, 2)
         with np.errstate(all="ignore"):  # singular where a state that is forgotten falls below the smallest number
             condition = np.abs(self.fundamental).max(axis=(1, 2)) ** 2 / np.abs(np.linalg.det(self.fundamental))
@@ -412,7 +512,7 @@ class EdgeResponse:
     @property
     def starts(self) -> Array:
         """Displacement at the edges per unit of start position (m) and of start velocity (m/s), shape (2, p + 1)."""
-        return np.ascontiguousarray(self.fundamental[:, 0].T)
+        return self._linear.edge_states(np.zeros((len(self._linear.panels.t), 2)), np.eye(2))[:, 0].T
 
     def __call__(self, g: Array) -> Array:
         """Displacements (k, p + 1) for accelerations (k, p + 1)."""
@@ -482,186 +582,3 @@ def _fundamental(transition: Array) -> Array:
         a, b, c, d = m * a + n * c, m * b + n * d, o * a + q * c, o * b + q * d
         out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = a, b, c, d
     return out
-
-
-MAX_KRYLOV_DIRECTIONS = 80
-N_FIRST_DIRECTIONS = 16  # that have room at first
-MAX_CANCELLATION = 0.7  # share that remains after orthogonalisation; below it rounding errors are removed once more
-MIN_NEW_SHARE = 1e-12  # share of a direction that remains after orthogonalisation; below it is rounding error
-SENSITIVITY_RTOL = 1e-5  # residual over the input, of a sensitivity
-CORRECTED_RTOL = 1e-4  # the same of its sum of directions, computed anew
-MAX_CORRECTIONS, MIN_CORRECTION = 3, 0.5  # of this sum, and the share that one leaves at most
-NEWTON_STEP_RTOL = 1e-4  # the same of a Newton step, which the next step corrects
-
-
-@dataclass(eq=False)
-class _Directions:
-    """Solved directions: their inputs, node accelerations (m, 3 p) and edge states (m, 2 p + 2).
-
-    The inputs are kept orthonormal (m, 3 p); `upper` (m, m) holds how the solved inputs are made of them. The arrays
-    have room for more; `count` are in use.
-    """
-
-    inputs: Array
-    upper: Array
-    accelerations: Array
-    edges: Array
-    count: int = 0
-
-    @classmethod
-    def with_room(cls, nodes: int, edges: int) -> _Directions:
-        """No directions yet."""
-        m = N_FIRST_DIRECTIONS
-        return cls(np.empty((m, nodes)), np.zeros((m, m)), np.empty((m, nodes)), np.empty((m, edges)))
-
-    def append(self, w: Array, a: Array, edges: Array) -> bool:
-        """Add the solution of an input w (3 p,); False if the known directions make up all of it."""
-        made_of, new = self._orthogonalised(w)
-        size = float(np.linalg.norm(new))
-        if not size > MIN_NEW_SHARE * float(np.linalg.norm(w)):
-            return False
-        if self.count == len(self.inputs):
-            self.inputs, self.accelerations, self.edges = (
-                np.concatenate([q, np.empty_like(q)]) for q in (self.inputs, self.accelerations, self.edges)
-            )
-            self.upper = np.pad(self.upper, (0, self.count))
-        self.inputs[self.count], self.accelerations[self.count], self.edges[self.count] = new / size, a, edges
-        self.upper[: self.count, self.count], self.upper[self.count, self.count] = made_of, size
-        self.count += 1
-        return True
-
-    def components(self, inputs: Array, last: int = 0) -> tuple[Array, Array]:
-        """Components of an input (3 p,) in the orthonormal inputs from `last` on, and what is left of it."""
-        used = self.inputs[last : self.count]
-        c = used @ inputs
-        return c, inputs - c @ used
-
-    def _orthogonalised(self, w: Array) -> tuple[Array, Array]:
-        """Components (m,) of an input in the known ones, and what is left of it."""
-        made_of, left = self.components(w)
-        if np.linalg.norm(left) < MAX_CANCELLATION * np.linalg.norm(w):
-            again, left = self.components(left)  # twice is enough (Giraud & Langou 2003, SIAM J. Sci. Comput. 25)
-            made_of = made_of + again
-        return made_of, left
-
-    def solution(self, components: Array) -> tuple[Array, Array]:
-        """Node accelerations (3 p,) and edge states (2 p + 2,) under an input of given components (m,)."""
-        m = len(components)
-        c = solve_triangular(self.upper[:m, :m], components, check_finite=False) if m else components
-        return c @ self.accelerations[:m], c @ self.edges[:m]
-
-
-class KrylovResponse:
-    """Linear response of a motion under a law with memory, with the interface of `LinearResponse`.
-
-    Directions that were solved for one input are reused for the next.
-
-    Parameters
-    ----------
-    local
-        Response of the same law without its memory; the preconditioner.
-    tangent
-        Function of node accelerations (3 p,) and of a change of the start (2,). It returns the change of the law's
-        acceleration (3 p,) along that small change of the motion.
-
-    """
-
-    def __init__(self, local: LinearResponse, tangent: Callable[[Array, Array], Array]) -> None:
-        self._local, self._tangent = local, tangent
-        self._directions = _Directions.with_room(len(local.panels.t), 2 * len(local.panels.edges))
-
-    def newton_step(self, residual: Array) -> tuple[Array, Array]:
-        """Newton correction (node accelerations (3 p,), edge positions (p + 1,)) for a residual (3 p,)."""
-        a, edges = self.solve(residual, np.zeros(2), NEWTON_STEP_RTOL)
-        return a, edges[:, 0]
-
-    def respond(self, g: Array, start: Array) -> tuple[Array, Array]:
-        """Compute the change of the motion under k small inputs; see `LinearResponse.respond`.
-
-        Raises
-        ------
-        FrictrackError
-            If the response grows beyond all bounds.
-
-        """
-        pairs = [self._solve_and_correct(g[:, j], start[:, j]) for j in range(g.shape[1])]
-        if not all(np.all(np.isfinite(edges)) for _, edges in pairs):
-            raise FrictrackError("the motion could not be integrated: a small change of this law has no bounds")
-        a = np.stack([p[0] for p in pairs], axis=1) if pairs else np.zeros_like(g)
-        return a, np.stack([p[1] for p in pairs], axis=2) if pairs else self._local.respond(g, start)[1]
-
-    def respond_to_one(self, g: Array, start: Array) -> tuple[Array, Array]:
-        """Compute the change of the motion under one small input; see `LinearResponse.respond_to_one`."""
-        a, edges = self._solve_and_correct(g, start[:, 0])
-        return a, edges.T
-
-    def edge_states(self, g: Array, start: Array) -> Array:
-        """Compute the change of the state at the edges, (p + 1, 2, k), under inputs g (3 p, k) and starts (2, k)."""
-        return self.respond(g, start)[1]
-
-    @np.errstate(all="ignore")
-    def _solve_and_correct(self, g: Array, start: Array) -> tuple[Array, Array]:
-        """Solve for one input, and correct the solution while that helps (iterative refinement).
-
-        Directions of a stiff contact cancel by four decimals, and so multiply the errors of their differences: what
-        the sum of them leaves is computed anew.
-        """
-        a, edges = self.solve(g, start)
-        left = g + self._tangent(a, start) - a
-        tolerance = CORRECTED_RTOL * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
-        for _ in range(MAX_CORRECTIONS):
-            size = float(np.linalg.norm(left))
-            if not size > tolerance:
-                break
-            more, more_edges = self.solve(left, np.zeros(2), max(SENSITIVITY_RTOL, tolerance / size))
-            better = g + self._tangent(a + more, start) - a - more
-            if not float(np.linalg.norm(better)) < MIN_CORRECTION * size:
-                break
-            a, edges, left = a + more, edges + more_edges, better
-        return a, edges
-
-    @np.errstate(all="ignore")  # a response that grows beyond all bounds becomes NaN
-    def solve(self, g: Array, start: Array, rtol: float = SENSITIVITY_RTOL) -> tuple[Array, Array]:
-        """Solve for one input by generalised conjugate residuals, preconditioned from the right.
-
-        Parameters
-        ----------
-        g
-            Added acceleration at the nodes, m/s^2, shape (3 p,).
-        start
-            Change of position and velocity at the first edge, (2,).
-        rtol
-            Norm of the residual over the norm of the input at which the iteration ends.
-
-        Returns
-        -------
-        tuple of arrays
-            Change of the node accelerations (3 p,), and of the state at the edges (p + 1, 2). Both are NaN if the law
-            runs off to infinity.
-
-        References
-        ----------
-        Eisenstat, Elman & Schultz 1983, SIAM J. Numer. Anal. 20, 345-357.
-
-        """
-        a, edges = (q[..., 0] for q in self._local.respond(np.zeros((len(g), 1)), start[:, None]))
-        residual = g + self._tangent(a, start) - a if np.any(start) else g
-        tolerance = rtol * max(float(np.linalg.norm(g)), float(np.linalg.norm(a)))
-        components = np.zeros(0)
-        for left in range(MAX_KRYLOV_DIRECTIONS, -1, -1):
-            own, residual = self._directions.components(residual, len(components))
-            components, size = np.append(components, own), float(np.linalg.norm(residual))
-            if size <= tolerance or not left or not self._add_direction(residual / size):
-                break
-        if not np.all(np.isfinite(residual)):
-            return np.full_like(a, np.nan), np.full_like(edges, np.nan)
-        a_own, edges_own = self._directions.solution(components)
-        return a + a_own, edges + edges_own.reshape(edges.shape)
-
-    def _add_direction(self, toward: Array) -> bool:
-        """Solve one more direction; False if nothing new remains of it."""
-        a, edges = (q[..., 0] for q in self._local.respond(toward[:, None], np.zeros((2, 1))))
-        return self._directions.append(a - self._tangent(a, np.zeros(2)), a, edges.ravel())
-
-
-MotionResponse = LinearResponse | KrylovResponse

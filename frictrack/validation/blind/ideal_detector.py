@@ -26,7 +26,7 @@ from frictrack.effects import Effect, Path
 from frictrack.effects.models import Model
 from frictrack.records import Array, Mask
 from frictrack.simulate import Trajectory
-from frictrack.simulate.dynamics import MotionResponse, Panels, solve_motion
+from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 from frictrack.validation.blind.truth import EffectValues, RunTruth, Truth, effect_named
 
 ALPHA = 0.005  # false-alarm probability of the candidates' half of a diagnosis
@@ -93,7 +93,7 @@ class _LinearisedRun:
     moving: Mask
     path: Path  # at the nodes
     at_frames: Path
-    linear: MotionResponse
+    linear: LinearResponse
     mass: float
     sensitivity: Array
 
