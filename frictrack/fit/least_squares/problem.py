@@ -203,10 +203,7 @@ class JoinedLaw:
                 first = [own.start for own in samples.pieces]
                 states = self._states_at_start(self.p if p is None else p, x[first], v[first])
             if len(self.joined.pieces) > 1:
-                values = {
-                    name: {k: q[samples.nodes] if isinstance(q, np.ndarray) else q for k, q in own.items()}
-                    for name, own in values.items()
-                }
+                values = {name: _at_samples(own, samples) for name, own in values.items()}
         return self.joined.path(samples, x, v, levels, states, sharp=self.model.turns), values
 
     @cached_property
@@ -272,6 +269,11 @@ class JoinedLaw:
         path, values = self._path(self._samples, x, v, p=p)
         changed = self.model.force(path, values) - force
         return np.asarray(changed[self._samples.is_node] / self.joined.spread(steps))
+
+
+def _at_samples(values: Mapping[str, Any], samples: Samples) -> dict[str, Any]:
+    """Values of the parameters of an effect, those with one per node at the samples."""
+    return {name: value[samples.nodes] if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
 def difference_step(value: float, bounds: tuple[float, float]) -> float:
