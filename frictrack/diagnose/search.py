@@ -395,11 +395,11 @@ def _stride(solution: Solution) -> int:
 
 
 def _thin_piece(piece: Piece, every: int) -> Piece:
-    """A piece with every few of its frames; where a mass turns, its panels stay as short."""
+    """A piece with every few of its frames."""
     rows = slice(None, None, every)
     angle = None if piece.angle is None else piece.angle[rows]
     kept = {name: getattr(piece, name)[rows] for name in ("frames", "t", "y", "sigma", "at")}
-    return replace(piece, angle=angle, **kept).refined(piece.per_frame * (every if piece.slack else 1))
+    return replace(piece, angle=angle, gain=every * piece.gain, **kept).refined(piece.per_frame)
 
 
 def _limit_spans(layout: ParameterLayout, pieces: Sequence[Piece], kept: Sequence[int]) -> ParameterLayout:

@@ -56,8 +56,7 @@ from frictrack.simulate.dynamics import Panels
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
 OWN_NOISE_OF_SPEEDS = 0.1  # of that of a step; positions that are integrated from speeds have none
 MIN_FRAMES = 8  # fewer leave no information beyond start position and speed
-TURNING_SHARE = 0.5  # of the speed that a panel gains at a reversal, within which dry friction turns
-MAX_MOVED_SIGMAS, MAX_PANELS = 0.25, 20_000  # standard deviations of the noise; panels of a run that swings
+MIN_SHARE_OF_LAST_SPEED = 0.5  # to which a swing is followed that comes to rest
 MIN_KNOWN_SHARE = 0.5  # least share of frames in which a series is known
 MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beginning is rest
 
@@ -145,12 +144,12 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
         return [whole_piece(run, index, reference)]
     context, noise = run_context(run, reference), _noise_of(run)
     made = []
-    for span, slack in join_swings(run, spans):
-        rows = np.arange(span.start, span.stop)
+    for span, gain in join_swings(run, spans):
+        rows = np.arange(span.start, _until_it_stops(run.motion.v, span) if gain else span.stop)
         rows = rows[run.displacement.valid[rows] & np.isfinite(run.displacement.x[rows])]
         if len(rows) >= MIN_FRAMES:
             piece = _piece(run, index, rows, noise, context)
-            made.append(_swinging(piece, slack, max(MAX_PANELS // len(run.motion), 1)) if slack else piece)
+            made.append(replace(piece, turns=True, gain=gain) if gain else piece)
     if not made:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FRAMES} free frames in one direction but found none; '
@@ -159,14 +158,16 @@ def _pieces_of_run(run: Run, index: int, reference: Reference, through_reversals
     return made
 
 
-def _swinging(piece: Piece, gain: float, finest: int) -> Piece:
-    """The same piece through its reversals, at which the mass gains a speed, m/s, in one frame.
+def _until_it_stops(v: Array, span: slice) -> int:
+    """End of the frames of a swing in which its last stretch has not lost half of its highest speed.
 
-    In a panel this gain moves it by a small part of the noise, so that no step hides how dry friction turns there.
+    Where the mass comes to rest under a law, another law near it would let it turn once more, or rest earlier.
     """
-    moved = gain * float(np.median(np.diff(piece.t))) / float(np.median(piece.sigma))
-    fine = int(np.clip(np.ceil(np.sqrt(moved / MAX_MOVED_SIGMAS)), 1, finest))
-    return replace(piece.refined(fine), turns=True, slack=TURNING_SHARE * gain / fine)
+    turns = np.flatnonzero(np.diff(np.sign(v[span]))) + 1
+    last = span.start + (int(turns[-1]) if len(turns) else 0)
+    speed = np.abs(v[last : span.stop])
+    fast = np.flatnonzero(speed >= MIN_SHARE_OF_LAST_SPEED * np.max(speed))
+    return last + int(fast[-1]) + 1
 
 
 def whole_piece(run: Run, index: int, reference: Reference) -> Piece:
@@ -433,7 +434,7 @@ def guess_mass(pieces: Sequence[Piece]) -> float:
 def piece_frames(model: Model, pieces: Sequence[Piece], run: Run) -> int:
     """Choose the number of frames per piece of one run from its longest possible `pieces`; 0 leaves these whole."""
     whole = max(len(p.t) for p in pieces)
-    if any(p.slack for p in pieces):  # friction of a swinging mass follows from the loss over many swings
+    if any(p.gain for p in pieces):  # friction of a swinging mass follows from the loss over many swings
         return 0
     if any(p.turns for p in pieces):
         return REVERSAL_PIECE_FRAMES if whole > 2 * REVERSAL_PIECE_FRAMES else 0
@@ -453,7 +454,7 @@ def cut_into_pieces(pieces: Sequence[Piece], n: int) -> list[Piece]:
         return list(pieces)
     out = []
     for piece in pieces:
-        first = MIN_HISTORY_FRAMES if piece.turns and not piece.slack and _history_is_unknown(piece) else 0
+        first = MIN_HISTORY_FRAMES if piece.turns and not piece.gain and _history_is_unknown(piece) else 0
         cuts = [c + first for c in cut_rows(len(piece.t) - first, n)]
         out += [replace(piece.part(int(c[0]), int(c[-1]) + 1), cut=True) for c in cuts]
     return out

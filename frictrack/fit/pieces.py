@@ -24,7 +24,7 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
@@ -170,7 +170,8 @@ class Piece:
     angle: Array | None = None  # rad, at the frames
     cut: bool = False  # a part of a longer piece
     turns: bool = False  # followed through stops and reversals; the direction is that of the simulated motion
-    slack: float = 0.0  # m/s: speed within which the direction of a swinging mass changes at a reversal
+    gain: float = 0.0  # m/s that a mass gains in a frame where it turns, if it swings back by itself
+    slack: float = 0.0  # m/s within which the direction of a swinging mass changes, if it does not turn at once
     systematic: float = 0.0  # m rms of slow systematic errors
     correlated: tuple[float, ...] = ()  # correlated noise: rms in m, correlation time in s
     walk: float = 0.0  # spectral density of the errors of measured speeds, (m/s)^2 s
@@ -205,7 +206,7 @@ class Piece:
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the frames for a motion x, v (n,) there, its load times the friction `level`."""
-        s = self.direction(v) if self.turns else np.full_like(x, self.path.s[0])
+        s = self.direction_at(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(self._nodes_to_frames) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
@@ -222,15 +223,18 @@ class Piece:
         """Series of the path besides its motion, mapped by `of` from the nodes to other points."""
         return {name: of(q) for name in SERIES if (q := getattr(self.path, name)) is not None}
 
-    def direction(self, v: Array, *, sharp: bool = False) -> Array:
-        """Direction of motion (n,) for velocities at the nodes, or at other points if the piece turns.
-
-        At rest it is the last one; 0 at first where the piece begins at rest. It turns within the `slack` of a swing
-        unless it has to be `sharp`: under a law that does not jump there.
-        """
+    def direction(self, v: Array) -> Array:
+        """Direction of motion (3 p,) for velocities at the nodes; a swinging mass turns within its panels."""
         if not self.turns:
             return self.path.s
-        if self.slack and not sharp:
+        return directions(self.panels, v) if self.gain and not self.slack else self.direction_at(v)
+
+    def direction_at(self, v: Array) -> Array:
+        """Direction of motion (n,) of a piece that turns, at any points.
+
+        At rest it is the last one; 0 at first where the piece begins at rest.
+        """
+        if self.slack:
             near = np.clip(v / self.slack, -1.0, 1.0)
             return near * (2.25 - 1.25 * near**2)  # moves a mass as a sign does, as its first moment is the same
         s = direction_of_motion(v)
@@ -271,7 +275,7 @@ class Piece:
             a_hat=self.a_hat / by**2,
             path=path,
             way=self.way * scale,
-            slack=self.slack / by,
+            gain=self.gain / by,
             clock=clock,
         )
 
@@ -492,13 +496,19 @@ class JoinedPieces:
     ) -> Path:
         """Return the path of a motion x, v (n,) at some samples, its loads times the levels of the pieces.
 
-        `states` is what the effects remember where each individual begins; see `Piece.direction` for `sharp`.
+        `states` is what the effects remember where each individual begins. A law that does not jump at a reversal
+        needs the `sharp` direction, that of the moment.
         """
         same, base = samples is self.at_nodes, self._path
         s = base.s if same else base.s[samples.nodes]
         if any(piece.turns for piece in self.pieces):
-            each = zip(self.pieces, samples.pieces, strict=True)
-            s = np.concatenate([p.direction(v[own], sharp=sharp) if p.turns else s[own] for p, own in each])
+            s = s.copy()
+            for piece, own in zip(self.pieces, samples.pieces, strict=True):
+                if piece.turns:
+                    s[own] = piece.direction_at(v[own])
+                if piece.gain and not sharp:
+                    at = np.flatnonzero(samples.is_node[own]) + own.start
+                    s[at] = piece.direction(v[at])
         load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
         if same:
             return replace(base, x=x, v=v, s=s, load=load)

@@ -143,8 +143,8 @@ def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
 
     Dry friction changes its sign at a reversal. Where gravity or a spring pulls the mass back, it does not rest there,
     and one model must describe the loss from swing to swing. A blow also reverses a mass, but at once: there the spans
-    stay separate, as they do where the drive is measured. Every span comes with the speed (m/s) within which its
-    direction changes: what the mass gains in one frame at its reversals, 0 for a span of one direction.
+    stay separate, as they do where the drive is measured. Every span comes with the speed (m/s) that the mass
+    gains in one frame at its reversals, 0 for a span of one direction.
     """
     out: list[tuple[slice, float]] = []
     for span in spans:
@@ -152,8 +152,8 @@ def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
         if pull is None:
             out.append((span, 0.0))
         else:
-            before, slack = out[-1]
-            out[-1] = slice(before.start, span.stop), max(slack, pull * _interval(run))
+            before, gain = out[-1]
+            out[-1] = slice(before.start, span.stop), max(gain, pull * _interval(run))
     return out
 
 

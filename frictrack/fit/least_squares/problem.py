@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.effects import Path
 from frictrack.effects.models import Model, Values
 from frictrack.fit.parameters import ParameterLayout
@@ -33,6 +33,7 @@ from frictrack.simulate.dynamics import (
 )
 
 MAX_JOINED_NODES = 30_000  # nodes that are simulated together, so that their arrays stay in the cache
+TURNING_SHARE = 0.5  # of the speed gained in a frame, within which it turns
 SHARPENING = 1.5  # by which the speed of a reversal falls from step to step, where a swing cannot be solved at once
 
 
@@ -106,7 +107,8 @@ class JoinedLaw:
     @property
     def tolerance(self) -> float:
         """Newton step at which a motion has converged, m."""
-        return MEMORY_TOLERANCE_M if self.remembers else TOLERANCE_M
+        turns = any(piece.gain for piece in self.joined.pieces)
+        return MEMORY_TOLERANCE_M if self.remembers or turns else TOLERANCE_M
 
     @cached_property
     def _inputs(self) -> tuple[Values, list[float]]:
@@ -587,27 +589,23 @@ class LeastSquaresProblem:
         self, simulation: _Simulation, law: JoinedLaw, starts: Array
     ) -> tuple[CollocationSolution, LinearResponse]:
         """Solve the motion of pieces, beginning at a near one."""
+        pieces, panels, start = law.joined.pieces, law.joined.panels, _by_motion(starts)
         try:
-            return solve_motion(law, law.joined.panels, _by_motion(starts), simulation.guess)
-        except FrictrackError:  # after a previous motion the caller rather takes a shorter step
-            swings = any(piece.slack for piece in law.joined.pieces) and not self.model.turns
-            if not simulation.is_first or not swings:
+            return solve_motion(law, panels, start, simulation.guess)
+        except FrictrackError:
+            if self.model.turns or not any(piece.gain for piece in pieces):
                 raise
-        return self._solve_sharpening(law, starts, simulation.guess)
-
-    def _solve_sharpening(
-        self, law: JoinedLaw, starts: Array, guess: Array
-    ) -> tuple[CollocationSolution, LinearResponse]:
-        """Solve swinging masses whose dry friction turns slowly at a reversal first, then as sharply as it does."""
-        # a mass that swings in the record and comes to rest under the law has no other near motion to begin with
-        # (continuation: Allgower & Georg 1990, Numerical Continuation Methods)
-        pieces = law.joined.pieces
-        widest = max(float(np.max(np.abs(q.v_hat))) / q.slack for q in pieces if q.slack)
-        for k in range(max(int(np.ceil(np.log(widest) / np.log(SHARPENING))), 1), -1, -1):
-            wider = JoinedPieces(tuple(replace(q, slack=q.slack * SHARPENING**k) for q in pieces))
-            motion, linear = solve_motion(self._law(wider, law.p), wider.panels, _by_motion(starts), guess)
-            guess = motion.a
-        return motion, linear
+        # under the law the mass comes to rest: no motion turns there, but one whose dry friction turns slowly creeps
+        # (where no motion is near, continuation: Allgower & Georg 1990, Numerical Continuation Methods)
+        speeds = [float(np.max(np.abs(piece.v_hat))) / piece.gain if piece.gain else 0.0 for piece in pieces]
+        steps = int(np.ceil(np.log(max(speeds)) / np.log(SHARPENING))) if simulation.is_first else 0
+        guess = simulation.guess
+        for k in range(max(steps, 0), -1, -1):
+            each = [replace(piece, slack=TURNING_SHARE * piece.gain * SHARPENING**k) for piece in pieces]
+            slow = JoinedPieces(tuple(each))
+            solved = solve_motion(self._law(slow, law.p), panels, start, guess)
+            guess = solved[0].a
+        return result_or_none(solve_motion, law, panels, start, guess) or solved
 
     def _measurement_shift(
         self, piece: Piece, p: Array, motion: CollocationSolution, active: list[int]

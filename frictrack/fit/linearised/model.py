@@ -329,13 +329,12 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
     piece, motion = response.piece, response.motion
     step = slice(None, None, piece.per_frame)
     x, v, t = motion.x_edge[step], motion.v_edge[step], motion.panels.edges[step]
-    path = piece.path_at_nodes(x, v, level) if piece.turns else replace(piece.path, load=piece.path.load * level)
-    s = path.s if piece.turns else np.full_like(x, piece.path.s[0])
+    s = piece.direction_at(v) if piece.turns else np.full_like(x, piece.path.s[0])
     series = {name: getattr(piece.path, name) for name in ("drive", "lift", "angle")}
     read: dict[str, Any] = {
         k: make_interp_spline(piece.panels.t, q, k=1)(t) for k, q in series.items() if q is not None
     }
-    return replace(path, t=t, x=x, v=v, s=s, **read)
+    return replace(piece.path, t=t, x=x, v=v, s=s, load=piece.path.load * level, **read)
 
 
 @dataclass(eq=False)

@@ -205,7 +205,7 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
         subset = pieces
     start_effects, later = split_start_effects(model)
     problem = _problem_of(start_effects, subset, names, fps)
-    guess = shoot_lengthening if any(p.slack for p in subset) else best_on_grid
+    guess = shoot_lengthening if any(p.gain for p in subset) else best_on_grid
     found = _one_after_the_other(problem, guess(problem), model, later)
     if len(subset) == len(pieces):
         return found

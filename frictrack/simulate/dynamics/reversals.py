@@ -1,0 +1,80 @@
+"""The direction of a motion that turns within a panel, as three nodes can hold it.
+
+Dry friction jumps where a mass turns. At the nodes of that panel its direction is the quadratic that has the integral
+and the first moments of the jump (its projection on Legendre polynomials), so that velocity and position at the end of
+the panel are those of the jump itself, wherever in the panel it lies, and change smoothly as it moves.
+
+The moment of the jump is where the motion before it, and the one after it, pass through rest: polynomials through the
+nodes of the panels on either side, since the jump itself bends the motion between them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frictrack.records import Array, Mask
+from frictrack.simulate.dynamics.collocation import NODES, Panels, Rows
+
+SIDE_PANELS = 2  # panels on either side of a turn through whose nodes it is extrapolated
+NEWTON_STEPS = 4
+MAX_MOVED = 1.0  # panel lengths by which the extrapolated turn may lie off the interpolated one
+_U = 2 * NODES - 1
+
+
+def directions(panels: Panels, v: Array) -> Array:
+    """Direction of motion (3 p,) at the nodes of one motion for velocities (3 p,) there."""
+    sign = np.sign(v)
+    moves = np.flatnonzero(sign)
+    if not len(moves):
+        return sign
+    turn = np.flatnonzero(sign[moves[1:]] != sign[moves[:-1]])
+    first = sign[moves[0]]
+    if not len(turn):
+        return np.full_like(v, first)
+    before, after = moves[turn], moves[turn + 1]
+    t, edges = panels.t, panels.edges
+    at = _extrapolated(panels, v, t[before] + (t[after] - t[before]) * v[before] / (v[before] - v[after]))
+    panel = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(panels.h) - 1)
+    turned = sign[after]
+    out = first * (-1.0) ** np.searchsorted(at, panels.edges[panels.begin], side="right")
+    nodes = np.repeat(out[:, None], 3, axis=1)
+    y = 2 * (at - edges[panel]) / panels.h[panel] - 1
+    np.add.at(nodes, panel, turned[:, None] * (1 + _projected(np.clip(y, -1.0, 1.0))))
+    return nodes.ravel()
+
+
+def _projected(y: Array) -> Array:
+    """Projection (N, 3), at the nodes, of a jump from -1 to 1 at places y (N,) of a panel, from -1 to 1."""
+    p2, p3 = (3 * y**2 - 1) / 2, (5 * y**3 - 3 * y) / 2
+    return -y[:, None] - _U * (p2 - 1)[:, None] - (3 * _U**2 - 1) / 2 * (p3 - y)[:, None]
+
+
+def _extrapolated(panels: Panels, v: Array, at: Array) -> Array:
+    """Moments (N,) near the given ones at which the motion on either side passes through rest, the mean of both sides.
+
+    The panels at the nearest edge are left out: the turn lies in one of them, and bends the motion there.
+    """
+    total, count, order = np.zeros_like(at), np.zeros_like(at), np.arange(3 * SIDE_PANELS)
+    if len(panels.h) < SIDE_PANELS:
+        return at
+    edge = np.searchsorted((panels.edges[1:] + panels.edges[:-1]) / 2, at)
+    h = panels.h[np.minimum(edge, len(panels.h) - 1)]
+    for offset in (-SIDE_PANELS - 1, 1):
+        begin = np.clip(edge + offset, 0, len(panels.h) - SIDE_PANELS)
+        rows = 3 * begin[:, None] + order
+        u = (panels.t[rows] - at[:, None]) / h[:, None]
+        curve = np.linalg.solve(u[:, :, None] ** order, v[rows][:, :, None])[:, :, 0]
+        moved = np.zeros_like(at)
+        for _ in range(NEWTON_STEPS):
+            powers = moved[:, None] ** order
+            slope = np.sum(curve[:, 1:] * order[1:] * powers[:, :-1], axis=1)
+            moved = moved - np.sum(curve * powers, axis=1) / np.where(slope == 0, np.inf, slope)
+        known = (begin == edge + offset) & _is_one_way(v[rows]) & (np.abs(moved) < MAX_MOVED)
+        total += np.where(known, at + moved * h, 0.0)
+        count += known
+    return np.sort(np.where(count > 0, total / np.maximum(count, 1), at))
+
+
+def _is_one_way(v: Array) -> Mask:
+    """Whether velocities (N, k) have one sign each."""
+    return np.asarray(np.all(v > 0, axis=1) | np.all(v < 0, axis=1))
