@@ -153,7 +153,7 @@ class Bristle:
         pairs = (self.panels.t, self.panels.edges), (motion.x, motion.x_edge), (motion.v, motion.v_edge)
         return self.bending(*(interleave(*pair) for pair in pairs))[None, :-1:4]
 
-    def within(self, x, v, states):
+    def within(self, x, v, states, heading):
         edges, nodes = self.panels.edges, self.panels.t.reshape(-1, 3)
         t = np.column_stack([edges[:-1], nodes, edges[1:]]).ravel()
         w = self.bending(t, x.T.ravel(), v.T.ravel(), tuple(range(0, len(t), 5)), states.T)

@@ -484,31 +484,31 @@ class JoinedPieces:
         """Return the path at the nodes for a motion x, v (3 p,) there, its loads times the levels of the pieces."""
         return self.path(self.at_nodes, x, v, levels)
 
-    def path(
+    def path(  # noqa: PLR0913, PLR0917 - all that a law may look at
         self,
         samples: Samples,
         x: Array,
         v: Array,
         levels: Sequence[float],
         states: Mapping[str, Array] | None = None,
-        *,
+        heading: Array | None = None,
         sharp: bool = False,
     ) -> Path:
         """Return the path of a motion x, v (n,) at some samples, its loads times the levels of the pieces.
 
-        `states` is what the effects remember where each individual begins. A law that does not jump at a reversal
-        needs the `sharp` direction, that of the moment.
+        `states` is what the effects remember where each individual begins. The direction is that of the velocities
+        `heading`, by default v. A law that does not jump at a reversal needs the `sharp` one, that of the moment.
         """
         same, base = samples is self.at_nodes, self._path
         s = base.s if same else base.s[samples.nodes]
         if any(piece.turns for piece in self.pieces):
-            s = s.copy()
+            s, heading = s.copy(), v if heading is None else heading
             for piece, own in zip(self.pieces, samples.pieces, strict=True):
                 if piece.turns:
-                    s[own] = piece.direction_at(v[own])
+                    s[own] = piece.direction_at(heading[own])
                 if piece.gain and not sharp:
                     at = np.flatnonzero(samples.is_node[own]) + own.start
-                    s[at] = piece.direction(v[at])
+                    s[at] = piece.direction(heading[at])
         load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
         if same:
             return replace(base, x=x, v=v, s=s, load=load)

@@ -155,10 +155,12 @@ class JoinedLaw:
         if self.remembers:
             return self.along(motion), response_with_memory(self, motion)
         (ex, ev), mass, x, v = difference_steps(motion), self.joined.mass, motion.x, motion.v
-        force = self._force(x, v)
-        by_x = (force - self._force(x + ex, v)) / (ex * mass)
-        by_v = (force - self._force(x, v + ev)) / (ev * mass)
-        return np.asarray(self.joined.known - force / mass), LinearResponse(motion.panels, by_x, by_v)
+        force, onward = self._force(x, v), self._force(x, v + ev)
+        by_x, by_v, by_turn = (force - self._force(x + ex, v)) / (ex * mass), (force - onward) / (ev * mass), None
+        if any(piece.gain for piece in self.joined.pieces):
+            faster = self._force(x, v + ev, heading=v)
+            by_v, by_turn = (force - faster) / (ev * mass), (faster - onward) / (ev * mass)
+        return np.asarray(self.joined.known - force / mass), LinearResponse(motion.panels, by_x, by_v, by_turn)
 
     def states(self, motion: CollocationSolution) -> Array:
         """Return what the model remembers at the beginning of every panel, (k, p)."""
@@ -167,12 +169,12 @@ class JoinedLaw:
         edges = np.concatenate([own[~samples.is_node] for own in found.values()], axis=1)
         return edges[motion.panels.begin].T
 
-    def within(self, x: Array, v: Array, states: Array) -> tuple[Array, Array]:
+    def within(self, x: Array, v: Array, states: Array, heading: Array) -> tuple[Array, Array]:
         """Return accelerations at the nodes (3, p), and what is remembered at the end of every panel (k, p)."""
         samples, n = self.joined.within_panels, len(x)
         names, widths = zip(*self._widths.items(), strict=True)
         begin = dict(zip(names, np.split(states.T, np.cumsum(widths)[:-1], axis=1), strict=True))
-        path, values = self._path(samples, x.T.ravel(), v.T.ravel(), begin)
+        path, values = self._path(samples, x.T.ravel(), v.T.ravel(), begin, heading=heading.T.ravel())
         ends: dict[str, Array] = {}
         columns = self.model.force_columns(path, values, ends)
         force = self.model.force_of(columns, values, np.zeros(len(samples.t)))[samples.is_node]
@@ -190,13 +192,19 @@ class JoinedLaw:
         begin = self._states_at_start(self.p, np.zeros(len(self.joined.pieces)), np.ones(len(self.joined.pieces)))
         return {name: own.shape[1] for name, own in begin.items()}
 
-    def _force(self, x: Array, v: Array) -> Array:
-        """Force at the nodes (3 p,) for a motion at the samples."""
-        path, values = self._path(self._samples, x, v)
+    def _force(self, x: Array, v: Array, heading: Array | None = None) -> Array:
+        """Force at the nodes (3 p,) for a motion at the samples, in the direction of velocities `heading`."""
+        path, values = self._path(self._samples, x, v, heading=heading)
         return self.model.force(path, values)[self._samples.is_node]
 
     def _path(
-        self, samples: Samples, x: Array, v: Array, states: Mapping[str, Array] | None = None, p: Array | None = None
+        self,
+        samples: Samples,
+        x: Array,
+        v: Array,
+        states: Mapping[str, Array] | None = None,
+        p: Array | None = None,
+        heading: Array | None = None,
     ) -> tuple[Path, Values]:
         """The path of a motion at some samples, and the values there for unknowns p (P,)."""
         values, levels = self._inputs if p is None else self._inputs_at(p)
@@ -206,7 +214,8 @@ class JoinedLaw:
                 states = self._states_at_start(self.p if p is None else p, x[first], v[first])
             if len(self.joined.pieces) > 1:
                 values = {name: _at_samples(own, samples) for name, own in values.items()}
-        return self.joined.path(samples, x, v, levels, states, sharp=self.model.turns), values
+        path = self.joined.path(samples, x, v, levels, states, v if heading is None else heading, self.model.turns)
+        return path, values
 
     @cached_property
     def _have_history(self) -> list[bool]:
@@ -234,7 +243,7 @@ class JoinedLaw:
         values, level = self.layout.values(p, piece.run)
         nodes, t = np.zeros(2, dtype=int), np.full(2, piece.panels.edges[0])
         twice = Samples(nodes, nodes, t, nodes > 0, [slice(0, 2)], (0,))
-        path = JoinedPieces((piece,)).path(twice, np.full(2, x), np.full(2, v), [level], sharp=self.model.turns)
+        path = JoinedPieces((piece,)).path(twice, np.full(2, x), np.full(2, v), [level], sharp=True)
         return {name: own[0] for name, own in self.model.states(path, values).items()}
 
     @cached_property

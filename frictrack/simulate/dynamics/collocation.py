@@ -219,27 +219,28 @@ class LinearResponse:
         Time axis.
     a_x, a_v
         Derivatives of the acceleration with respect to position (1/s^2) and velocity (1/s) at the nodes, each (3 p,).
+    a_turn
+        The same (1/s, (3 p,)) with respect to the velocity with which a panel is entered in which the motion turns.
 
     """
 
-    def __init__(self, panels: Panels, a_x: Array, a_v: Array) -> None:
+    def __init__(self, panels: Panels, a_x: Array, a_v: Array, a_turn: Array | None = None) -> None:
         self.panels = panels
-        self._of_law = a_x, a_v
+        self._of_law = a_x, a_v, np.zeros_like(a_v) if a_turn is None else a_turn
 
     def part(self, panels: Panels, nodes: slice) -> LinearResponse:
         """The response of one of the motions; `panels` is its time axis, `nodes` are its nodes."""
-        a_x, a_v = self._of_law
-        return LinearResponse(panels, a_x[nodes], a_v[nodes])
+        return LinearResponse(panels, *(own[nodes] for own in self._of_law))
 
     # arrays over the panels end with the panel axis, so that every operation runs over all panels at once
 
     @cached_property
     def within(self) -> WithinPanels:
         """How the law acts within the panels."""
-        h, (ax, av) = self.panels.h, (q.reshape(-1, 3).T for q in self._of_law)
+        h, (ax, av, turn) = self.panels.h, (q.reshape(-1, 3).T for q in self._of_law)
         return WithinPanels(
             by_node=(ax * h**2)[:, None] * _AA[:, :, None] + (av * h)[:, None] * _A[:, :, None],
-            by_start=np.stack([ax, ax * h * NODES[:, None] + av], axis=1),
+            by_start=np.stack([ax, ax * h * NODES[:, None] + av + turn], axis=1),
         )
 
     @cached_property
@@ -423,10 +424,11 @@ class LawWithMemory(Protocol):
     def states(self, motion: CollocationSolution) -> Array:
         """What the law remembers at the beginning of every panel of a motion, (k, p)."""
 
-    def within(self, x: Array, v: Array, states: Array) -> tuple[Array, Array]:
+    def within(self, x: Array, v: Array, states: Array, heading: Array) -> tuple[Array, Array]:
         """Accelerations at the nodes (3, p), and what is remembered at the end (k, p), of a motion within every panel.
 
-        The motion x, v (5, p) is given where each panel begins, at its nodes, and where it ends.
+        The motion x, v (5, p) is given where each panel begins, at its nodes, and where it ends; its direction is that
+        of velocities `heading` (5, p).
         """
 
     def first_states(self, x: Array, v: Array) -> Array:
@@ -444,11 +446,13 @@ def response_with_memory(law: LawWithMemory, motion: CollocationSolution) -> Res
     states = law.states(motion)
     reach, speed = max(float(np.ptp(x)), 1e-3), max(float(np.max(np.abs(v))), 1e-3)
     at, still, unit = np.array([0.0, *NODES, 1.0]), np.zeros((5, len(h))), np.ones((5, len(h)))
-    a, kept = law.within(x, v, states)
+    a, kept = law.within(x, v, states, v)
 
-    def slopes(step: Array | float, dx: Array, dv: Array, dy: Array | float = 0.0) -> Array:
+    def slopes(step: Array | float, dx: Array, dv: Array, dy: Array | float = 0.0, *, enters: bool = True) -> Array:
         """Change of the accelerations at the nodes, and of what is remembered at the end, (3 + k, p)."""
-        changed, own = law.within(x + step * dx, v + step * dv, states + step * dy)
+        # where a motion turns is known from how it enters a panel, not from what it does there
+        moved = v + step * dv
+        changed, own = law.within(x + step * dx, moved, states + step * dy, moved if enters else v)
         return np.concatenate([changed - a, own - kept]) / step
 
     by_start = [slopes(RELATIVE_STEP * reach, unit, still), slopes(RELATIVE_STEP * speed, at[:, None] * h, unit)]
@@ -456,7 +460,12 @@ def response_with_memory(law: LawWithMemory, motion: CollocationSolution) -> Res
     for y, one in zip(size, np.eye(len(states)), strict=True):
         by_start.append(slopes(RELATIVE_STEP * max(float(y), 1e-12), still, still, one[:, None]))
     by_node = [
-        slopes(RELATIVE_STEP * speed / h, np.array([0.0, *_AA[:, j], _BA[j]])[:, None] * h**2, dv[:, None] * h)
+        slopes(
+            RELATIVE_STEP * speed / h,
+            np.array([0.0, *_AA[:, j], _BA[j]])[:, None] * h**2,
+            dv[:, None] * h,
+            enters=False,
+        )
         for j, dv in enumerate(np.column_stack([np.zeros(3), _A.T, _B]))
     ]
     x0, v0 = motion.x_edge[list(panels.starts)], motion.v_edge[list(panels.starts)]

@@ -4,8 +4,8 @@ Dry friction jumps where a mass turns. At the nodes of that panel its direction 
 and the first moments of the jump (its projection on Legendre polynomials), so that velocity and position at the end of
 the panel are those of the jump itself, wherever in the panel it lies, and change smoothly as it moves.
 
-The moment of the jump is where the motion before it, and the one after it, pass through rest: polynomials through the
-nodes of the panels on either side, since the jump itself bends the motion between them.
+The moment of the jump is where the motion before it passes through rest: a polynomial through the nodes of the panels
+before, since the jump itself bends the motion around it.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics.collocation import NODES, Panels, Rows
+from frictrack.simulate.dynamics.collocation import NODES, Panels
 
-SIDE_PANELS = 2  # panels on either side of a turn through whose nodes it is extrapolated
+SIDE_PANELS = 2  # panels through whose nodes the motion is extrapolated to a turn
 NEWTON_STEPS = 4
 MAX_MOVED = 1.0  # panel lengths by which the extrapolated turn may lie off the interpolated one
 _U = 2 * NODES - 1
@@ -50,29 +50,26 @@ def _projected(y: Array) -> Array:
 
 
 def _extrapolated(panels: Panels, v: Array, at: Array) -> Array:
-    """Moments (N,) near the given ones at which the motion on either side passes through rest, the mean of both sides.
+    """Moments (N,) near the given ones at which the motion before passes through rest; where it begins, that after.
 
     The panels at the nearest edge are left out: the turn lies in one of them, and bends the motion there.
     """
-    total, count, order = np.zeros_like(at), np.zeros_like(at), np.arange(3 * SIDE_PANELS)
     if len(panels.h) < SIDE_PANELS:
         return at
     edge = np.searchsorted((panels.edges[1:] + panels.edges[:-1]) / 2, at)
-    h = panels.h[np.minimum(edge, len(panels.h) - 1)]
-    for offset in (-SIDE_PANELS - 1, 1):
-        begin = np.clip(edge + offset, 0, len(panels.h) - SIDE_PANELS)
-        rows = 3 * begin[:, None] + order
-        u = (panels.t[rows] - at[:, None]) / h[:, None]
-        curve = np.linalg.solve(u[:, :, None] ** order, v[rows][:, :, None])[:, :, 0]
-        moved = np.zeros_like(at)
-        for _ in range(NEWTON_STEPS):
-            powers = moved[:, None] ** order
-            slope = np.sum(curve[:, 1:] * order[1:] * powers[:, :-1], axis=1)
-            moved = moved - np.sum(curve * powers, axis=1) / np.where(slope == 0, np.inf, slope)
-        known = (begin == edge + offset) & _is_one_way(v[rows]) & (np.abs(moved) < MAX_MOVED)
-        total += np.where(known, at + moved * h, 0.0)
-        count += known
-    return np.sort(np.where(count > 0, total / np.maximum(count, 1), at))
+    before = edge > SIDE_PANELS
+    begin = np.clip(np.where(before, edge - SIDE_PANELS - 1, edge + 1), 0, len(panels.h) - SIDE_PANELS)
+    order, h = np.arange(3 * SIDE_PANELS), panels.h[begin]
+    rows = 3 * begin[:, None] + order
+    u = (panels.t[rows] - at[:, None]) / h[:, None]
+    curve = np.linalg.solve(u[:, :, None] ** order, v[rows][:, :, None])[:, :, 0]
+    moved = np.zeros_like(at)
+    for _ in range(NEWTON_STEPS):
+        powers = moved[:, None] ** order
+        slope = np.sum(curve[:, 1:] * order[1:] * powers[:, :-1], axis=1)
+        moved = moved - np.sum(curve * powers, axis=1) / np.where(slope == 0, np.inf, slope)
+    known = _is_one_way(v[rows]) & (np.abs(moved) < MAX_MOVED)
+    return np.sort(np.where(known, at + moved * h, at))
 
 
 def _is_one_way(v: Array) -> Mask:
