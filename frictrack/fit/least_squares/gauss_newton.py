@@ -40,7 +40,7 @@ MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a re
 MAX_PROJECTIONS = 2  # linear solves after a step that went too far
 MAX_PROJECTION_STEPS = 10.0  # length of such a solve over that of the step; what lies farther off is not linear
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
-MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals, not smooth between nodes, or memory, solved iteratively
+MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals or memory, whose kinks move between nodes
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
 DAMPINGS_PER_DECADE = 4
 POOR_GAIN, GOOD_GAIN = 0.25, 0.75  # share of the predicted fall (Conn, Gould & Toint 2000, algorithm 6.1.1)
@@ -200,7 +200,7 @@ class _Refinement:
         return cls(problem, (low, high), free is None, scatter and random)
 
     def run(self, state: Solution, max_steps: int, min_fall: float, min_share: float = 0.0) -> Solution:
-        """Take damped steps from a state until one is predicted to gain less than `min_fall`."""
+        """Take damped steps from a state until one is predicted to gain less than `min_fall`, or `min_share` of it all."""
         region, reach, anchor, patience = TrustRegion(), np.inf, state, SCATTER_PATIENCE
         if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
