@@ -200,7 +200,7 @@ class _Refinement:
         return cls(problem, (low, high), free is None, scatter and random)
 
     def run(self, state: Solution, max_steps: int, min_fall: float, min_share: float = 0.0) -> Solution:
-        """Take damped steps from a state until one is predicted to gain less than `min_fall`, or `min_share` of it all."""
+        """Take damped steps from a state until one is predicted to gain less than `min_fall`, or that share."""
         region, reach, anchor, patience = TrustRegion(), np.inf, state, SCATTER_PATIENCE
         if self.problem.model.memory or any(getattr(piece, "turns", False) for piece in self.problem.pieces):
             min_fall = max(min_fall, MIN_CHI2_FALL_REVERSALS)
