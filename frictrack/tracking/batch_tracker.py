@@ -395,6 +395,9 @@ class Work:
             yield function(*task) if future is None else future.result()
 
 
+ALONE = Work()  # in this process, silently
+
+
 def follow_film(tracker: BatchTracker, start: Array, frame: int, work: Work) -> RawTrack:
     """Follow a target through all frames of a film, both ways from the frame in which it is given.
 

@@ -223,7 +223,7 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
 class Followed:
     """A target that was followed: its areas and rectangle in frame `template`, track and model.
 
-    `remeasure` tells whether frames are measured again with the model, `rereadable` whether any can still be read.
+    `remeasure` tells whether frames are measured again with the model.
     """
 
     drawn: Areas
@@ -232,7 +232,6 @@ class Followed:
     raw_track: RawTrack
     target_model: TargetModel
     remeasure: bool = True
-    rereadable: bool = True
 
 
 def measure_track(recording: Recording, film: Recording, followed: Followed, name: str, work: Work) -> Track:
@@ -253,12 +252,11 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
             result, angle=lost, sigma_angle=lost + UNKNOWN_ANGLE_SIGMA, notes=(*result.notes, ROTATION_UNSEEN)
         )
     result = _with_reference_sigma(result, followed.template)
-    line_notes = interlacing_note(film, result) if followed.rereadable else ()
     return replace(
         result,
         template=followed.template,
         picture=target_model.template.image,
-        notes=(*result.notes, *line_notes, *at_rest(result)),
+        notes=(*result.notes, *interlacing_note(film, result), *at_rest(result)),
         outline=followed.drawn.outline,
         exclude=tuple(followed.drawn.exclude),
         obstacles=tuple(followed.drawn.obstacles),
