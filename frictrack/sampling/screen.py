@@ -446,6 +446,11 @@ def describe_frames(numbers: Sequence[int] | Rows) -> str:
     return f"frame{'s' if len(numbers) > 1 else ''} {shown}{more}"
 
 
+def count_text(n: int, one: str, many: str) -> str:
+    """Write a count with the words for one or for many."""
+    return f"1 {one}" if n == 1 else f"{n} {many}"
+
+
 def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
     """Find pairs of displacements that are the same measurement.
 

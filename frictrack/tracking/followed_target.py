@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
@@ -81,7 +82,7 @@ def _spread(
 ) -> None:
     """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
     for _ in range(max_rounds):
-        rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
+        rows = np.flatnonzero(~visited & binary_dilation(good, iterations=MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
@@ -105,16 +106,6 @@ def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
     little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
     _spread(good, visited, is_gradual, len(good))
     good |= raw_track.found & ~visited & little
-
-
-def _distance(good: Mask) -> NDArray[np.int64]:
-    """Distance (n,) in frames from every frame to the nearest good one; n where there is none."""
-    n = np.arange(len(good))
-    rows = np.flatnonzero(good)
-    if len(rows) == 0:
-        return np.full(len(good), len(good))
-    after = np.searchsorted(rows, n).clip(0, len(rows) - 1)
-    return np.minimum(np.abs(rows[after] - n), np.abs(rows[np.maximum(after - 1, 0)] - n))
 
 
 def _remeasure(

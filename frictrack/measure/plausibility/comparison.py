@@ -21,6 +21,7 @@ from math import asin, degrees
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from frictrack.measure.friction import has_measured_force, is_moving
 from frictrack.measure.plausibility.slide import (
@@ -338,27 +339,18 @@ def swing_centre(x: Array) -> tuple[float, float] | None:
     Of three turning points in a row, (a + 2 b + c) / 4 is the centre, also while dry friction takes as much from every
     half swing.
     """
-    width = max(len(x) // (SMOOTHED_SHARE * max(len(_extremes(x)), 1)), 1)
-    turns = _extremes(np.convolve(x, np.ones(width) / width, mode="valid"))[1:-1]  # the ends are none
+    width = max(len(x) // (SMOOTHED_SHARE * (len(_turns(x)) + 2)), 1)
+    turns = _turns(np.convolve(x, np.ones(width) / width, mode="valid"))
     if len(turns) < MIN_TURNS:
         return None
     centres = (turns[:-2] + 2 * turns[1:-1] + turns[2:]) / 4
     return float(np.mean(centres)), float(np.std(centres) / np.sqrt(len(centres) - 1))
 
 
-def _extremes(x: Array) -> Array:
-    """Extremes between which the mass moves by `MIN_SWING_SHARE` of its travel, the ends of the record included."""
+def _turns(x: Array) -> Array:
+    """Positions at which the mass turns, between which it moves by `MIN_SWING_SHARE` of its travel; not the ends."""
     least = MIN_SWING_SHARE * float(np.ptp(x)) if len(x) else 0.0
-    found, low, high, rising = [], np.inf, -np.inf, 0
-    for one in x.tolist():
-        low, high = min(low, one), max(high, one)
-        if rising >= 0 and high - one > least:
-            found.append(high)
-            low, rising = one, -1
-        elif rising <= 0 and one - low > least:
-            found.append(low)
-            high, rising = one, 1
-    return np.array([*found, low if rising < 0 else high])
+    return x[np.sort(np.concatenate([find_peaks(side, prominence=least)[0] for side in (x, -x)]))]
 
 
 def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, float]]:
