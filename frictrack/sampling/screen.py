@@ -35,7 +35,7 @@ MIN_SIGMAS_AT_END = 6.0
 HALF_WIDTH_ROWS, SIDE_ROWS = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
 MAX_BURST_ROWS = 8  # rows of a burst
-MAX_ROWS_AT_END, MAX_BURST_ROWS_AT_END = 2, 5
+MAX_BURST_ROWS_AT_END = 5
 MAX_LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
 MAX_GAP_FRAMES = 25  # frames without a row, beyond which the course is not followed
 MAX_BRIDGED_ROWS = 2  # good rows between suspects that make them one burst
@@ -193,7 +193,7 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     near = _near_outliers(kept)
     spread = np.ones(len(bad))
     if not near.any():
-        return spread, good[_outliers_at_ends(kept)]
+        return spread, good[:0]
     rows = np.flatnonzero(scipy.ndimage.binary_dilation(near, iterations=NOISE_REACH_ROWS))
     away = np.zeros(len(good))
     away[rows] = _robust_residuals(kept, rows)
@@ -201,8 +201,8 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     kept = replace(kept, scale=kept.scale * spread[good])
     suspects = near & (np.abs(away) > SUSPECT_SIGMAS * spread[good])
     found = [burst for burst in _bursts(suspects) if _burst_offsets(kept, burst, suspects, WIDE_RULE) is not None]
-    if not found:  # they stand so close that the robust cubic follows them, or at an end
-        found = _strongest(kept, near) or [_outliers_at_ends(kept)]
+    if not found:  # they stand so close that the robust cubic follows them
+        found = _strongest(kept, near)
     return spread, good[np.concatenate([np.empty(0, np.int64), *found])]
 
 
@@ -218,16 +218,6 @@ def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
     inside = [np.arange(start, start + m) for start, m in sorted(bursts) if 0 <= start <= len(kept.x) - m]
     judged = [(off, burst) for burst in inside if (off := _burst_offsets(kept, burst, nobody, CLOSE_RULE)) is not None]
     return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
-
-
-def _outliers_at_ends(kept: _Positions) -> Rows:
-    """Outliers among the first and last rows, which have little weight in fourth differences."""
-    n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
-    first = [np.arange(start, start + m) for m in range(1, MAX_ROWS_AT_END + 1) for start in range(MAX_ROWS_AT_END + 1)]
-    for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
-        if _burst_offsets(kept, burst, nobody, WIDE_RULE) is not None:
-            return burst
-    return nobody.nonzero()[0]
 
 
 def _near_outliers(series: _Positions) -> Mask:
