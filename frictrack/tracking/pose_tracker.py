@@ -33,7 +33,6 @@ SEARCH_TARGET_PX, SEARCH_FRAME_PX = 20, 400_000
 SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
 MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
 MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
-N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
 CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
 CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
 MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
@@ -220,30 +219,7 @@ def min_frames_if_rotating(
     first_lost = [*np.flatnonzero(~raw_track.found[first:])[:1] + first, *np.flatnonzero(~raw_track.found[:first])[-1:]]
     lost = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
     rotates = any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost)
-    if not (rotates and _may_recover(film, raw_track, rotatable, CLEARLY_MORE_RATIO * found)):
-        return None
-    return CLEARLY_MORE_RATIO * found
-
-
-def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, min_frames: float) -> bool:
-    """Whether enough of the lost frames may show a rotated target to reach `min_frames` finds.
-
-    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence: half of the
-    required share is enough.
-    """
-    lost, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
-    share = (min_frames - len(found)) / max(len(lost), 1)
-    if share > 1 or len(lost) <= 2 * N_SAMPLED_FRAMES:
-        return share <= 1
-    typical_score = float(np.median(raw_track.fit.score[found]))
-    misses_left = (1 - 0.5 * share) * N_SAMPLED_FRAMES
-    sampled = lost[np.linspace(0, len(lost) - 1, N_SAMPLED_FRAMES).astype(int)]
-    for i in np.random.default_rng(0).permutation(sampled).tolist():
-        nearest = raw_track.position[found[np.argmin(np.abs(found - i))]]
-        misses_left -= _search_rotated(film, i, nearest, rotatable, typical_score) is None
-        if misses_left < 0:
-            return False
-    return True
+    return CLEARLY_MORE_RATIO * found if rotates and CLEARLY_MORE_RATIO * found <= film.n_frames else None
 
 
 def _search_rotated(
