@@ -261,6 +261,7 @@ TIME_UNITS = {1e3: ("ms", "t_s (ms)"), 1e6: ("us", "t_s (us)"), 1 / 60: ("minute
 
 MIN_TURNS = 4  # turning points that show a centre and its scatter
 SMOOTHED_SHARE = 4  # part of a half swing over which positions are averaged: all turning points come nearer alike
+CENTRE_WEIGHTS = np.array([0.25, 0.5, 0.25])  # of three turning points: a decay that is linear cancels
 MIN_SWING_SHARE = 0.25  # of the whole travel; a smaller swing back is noise, or the end of a decay
 MIN_SHIFT_SIGMAS, MIN_SHIFT_SHARE = 5.0, 0.01  # standard deviations, and share of the travel, of a shift that is said
 
@@ -343,8 +344,11 @@ def swing_centre(x: Array) -> tuple[float, float] | None:
     turns = _turns(np.convolve(x, np.ones(width) / width, mode="valid"))
     if len(turns) < MIN_TURNS:
         return None
-    centres = (turns[:-2] + 2 * turns[1:-1] + turns[2:]) / 4
-    return float(np.mean(centres)), float(np.std(centres) / np.sqrt(len(centres) - 1))
+    centres = np.convolve(turns, CENTRE_WEIGHTS, mode="valid")
+    # neighbouring centres differ by a quarter of the sum of four independent errors: half the error of a turning point
+    error = 2.0 * np.sqrt(np.mean(np.diff(centres) ** 2))
+    weights = np.convolve(np.full(len(centres), 1 / len(centres)), CENTRE_WEIGHTS)  # of the turning points in the mean
+    return float(np.mean(centres)), float(error * np.linalg.norm(weights))
 
 
 def _turns(x: Array) -> Array:
