@@ -33,6 +33,7 @@ SEARCH_TARGET_PX, SEARCH_FRAME_PX = 20, 400_000
 SAME_COUNT_RATIO, CLEARLY_MORE_RATIO = 0.98, 2.0  # finds of a rotating target over those of one that does not rotate
 MIN_LARGE_ROTATION_SHARE = 0.1  # of the frames
 MAX_CORNER_MOTION_PX = 1.0  # beyond it the linear model of small rotations is invalid
+N_SAMPLED_FRAMES = 8  # lost frames that are searched before all of them are
 CLEARLY_BETTER_SCORE = 0.15  # by which a rotated template must match better than the upright one ...
 CLEARLY_LESS_UNEXPLAINED = 0.8  # share of the picture's variance without rotation, for a round target to rotate
 MAX_DISC_CHANGE = 0.06  # share of the rectangle, by which a disc differs from the target
@@ -213,13 +214,22 @@ def min_frames_if_rotating(
         None where the target does not rotate.
 
     """
-    angle, found = raw_track.fit.angle[raw_track.found], float(np.sum(raw_track.found))
+    rows, lost = np.flatnonzero(raw_track.found), np.flatnonzero(~raw_track.found)
+    angle, found = raw_track.fit.angle[rows], len(rows)
     if np.mean(np.abs(angle - np.median(angle)) * rotatable.radius > MAX_CORNER_MOTION_PX) > MIN_LARGE_ROTATION_SHARE:
         return SAME_COUNT_RATIO * found
     first_lost = [*np.flatnonzero(~raw_track.found[first:])[:1] + first, *np.flatnonzero(~raw_track.found[:first])[-1:]]
-    lost = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
-    rotates = any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost)
-    return CLEARLY_MORE_RATIO * found if rotates and CLEARLY_MORE_RATIO * found <= film.n_frames else None
+    shown = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
+    if not any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in shown):
+        return None
+    share = (CLEARLY_MORE_RATIO - 1) * found / len(lost)  # of the lost frames that would have to show it
+    sampled = lost[np.unique(np.linspace(0, len(lost) - 1, N_SAMPLED_FRAMES).astype(int))] if share <= 1 else lost[:0]
+    corners = (raw_track.position[rows[np.argmin(np.abs(rows - i))]] for i in sampled)
+    score = float(np.median(raw_track.fit.score[rows]))
+    seen = [
+        _search_rotated(film, int(i), at, rotatable, score) is not None for i, at in zip(sampled, corners, strict=True)
+    ]
+    return CLEARLY_MORE_RATIO * found if sum(seen) > 0.5 * share * len(sampled) else None
 
 
 def _search_rotated(
