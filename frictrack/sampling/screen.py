@@ -471,12 +471,6 @@ def _clipped_differences(x: Array) -> Array:
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 
-def _correlation(a: Array, b: Array) -> Array:
-    """Cross-correlation of two series at all lags of `b`, from -(len(b) - 1)."""
-    n = len(a) + len(b) - 1
-    return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
-
-
 def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
     """Whether two records agree at the lag at which their noise agrees best."""
     a, b = rough[i], rough[j]
@@ -485,7 +479,7 @@ def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int
             len(series[i]) == len(series[j]) >= MIN_COMMON_ROWS
             and np.ptp(series[i]) > 0 == np.ptp(series[i] - series[j])
         )
-    lag = int(np.argmax(_correlation(a, b))) - (len(b) - 1)
+    lag = int(np.argmax(scipy.signal.correlate(a, b, method="fft"))) - (len(b) - 1)
     first, last = max(lag, 0), min(len(a), len(b) + lag)
     if last - first < max(MIN_COMMON_ROWS, MIN_COMMON_SHARE * min(len(a), len(b))):
         return False
