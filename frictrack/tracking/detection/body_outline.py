@@ -88,7 +88,7 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
     body : Body
         Body on the reduced pictures.
     frame : int, optional
-        Wanted frame. By default the first, unless that shows the body badly.
+        Wanted frame. By default the first that shows the body.
 
     Returns
     -------
@@ -137,6 +137,8 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
     differs = _typical_square(stack - backgrounds, 0.5)
     spread = _typical_square(stack - picture)
     member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
+    # The scene is visible through a moving shadow: it changes more than the body does in the same light.
+    spread = _typical_square(_normalise_light(stack, picture, member) - picture)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
     body_variance = float(np.percentile(spread[member], 25))
     similar = (spread < MAX_NOISE_RATIO * max(body_variance, 0.25) + 0.04 * slope).astype(np.uint8)
@@ -178,6 +180,15 @@ def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
     few = len(off) <= MIN_MEDIAN_FRAMES
     usual = np.sum(squares, axis=0) / max(len(off) - 1, 1) if few else np.median(squares, axis=0)
     return np.asarray(cv2.GaussianBlur(usual, (0, 0), blur), dtype=np.float32)
+
+
+def _normalise_light(stack: Picture, picture: Picture, member: Mask) -> Picture:
+    """Frames normalised to the light of the median picture, by the pixels of the body."""
+    pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
+    level = pixels.mean(axis=1)
+    gain = (pixels - level[:, None]) @ wanted / max(float(wanted @ wanted), 1e-6)
+    gain = np.where(gain > 0.2, gain, 1.0).astype(np.float32)
+    return (stack - level[:, None, None]) / gain[:, None, None] + picture[member].mean()
 
 
 def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> Array:

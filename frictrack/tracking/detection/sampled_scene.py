@@ -29,8 +29,11 @@ MAX_REGISTERED_FRAMES = 15  # of the samples, where fewer are enough
 NOISE_QUANTILE = 0.3
 MAX_NOISE_RATIO = 4.0  # to the least noise of a picture, at edges that shake
 WIDE_PX, WIDE_NOISE_RATIO = 13, 8.0  # px of a reduced picture that are no edge, and ratio to the least noise there
+MIN_GHOST_FRAMES = 2  # that show a place without the body
 # of noise, that equal grey values differ by; and more samples than at the median
 CLUSTER_SIGMAS, FREQUENT_RATIO = 3.0, 1.5
+GHOST_REACH = 6  # px about the outline of a region that are compared
+CLEAR_OUTLINE, CLEAR_TEXTURE = 2.0, 0.5  # ratios of the gradients of a clear outline to another, and to those around
 ENERGY_BLUR, TAIL_PROBABILITY, ENERGY_LIMITS = 1.5, 1e-5, (9.0, 50.0)  # px; and variances of noise
 MIN_BUSY_INTERVALS = 10  # between samples in which something must change
 MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
@@ -163,7 +166,7 @@ def _sample_scene(recording: Recording, also: Iterable[int], steady: bool) -> Sa
     if shake.any():
         small = [_shifted(picture, at) for picture, at in zip(small, shake, strict=True)]
     background = _still_scene(np.stack(small))
-    return _build_scene(index, frames, (factor, shake, small), background)
+    return _without_ghosts(_build_scene(index, frames, (factor, shake, small), background))
 
 
 def _still_scene(stack: Picture) -> Picture:
@@ -229,10 +232,50 @@ def _noise(differences: list[Picture], background: Picture) -> Picture:
     return np.clip(cv2.blur(each, (3, 3)), least, MAX_NOISE_RATIO * least)
 
 
+def _without_ghosts(scene: SampledScene) -> SampledScene:
+    """Remove bodies from the background that rest there in most frames, with the frames that show them elsewhere."""
+    shown: list[Picture] = []
+    for picture, light, blobs in zip(scene.small, scene.light, scene.blobs, strict=True):
+        ghosts = np.full(picture.shape, np.inf, np.float32)
+        for blob in blobs:
+            if min(blob.box[2:]) < scene.min_side_reduced:
+                continue
+            x, y, w, h = blob.box
+            left, top = max(x - GHOST_REACH, 0), max(y - GHOST_REACH, 0)
+            near = slice(top, y + h + GHOST_REACH), slice(left, x + w + GHOST_REACH)
+            inside = np.zeros(picture[near].shape, np.uint8)
+            inside[y - top : y - top + h, x - left : x - left + w] = blob.mask
+            (outline, _), (ghost, around) = (_outline_strength(p[near], inside) for p in (picture, scene.background))
+            if ghost > CLEAR_OUTLINE * max(outline, 0.0) + CLEAR_TEXTURE * around:
+                ghosts[near][inside > 0] = picture[near][inside > 0] / light
+        if np.isfinite(ghosts).any():
+            shown.append(ghosts)
+    if len(shown) < MIN_GHOST_FRAMES:
+        return scene
+    stack = np.stack(shown)
+    replaced = np.count_nonzero(np.isfinite(stack), axis=0) >= MIN_GHOST_FRAMES
+    background = np.where(replaced, _middle_of_known(stack), scene.background)
+    return _scene_before(scene, background)
+
+
 def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
     """The same samples before the background without a body; see `background_without`."""
-    background = background_without(scene, box, corner)
+    return _scene_before(scene, background_without(scene, box, corner))
+
+
+def _scene_before(scene: SampledScene, background: Picture) -> SampledScene:
+    """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
+
+
+def _outline_strength(picture: Picture, inside: NDArray[np.uint8]) -> tuple[float, float]:
+    """How far gradients at some depth below the outline of a region exceed those around it, and these, DN/px."""
+    gradient = cv2.magnitude(cv2.Sobel(picture, cv2.CV_32F, 1, 0), cv2.Sobel(picture, cv2.CV_32F, 0, 1)) / 8
+    depth = cv2.distanceTransform(inside, cv2.DIST_L1, 3).astype(np.int64)
+    depth = np.minimum(depth, GHOST_REACH)
+    count = np.maximum(np.bincount(depth.ravel(), minlength=GHOST_REACH + 1), 1)
+    mean = np.bincount(depth.ravel(), gradient.ravel(), GHOST_REACH + 1) / count
+    return float(mean[1:].max() - mean[0]), float(mean[0])
 
 
 def _middle_of_known(stack: Picture) -> Picture:
