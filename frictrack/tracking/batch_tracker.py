@@ -395,7 +395,7 @@ class Work:
             yield function(*task) if future is None else future.result()
 
 
-ALONE = Work()  # in this process, silently
+SILENT_WORK = Work()  # in this process, silently
 
 
 def follow_film(tracker: BatchTracker, start: Array, frame: int, work: Work) -> RawTrack:

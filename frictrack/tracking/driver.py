@@ -17,7 +17,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import ALONE, MIN_SCORE, BatchTracker, Progress, Work, follow_film
+from frictrack.tracking.batch_tracker import MIN_SCORE, SILENT_WORK, BatchTracker, Progress, Work, follow_film
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, target_fault
 from frictrack.tracking.followed_target import Followed, measure_track
@@ -118,7 +118,7 @@ def track_and_learn(
     *,
     known: TargetModel | None = None,
     name: str = "target",
-    work: Work = ALONE,
+    work: Work = SILENT_WORK,
 ) -> tuple[Track, TargetModel]:
     """Track the target as `track` does, and return its model with the track."""
     with random_access(recording) as film:
@@ -144,7 +144,7 @@ def track_same_target(
     target: Areas,
     known: TargetModel,
     template: int = 0,
-    work: Work = ALONE,
+    work: Work = SILENT_WORK,
 ) -> tuple[Track, TargetModel] | None:
     """Track a target with the model learnt from another film, if it looks the same here.
 
@@ -259,7 +259,7 @@ def relearn_target(recording: Recording, track: Track) -> TargetModel:
     drawn = Areas(track.outline or track.target, track.exclude, track.obstacles)
     may_rotate = bool(np.nanmax(np.abs(track.angle)) > MAX_STRAIGHT_ANGLE)
     with random_access(recording) as film:
-        return _learn_and_track(film, drawn, track.template, ALONE, may_rotate=may_rotate).target_model
+        return _learn_and_track(film, drawn, track.template, SILENT_WORK, may_rotate=may_rotate).target_model
 
 
 def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *, may_rotate: bool = True) -> Followed:
@@ -369,9 +369,9 @@ def track_frames(
             f"expected the target near its drawn place in frame {frame} but it is not recognised "
             "there; draw it in a frame that shows it well"
         )
-    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, ALONE)
+    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, SILENT_WORK)
     followed = Followed(Areas(), _rectangle_at(start, known), at, raw_track, known)
-    return measure_track(part, part, followed, "target", ALONE)
+    return measure_track(part, part, followed, "target", SILENT_WORK)
 
 
 def match_near(
