@@ -126,6 +126,15 @@ def test_common_errors_do_not_average_out():
     assert {rows[k].common for k in ("scale", "mass", "time base")} == {"all runs"}
 
 
+def test_the_error_of_a_clock_read_from_rounded_stamps_counts_twice():
+    run, filtered = smoothed(replace(seen(), clock_error=0.003))
+    still, (found, told) = smoothed(seen())[0], (budget(run, filtered), friction(run))
+    common = 2 * 0.003 * MASS * run.motion.a
+    np.testing.assert_allclose(told.sigma_F**2 - friction(still).sigma_F ** 2, common**2, rtol=1e-6)
+    assert found.row("time base").size == pytest.approx(0.3)
+    assert found.row("time base").mean_N == pytest.approx(abs(np.mean(common[told.free])))
+
+
 def test_gravity_counts_for_the_mass_but_not_for_scale_and_clock():
     run, filtered = smoothed(seen(scale_error=0.003), sigma_mass=0.002, incline=0.4, has_incline=True)
     found = budget(run, filtered)

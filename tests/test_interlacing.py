@@ -49,9 +49,3 @@ def test_a_target_that_also_moves_across_the_lines_is_judged_by_the_lines_of_the
 def test_nothing_is_said_of_a_slow_target():
     _, interlaced, target = films(0.3)
     assert notes(interlaced, target) == []
-
-
-def test_frames_that_are_read_once_are_not_asked_for_again():
-    _, interlaced, target = films(3.0)
-    known = ft.learn_target(interlaced, target)
-    assert notes(interlaced, target, known=known) == []

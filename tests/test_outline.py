@@ -84,7 +84,7 @@ def frame(back, skin, at, size, look):
 def test_width_of_a_body(look):
     film, track = filmed(**look)
     width = target_width(track, RIGHT, film)
-    assert abs(width.px - look["width"]) < 2.5 * width.std
+    assert abs(np.linalg.norm(np.diff(width.ends, axis=0)) - look["width"]) < 2.5 * width.std
     assert width.std < 0.3
     assert ("diameter" in width.used) == look.get("disc", False)
 
@@ -103,14 +103,14 @@ def test_the_stated_deviation_is_that_of_many_bodies():
     for seed in range(12):
         film, track = filmed(40 + 1.37 * seed, 30.0 + 6 * (seed % 4), n=20, seed=seed)
         width = target_width(track, RIGHT, film)
-        z.append((width.px - (40 + 1.37 * seed)) / width.std)
+        z.append((np.linalg.norm(np.diff(width.ends, axis=0)) - (40 + 1.37 * seed)) / width.std)
     assert np.sqrt(np.mean(np.square(z))) < 1.3
 
 
 def test_along_a_course_that_is_not_level():
     film, track = filmed(60.37, 40.0, texture=0.0, angle=0.2)
     along = np.array([np.cos(0.2), np.sin(0.2)])
-    assert target_width(track, along, film).px == pytest.approx(60.37, abs=0.4)
+    assert np.linalg.norm(np.diff(target_width(track, along, film).ends, axis=0)) == pytest.approx(60.37, abs=0.4)
 
 
 def test_scale_by_the_target():

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from io import StringIO
+from itertools import pairwise
 from math import cos, radians, sin
 from pathlib import Path
 
@@ -35,6 +36,7 @@ from frictrack.measure.plausibility import (
     missing_incline,
     path_angle,
     shifted_swings,
+    swing_centre,
     wrong_incline,
 )
 from frictrack.measure.tables import displacement_of_table
@@ -721,3 +723,13 @@ def test_the_speed_of_a_film_questions_the_scale_first() -> None:
     run = run_of(*struck(), mass=350.0)
     assert [found.check for found in implausible_slide(run, film=True)] == [("scale", "fps", "mass")]
     assert [found.to_dict()["check"] for found in implausible_slide(run, film=False)] == [("mass",)]
+
+
+def test_the_centre_of_a_swing_scatters_as_its_deviation_says():
+    rng, z = np.random.default_rng(0), []
+    for _ in range(60):  # half cosines between turning points that scatter about a decay
+        turns = np.exp(-np.arange(16) / 40) * (-1.0) ** np.arange(16) + 0.01 * rng.standard_normal(16)
+        ways = [a + (b - a) * (1 - np.cos(np.pi * np.arange(40) / 40)) / 2 for a, b in pairwise(turns)]
+        centre, sigma = swing_centre(np.concatenate(ways))
+        z.append(centre / sigma)
+    assert 0.8 < np.std(z) < 1.4

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from film import block_film
 from scipy.fft import dct
 
 from frictrack.diagnose.examination import peak_locking_errors, slow_errors
 from frictrack.measure.calibration import calibrate
 from frictrack.recording import open_recording
 from frictrack.records import Array, Track
-from frictrack.tracking import track
+from frictrack.simulate.rendering import write_film
+from frictrack.tracking import learn_target, track
 from frictrack.tracking.subpixel_fit import SubpixelFit
 from frictrack.tracking.template import BAND_LIMIT, SUPER_RESOLUTION_BAND
 from frictrack.tracking.template_learning import (
@@ -153,3 +155,12 @@ def test_errors_that_repeat_from_pixel_to_pixel_are_slow_at_a_whole_number_of_pi
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1, abs=0.05)
     calm = errors[100:140].mean(axis=0)  # white noise would come to 0.16
     assert (np.std(calm) > 0.5) == slow
+
+
+@pytest.mark.slow
+def test_the_blocks_of_a_codec_teach_no_short_waves(tmp_path: Path) -> None:
+    i = np.arange(260)
+    blocks = block_film(60 + 1.3 * i - 0.0012 * i**2, seed=10)
+    write_film(blocks.frames(), tmp_path / "blocks.avi", 4000.0, 10)
+    known = learn_target(open_recording(tmp_path / "blocks.avi", fps=4000), [15, 34, 90, 60])
+    assert known.template.bands == (BAND_LIMIT, BAND_LIMIT)

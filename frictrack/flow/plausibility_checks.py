@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
@@ -147,16 +148,19 @@ def _error_messages(errors: Sequence[measure.plausibility.Finding]) -> list[str]
     return messages
 
 
-def slide_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:
-    """Return findings on the motion of one run, with the headers of its own table."""
-    found, run = measure.plausibility.implausible_slide(pipeline.to_run(), film=bool(pipeline.run.video)), pipeline.run
-    present = list(map(str, study.open_table(local_path(run.table)).frame.columns)) if found and run.table else []
-    for key, header in run.columns.items() if present else ():
-        own = COLUMNS[key][0], study.find_header(header.lstrip("-"), present) or header
-        found = tuple(
-            replace(one, words=one.words.replace(*own), correction=one.correction.replace(*own)) for one in found
-        )
-    return list(found)
+def slide_findings(pipeline: RunPipeline) -> tuple[measure.plausibility.Finding, ...]:
+    """Return findings on the motion of one run, with the headers of its own table, which is read if there are any."""
+    run = pipeline.run
+
+    @cache
+    def present() -> list[str]:
+        return [] if run.table is None else list(map(str, study.open_table(local_path(run.table)).frame.columns))
+
+    def header(key: str) -> str:
+        written = run.columns.get(key, COLUMNS[key][0])
+        return study.find_header(written.lstrip("-"), present()) or written
+
+    return measure.plausibility.implausible_slide(pipeline.to_run(), film=bool(run.video), header=header)
 
 
 def acceleration_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:

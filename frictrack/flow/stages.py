@@ -60,13 +60,11 @@ def make_track(pipeline: RunPipeline, film: RecordingInfo) -> Track:
         run = pipeline.run
         given = tracking.Areas(run.target, run.exclude, run.obstacles)
         areas, _, frame = tracking.detection.resolve_areas(opened, given, run.template or 0)
-        how: dict[str, Any] = {"template": frame, "progress": pipeline.progress, "pool": _pool(pipeline)}
-        known = _target_of_anchor(pipeline)
-        if known and (shared := tracking.track_same_target(opened, areas, known, **how)):
-            found, pipeline.lesson = shared
+        work, known = tracking.Work(pipeline.progress, _pool(pipeline)), _target_of_anchor(pipeline)
+        shared = tracking.track_same_target(opened, areas, known, frame, work) if known else None
+        found, pipeline.lesson = shared or tracking.track_and_learn(opened, areas, frame, work=work)
+        if shared:
             return found
-        pipeline.lesson = tracking.learn_target(opened, areas, **how)
-        found = tracking.track(opened, areas, known=pipeline.lesson, **how)
         if run.target is None and (fault := tracking.detection.target_fault(opened, found)):
             sheet = tracking.contact_sheet(opened, found, contact_sheet_path(pipeline.study, run.name))
             raise FrictrackError(f"{fault}; {sheet} shows the place")

@@ -15,8 +15,8 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.measure.friction import drive_noise, friction
-from frictrack.measure.motion import Derivatives, FilterMethod, stencil_start, unit_responses
-from frictrack.records import Array, Filtered, Mask, Motion, Run
+from frictrack.measure.motion import Derivatives, stencil_start, unit_responses
+from frictrack.records import Array, Filtered, Mask, Run
 
 if TYPE_CHECKING:
     from frictrack.results import RecordingInfo
@@ -141,48 +141,6 @@ def _source_text(source: str) -> str:
     return without_article.get(source, f"the {source}")
 
 
-AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum
-
-
-class FilterResponse:
-    """The low-pass and its derivatives as one linear map from displacement to acceleration.
-
-    `weights` (n,) are those of the accelerations in a sum.
-    """
-
-    def __init__(self, derived: Derivatives, motion: Motion, weights: Array) -> None:
-        self.motion, self.derived, self.weights = motion, derived, weights
-        self.noise = derived.noise  # standard deviation of one frame of usual weight, m
-
-    def transmitted_noise(self) -> AccelerationError:
-        """Frame noise that the low-pass transmits, in every frame and in the sum."""
-        derived = self.derived
-        if derived.smoother.method is not None:
-            return self._transmitted_by_method(derived.smoother.method)
-        factor, grid = derived.factor, derived.grid
-        passed = factor.noise_variances(stencil_start(grid.n), derived.stencil(2))
-        smoothed = factor.posterior_covariance_times(derived.position_weights(2, self.weights[:, None])[:, 0])
-        variance = float(np.sum(factor.data.apply_inverse_covariance(smoothed) * smoothed))
-        if derived.sensor_weights is not None:
-            variance += float(np.sum(derived.sensor_weights * np.diff(smoothed, 2) ** 2))
-        return self.noise * grid.to_rows(np.sqrt(passed)), self.noise * float(np.sqrt(variance))
-
-    def lost_signal(self, transmitted: AccelerationError) -> AccelerationError:
-        """Signal that the low-pass removes, the error of line frequencies included; see `transmitted_noise`."""
-        rows = np.sqrt(np.maximum(self.motion.sigma_a**2 - transmitted[0] ** 2 - self.motion.shake_a**2, 0.0))
-        total = float(self.derived.covariance(2, self.weights[:, None])[0, 0])
-        return rows, float(np.sqrt(max(total - transmitted[1] ** 2, 0.0)))
-
-    def _transmitted_by_method(self, method: FilterMethod) -> AccelerationError:
-        """Transmitted noise of another method, frame by frame."""
-        rows, total, grid, w = np.zeros(len(self.weights)), 0.0, self.derived.grid, self.derived.w
-        for frames, response in unit_responses(method, w > 0, 2):
-            second = response[grid.frames] * (self.noise / np.sqrt(w[frames]) / grid.interval**2)
-            rows += np.sum(second**2, axis=1)
-            total += float(np.sum((self.weights @ second) ** 2))
-        return np.sqrt(rows), float(np.sqrt(total))
-
-
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
 
 
@@ -242,15 +200,11 @@ def budget(
     if run.friction_N is not None:
         return Budget(run.name, mean, (_cell(result.sigma_F, free),))
     del result  # of a long run it takes much memory
-    errors = _RunErrors(run, free, weights)
-    response = FilterResponse(Derivatives.of_x(filtered), run.motion, weights)
-    rows = (
-        *errors.noise_and_filter(response, film is not None),
-        *errors.common_errors(film),
-        *errors.picture_errors(response, quality),
-        *errors.drive_errors((clocks or {}).get("drive", {})),
-    )
-    return Budget(run.name, mean, rows)
+    errors = _RunErrors(run, Derivatives.of_x(filtered), free, weights)
+    rows = [*errors.noise_and_filter(film is not None), *errors.common_errors(film)]
+    if quality and run.pixel_pitch is not None:
+        rows += [errors.peak_locking(quality, run.pixel_pitch), *errors.camera_shake(quality, run.pixel_pitch)]
+    return Budget(run.name, mean, (*rows, *errors.drive_errors((clocks or {}).get("drive", {}))))
 
 
 def _cell(sigma: Array, free: Mask) -> Contribution:
@@ -260,37 +214,66 @@ def _cell(sigma: Array, free: Mask) -> Contribution:
     return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
 
 
-class _RunErrors:
-    """Effect of every source of error on one run."""
+AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum
 
-    def __init__(self, run: Run, free: Mask, weights: Array) -> None:
+
+class _RunErrors:
+    """Effect of every source of error on one run: the filter and its derivatives are one linear map.
+
+    `weights` (n,) are those of the forces in their mean.
+    """
+
+    def __init__(self, run: Run, derived: Derivatives, free: Mask, weights: Array) -> None:
         assert run.inertia is not None
-        self.run, self.free, self.weights, self.mass = run, free, weights, run.inertia
+        self.run, self.derived, self.free, self.weights, self.mass = run, derived, free, weights, run.inertia
 
     def effect(self, rows: Array) -> tuple[float, float]:
         """Return rms over the free section, and mean, of a force error (n,) that is common to all frames."""
         return float(np.sqrt(np.mean(rows[self.free] ** 2))), abs(float(self.weights @ rows))
 
-    def noise_and_filter(self, response: FilterResponse, filmed: bool) -> list[Contribution]:
-        """Noise that the smoother transmits, and signal that it removes."""
-        noise = response.transmitted_noise()
-        lost = response.lost_signal(noise)
+    def noise_and_filter(self, filmed: bool) -> list[Contribution]:
+        """Noise that the smoother transmits, and signal that it removes, the error of line frequencies included."""
+        passed, passed_mean = self._transmitted_noise()
+        lost = np.maximum(self.run.motion.sigma_a**2 - passed**2 - self.run.motion.shake_a**2, 0.0)
+        total = float(self.derived.covariance(2, self.weights[:, None])[0, 0])
+        lost_mean = float(np.sqrt(max(total - passed_mean**2, 0.0)))
         known_from = "estimated by maximum likelihood with the smoother" + ("; includes clock jitter" if filmed else "")
-        if response.derived.sensor_weights is not None:
+        if self.derived.sensor_weights is not None:
             known_from += "; the effect includes accelerometer noise"
-        rms_noise, rms_lost = (float(np.sqrt(np.mean(rows[self.free] ** 2))) for rows, _ in (noise, lost))
+        rms_noise, rms_lost = (float(np.sqrt(np.mean(square[self.free]))) for square in (passed**2, lost))
         cutoff = f"equivalent low-pass {self.run.motion.cutoff:.3g} Hz"
         how = f"removed by the smoother ({cutoff}), estimated from the record"
+        noise = 1e6 * self.derived.noise  # of one frame of usual weight
         return [
-            Contribution(NOISE, 1e6 * response.noise, "um", known_from, self.mass * rms_noise, self.mass * noise[1]),
-            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost[1]),
+            Contribution(NOISE, noise, "um", known_from, self.mass * rms_noise, self.mass * passed_mean),
+            Contribution(FILTER, rms_lost, "m/s^2", how, self.mass * rms_lost, self.mass * lost_mean),
         ]
+
+    def _transmitted_noise(self) -> AccelerationError:
+        """Frame noise that the low-pass transmits, in every frame and in the sum."""
+        derived, grid = self.derived, self.derived.grid
+        if derived.smoother.method is not None:
+            rows, total = np.zeros(len(self.weights)), 0.0
+            for frames, response in unit_responses(derived.smoother.method, derived.w > 0, 2):
+                second = response[grid.frames] * (derived.noise / np.sqrt(derived.w[frames]) / grid.interval**2)
+                rows += np.sum(second**2, axis=1)
+                total += float(np.sum((self.weights @ second) ** 2))
+            return np.sqrt(rows), float(np.sqrt(total))
+        factor = derived.factor
+        passed = factor.noise_variances(stencil_start(grid.n), derived.stencil(2))
+        smoothed = factor.posterior_covariance_times(derived.position_weights(2, self.weights[:, None])[:, 0])
+        variance = float(np.sum(factor.data.apply_inverse_covariance(smoothed) * smoothed))
+        if derived.sensor_weights is not None:
+            variance += float(np.sum(derived.sensor_weights * np.diff(smoothed, 2) ** 2))
+        return derived.noise * grid.to_rows(np.sqrt(passed)), derived.noise * float(np.sqrt(variance))
 
     def common_errors(self, film: RecordingInfo | None) -> list[Contribution]:
         """Errors that all runs share: of the scale, of the mass, and of the frame rate, squared in the acceleration."""
         inertia, weighed = self.mass * self.run.motion.a, self.run.motion.a - self.run.pull
         scale, mass = self.run.displacement.relative_scale_error, self.run.sigma_mass / (self.run.mass or 1.0)
         rate, rate_from = frame_rate_error(film)
+        if self.run.displacement.clock_error:
+            rate, rate_from = self.run.displacement.clock_error, "of the interval between rows, from their time stamps"
         length = "standard deviation of the calibrated length of the path"
         return [
             self._common(SCALE, scale, inertia, "%", length if scale else "not given"),
@@ -306,18 +289,12 @@ class _RunErrors:
         size = error * (1e3 * (self.run.mass or 1.0) if unit == "g" else 100.0)
         return Contribution(source, size, unit, known_from, *self.effect(error * force), ALL_RUNS)
 
-    def picture_errors(self, response: FilterResponse, quality: Mapping[str, Any] | None) -> list[Contribution]:
-        """Peak locking and camera shake: systematic errors of the picture."""
-        pitch = self.run.pixel_pitch
-        if not quality or pitch is None:
-            return []
-        return [self._peak_locking(response, quality, pitch), *self._camera_shake(response, quality, pitch)]
-
-    def _peak_locking(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> Contribution:
+    def peak_locking(self, quality: Mapping[str, Any], pitch: float) -> Contribution:
+        """The error that repeats from pixel to pixel."""
         size, error = quality.get("peak_locking_px"), quality.get("peak_locking_std_px")
         if size is None or error is None:
             return Contribution(LOCKING, None, "px", "not determined from this track", None, None, ALL_FRAMES)
-        frame, mean = self._effect_of_wave(response, 2 * np.pi * response.derived.x / pitch, pitch)  # of one px
+        frame, mean = self._effect_of_wave(2 * np.pi * self.derived.x / pitch, pitch)  # of one px
         if size < MIN_SIGMAS_LOCKING * error:
             largest = size + 2 * error
             most, in_frame, in_mean = (format_number(q, 2) for q in (largest, largest * frame, largest * mean))
@@ -329,19 +306,19 @@ class _RunErrors:
         known_from = f"amplitude, measured to {format_number(error, 2)} px"
         return Contribution(LOCKING, true, "px", known_from, true * frame, true * mean, ALL_FRAMES)
 
-    def _camera_shake(self, response: FilterResponse, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
+    def camera_shake(self, quality: Mapping[str, Any], pitch: float) -> list[Contribution]:
         """What is left of a camera shake: the error of what was subtracted, or all of it if nothing was."""
         remaining, frequency = quality.get("shake_left_px"), quality.get("shake_Hz")
         if not remaining or not frequency:
             return []
-        frame, mean = self._effect_of_wave(response, 2 * np.pi * frequency * self.run.motion.t, pitch)
+        frame, mean = self._effect_of_wave(2 * np.pi * frequency * self.run.motion.t, pitch)
         rms = float(np.sqrt(2.0)) * remaining
         known_from = f"{quality.get('shake_left_told', 'not removed')}, at {frequency:.0f} Hz"
         return [Contribution(SHAKE, remaining, "px", known_from, rms * frame, rms * mean, ALL_FRAMES)]
 
-    def _effect_of_wave(self, response: FilterResponse, angle: Array, size: float) -> tuple[float, float]:
+    def _effect_of_wave(self, angle: Array, size: float) -> tuple[float, float]:
         """Effects of a displacement of amplitude `size` (m) with phase angle (n,), averaged over the phase, N."""
-        apparent = response.derived.apparent_motion(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))[2]
+        apparent = self.derived.apparent_motion(size * np.stack([np.cos(angle), np.sin(angle)], axis=1))[2]
         effects = [self.effect(self.mass * column) for column in apparent.T]
         frame, mean = np.sqrt(np.mean(np.square(effects), axis=0))
         return float(frame), float(mean)

@@ -249,7 +249,9 @@ def friction(run: Run) -> Friction:
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
-    sigma_scale = run.displacement.relative_scale_error * run.inertia * run.motion.a
+    # the acceleration goes with the scale, and with the square of the clock's rate
+    relative = np.hypot(run.displacement.relative_scale_error, 2.0 * run.displacement.clock_error)
+    sigma_scale = relative * run.inertia * run.motion.a
     sigma_weight = run.sigma_mass * (1.0 + float(run.rolling)) * acceleration
     variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + drive_noise(run) ** 2
     force = drive - run.inertia * acceleration

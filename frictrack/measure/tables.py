@@ -161,7 +161,8 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
     if data.x is not None and np.any(lost := sampling.placeholders(data.x)):
         rows, value = np.flatnonzero(~lost), float(data.x[lost][0])
-        note = f"{_count(int(np.sum(lost)), 'row holds', 'rows hold')} {value:.6g} instead of a position: left out"
+        count = sampling.count_text(int(np.sum(lost)), "row holds", "rows hold")
+        note = f"{count} {value:.6g} instead of a position: left out"
         seen = with_even_clock(replace(select_rows(data, rows), notes=(*data.notes, note)), fps)
         return replace(seen, numbers=rows[seen.numbers])
     n = len(data.t)
@@ -277,13 +278,9 @@ def _with_clock_of_stamps(data: TableData) -> EvenTable:
 
 
 def _doubled_note(rows: Rows) -> tuple[str, ...]:
-    count = _count(len(rows), "row has", "rows have")
+    count = sampling.count_text(len(rows), "row has", "rows have")
     note = f"{count} the time stamp of the row before: {sampling.describe_frames(rows)}; left out"
     return (note,) if len(rows) else ()
-
-
-def _count(n: int, one: str, many: str) -> str:
-    return f"1 {one}" if n == 1 else f"{n} {many}"
 
 
 def _fill_corrupt_ticks(ticks: Rows) -> Rows:
@@ -418,10 +415,13 @@ def _slip_notes(found: tuple[sampling.Slip, ...], numbers: Rows) -> tuple[str, .
     lost = {int(numbers[s.frame]): s.frames for s in found if not s.doubled}
     notes = []
     if again:
-        count = _count(len(again), "sample repeats", "samples repeat")
+        count = sampling.count_text(len(again), "sample repeats", "samples repeat")
         notes.append(f"{count} the one before: {sampling.describe_frames(again)}; left out")
     if lost:
-        count, places = _count(sum(lost.values()), "sample is", "samples are"), sampling.describe_frames([*lost])
+        count, places = (
+            sampling.count_text(sum(lost.values()), "sample is", "samples are"),
+            sampling.describe_frames([*lost]),
+        )
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
 

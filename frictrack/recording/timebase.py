@@ -7,6 +7,7 @@ a missing frame becomes a gap, and a corrupt stamp is ignored.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.sampling import count_intervals, describe_frames, rounded_clock, stamp_rounding
+from frictrack.sampling import count_intervals, count_text, describe_frames, rounded_clock, stamp_rounding
 
 
 @dataclass(frozen=True)
@@ -151,13 +152,9 @@ def audit(name: str, given: float | None, header: Header) -> Timebase:
         given, fps = (None, stamped) if agree[0] else (given, None)
         stated = replace(header, fps=None) if agree[1] else header
     fps = fps or _true_rate(name, given, header, stamped)
-    found = (
-        _rates(fps, given, stated, stamped),
-        _stamp_findings(parsed, stamps),
-        _exposure_findings(header.exposure, fps),
-    )
-    rows = tuple(row for rows, _ in found for row in rows)
-    notes = tuple(note for _, notes in found for note in notes)
+    found = [*_rates(fps, given, stated, stamped), *_stamp_findings(parsed, stamps)]
+    found += _exposure_findings(header.exposure, fps)
+    rows, notes = tuple(row for row, _ in found), tuple(note for _, note in found if note)
     if parsed is None:
         return Timebase(fps, (np.arange(n) if header.ticks is None else header.ticks) / fps, rows, notes)
     kept = np.setdiff1d(np.arange(n), parsed.doubled)
@@ -327,9 +324,8 @@ def _true_rate(name: str, given: float | None, header: Header, stamped: float | 
     )
 
 
-def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> tuple[list[AuditRow], list[str]]:
-    """Rows and notes on the frame rates."""
-    rows, notes = [], []
+def _rates(fps: float, given: float | None, header: Header, stamped: float | None) -> Iterator[tuple[AuditRow, str]]:
+    """Yield rows on the frame rates, each with its note."""
     used = "given" if given is not None else "stamps" if stamped == fps else "header"
     for source, rate in (("given", given), ("header", header.fps), ("stamps", stamped)):
         if rate is None or not np.isfinite(rate):
@@ -337,68 +333,54 @@ def _rates(fps: float, given: float | None, header: Header, stamped: float | Non
         differs = abs(rate / fps - 1) > MAX_RATE_DIFFERENCE
         shown = not header.camera and differs and rate <= PLAYBACK_FPS
         verdict = "used" if source == used else "speed of showing" if shown else "disagrees" if differs else "agrees"
-        rows.append(AuditRow(f"frame rate, {source}", f"{rate:.6g} fps", verdict))
-        if verdict == "disagrees":
-            notes.append(
-                f"the frame rate of the {_SOURCE_NAMES[source]} is {rate:.6g} fps but that "
-                f"{_SOURCE_PHRASES[used]} is {fps:.6g} fps; {fps:.6g} fps is used"
-            )
-    return rows, notes
+        note = (
+            f"the frame rate of the {_SOURCE_NAMES[source]} is {rate:.6g} fps but that {_SOURCE_PHRASES[used]} is "
+            f"{fps:.6g} fps; {fps:.6g} fps is used"
+        )
+        yield AuditRow(f"frame rate, {source}", f"{rate:.6g} fps", verdict), note * (verdict == "disagrees")
 
 
 _SOURCE_NAMES = {"header": "file's header", "stamps": "time stamps", "given": "user"}
 _SOURCE_PHRASES = {"header": "of the file's header", "stamps": "of the time stamps", "given": "given by the user"}
 
 
-def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> tuple[list[AuditRow], list[str]]:
-    """Rows and notes on the time stamps."""
+_FAULTS = {"missing": "missing before", "doubled": "the time of the one before:", "corrupt": "corrupt:"}
+
+
+def _stamp_findings(parsed: Stamps | None, stamps: Array | None) -> Iterator[tuple[AuditRow, str]]:
+    """Yield rows on the time stamps, each with its note."""
     if stamps is None:
-        return [], []
+        return
     if parsed is None:
         note = "the time stamps are too few or too coarse: not used, frames are taken as evenly spaced"
-        return [AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used")], [note]
-    missing = int(parsed.ticks.max()) + 1 - len(stamps) + len(parsed.doubled)
-    rows, notes = [], []
-    found = [
-        (
-            not parsed.changing and len(parsed.gaps) and max(missing, 1),
-            "missing",
-            "left as gaps in time",
-            parsed.gaps,
-            "frames are missing before",
-        ),
-        (len(parsed.doubled), "doubled", "left out", parsed.doubled, "frames have the time of the one before:"),
-        (len(parsed.corrupt), "corrupt", "passed over", parsed.corrupt, "time stamps are corrupt:"),
-    ]
-    for count, what, handled, frames, phrase in found:
-        verdict = handled if count else "none"
-        rows.append(AuditRow(f"time stamps, {what}", str(int(count)), verdict))
-        if count:
-            notes.append(f"{_count_words(int(count), phrase)} {describe_frames(frames)}; {handled}")
+        yield AuditRow("time stamps", f"{len(stamps)}", "too few or too coarse: not used"), note
+        return
+    missing = max(int(parsed.ticks.max()) + 1 - len(stamps) + len(parsed.doubled), 1)
+    missing *= len(parsed.gaps) > 0 and not parsed.changing
+    for count, what, handled, frames, one, many in (
+        (missing, "missing", "left as gaps in time", parsed.gaps, "frame is", "frames are"),
+        (len(parsed.doubled), "doubled", "left out", parsed.doubled, "frame has", "frames have"),
+        (len(parsed.corrupt), "corrupt", "passed over", parsed.corrupt, "time stamp is", "time stamps are"),
+    ):
+        note = f"{count_text(count, one, many)} {_FAULTS[what]} {describe_frames(frames)}; {handled}"
+        yield AuditRow(f"time stamps, {what}", str(count), handled if count else "none"), note * (count > 0)
     if parsed.uneven or parsed.changing:
-        spacing = "changing" if parsed.changing else "uneven"
-        rows.append(AuditRow("time stamps, spacing", spacing, "each frame has its own time"))
         what = "the frame rate changes" if parsed.changing else "the time stamps are not evenly spaced"
-        notes.append(f"{what}; each frame has the time of its own stamp")
-    return rows, notes
+        row = AuditRow(
+            "time stamps, spacing", "changing" if parsed.changing else "uneven", "each frame has its own time"
+        )
+        yield row, f"{what}; each frame has the time of its own stamp"
 
 
-def _count_words(count: int, phrase: str) -> str:
-    if count == 1:
-        for many, one in (("frames are", "frame is"), ("frames have", "frame has"), ("stamps are", "stamp is")):
-            phrase = phrase.replace(many, one)
-    return f"{count} {phrase}"
-
-
-def _exposure_findings(exposure: float | None, fps: float) -> tuple[list[AuditRow], list[str]]:
-    """Rows and notes on the exposure."""
+def _exposure_findings(exposure: float | None, fps: float) -> Iterator[tuple[AuditRow, str]]:
+    """Yield a row on the exposure with its note."""
     if exposure is None:
-        return [], []
+        return
     share = exposure * fps
-    if share <= 1 + MAX_RATE_DIFFERENCE:
-        return [AuditRow("exposure", f"{1e6 * exposure:.4g} us", f"{share:.1%} of the frame interval")], []
+    fits = share <= 1 + MAX_RATE_DIFFERENCE
+    verdict = f"{share:.1%} of the frame interval" if fits else "longer than the frame interval"
     note = (
         f"the exposure of {1e6 * exposure:.4g} us is longer than the frame interval of {1e6 / fps:.4g} us; "
         "one of the two is wrong"
     )
-    return [AuditRow("exposure", f"{1e6 * exposure:.4g} us", "longer than the frame interval")], [note]
+    yield AuditRow("exposure", f"{1e6 * exposure:.4g} us", verdict), note * (not fits)

@@ -20,5 +20,13 @@ from frictrack.sampling.clock import (
     unevenness,
     unwrapped,
 )
-from frictrack.sampling.screen import copies, describe_frames, describe_length, outliers, placeholders, screened
+from frictrack.sampling.screen import (
+    copies,
+    count_text,
+    describe_frames,
+    describe_length,
+    outliers,
+    placeholders,
+    screened,
+)
 from frictrack.sampling.slips import SampledPath, Slip, correct_ticks, find_slips

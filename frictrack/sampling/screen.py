@@ -35,7 +35,7 @@ MIN_SIGMAS_AT_END = 6.0
 HALF_WIDTH_ROWS, SIDE_ROWS = 12, 8  # rows on either side of the robust cubic, and of the one that judges
 DEGREE = 3
 MAX_BURST_ROWS = 8  # rows of a burst
-MAX_ROWS_AT_END, MAX_BURST_ROWS_AT_END = 2, 5
+MAX_BURST_ROWS_AT_END = 5
 MAX_LEAP = 1.5  # times the longest step of the record: no mass moves so far from one frame to the next
 MAX_GAP_FRAMES = 25  # frames without a row, beyond which the course is not followed
 MAX_BRIDGED_ROWS = 2  # good rows between suspects that make them one burst
@@ -193,7 +193,7 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     near = _near_outliers(kept)
     spread = np.ones(len(bad))
     if not near.any():
-        return spread, good[_outliers_at_ends(kept)]
+        return spread, good[:0]
     rows = np.flatnonzero(scipy.ndimage.binary_dilation(near, iterations=NOISE_REACH_ROWS))
     away = np.zeros(len(good))
     away[rows] = _robust_residuals(kept, rows)
@@ -201,8 +201,8 @@ def _find_round(series: _Positions, bad: Mask) -> tuple[Array, Rows]:
     kept = replace(kept, scale=kept.scale * spread[good])
     suspects = near & (np.abs(away) > SUSPECT_SIGMAS * spread[good])
     found = [burst for burst in _bursts(suspects) if _burst_offsets(kept, burst, suspects, WIDE_RULE) is not None]
-    if not found:  # they stand so close that the robust cubic follows them, or at an end
-        found = _strongest(kept, near) or [_outliers_at_ends(kept)]
+    if not found:  # they stand so close that the robust cubic follows them
+        found = _strongest(kept, near)
     return spread, good[np.concatenate([np.empty(0, np.int64), *found])]
 
 
@@ -218,16 +218,6 @@ def _strongest(kept: _Positions, near: Mask) -> list[Rows]:
     inside = [np.arange(start, start + m) for start, m in sorted(bursts) if 0 <= start <= len(kept.x) - m]
     judged = [(off, burst) for burst in inside if (off := _burst_offsets(kept, burst, nobody, CLOSE_RULE)) is not None]
     return [max(judged, key=lambda one: float(np.min(np.abs(one[0]))))[1]] if judged else []
-
-
-def _outliers_at_ends(kept: _Positions) -> Rows:
-    """Outliers among the first and last rows, which have little weight in fourth differences."""
-    n, nobody = len(kept.x), np.zeros(len(kept.x), dtype=bool)
-    first = [np.arange(start, start + m) for m in range(1, MAX_ROWS_AT_END + 1) for start in range(MAX_ROWS_AT_END + 1)]
-    for burst in [side for rows in first for side in (rows, n - 1 - rows[::-1])]:
-        if _burst_offsets(kept, burst, nobody, WIDE_RULE) is not None:
-            return burst
-    return nobody.nonzero()[0]
 
 
 def _near_outliers(series: _Positions) -> Mask:
@@ -446,6 +436,11 @@ def describe_frames(numbers: Sequence[int] | Rows) -> str:
     return f"frame{'s' if len(numbers) > 1 else ''} {shown}{more}"
 
 
+def count_text(n: int, one: str, many: str) -> str:
+    """Write a count with the words for one or for many."""
+    return f"1 {one}" if n == 1 else f"{n} {many}"
+
+
 def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
     """Find pairs of displacements that are the same measurement.
 
@@ -476,12 +471,6 @@ def _clipped_differences(x: Array) -> Array:
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 
-def _correlation(a: Array, b: Array) -> Array:
-    """Cross-correlation of two series at all lags of `b`, from -(len(b) - 1)."""
-    n = len(a) + len(b) - 1
-    return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
-
-
 def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
     """Whether two records agree at the lag at which their noise agrees best."""
     a, b = rough[i], rough[j]
@@ -490,7 +479,7 @@ def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int
             len(series[i]) == len(series[j]) >= MIN_COMMON_ROWS
             and np.ptp(series[i]) > 0 == np.ptp(series[i] - series[j])
         )
-    lag = int(np.argmax(_correlation(a, b))) - (len(b) - 1)
+    lag = int(np.argmax(scipy.signal.correlate(a, b, method="fft"))) - (len(b) - 1)
     first, last = max(lag, 0), min(len(a), len(b) + lag)
     if last - first < max(MIN_COMMON_ROWS, MIN_COMMON_SHARE * min(len(a), len(b))):
         return False

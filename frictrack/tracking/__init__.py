@@ -21,12 +21,14 @@ from frictrack.base.lazy import lazy_names
 if TYPE_CHECKING:
     from frictrack.tracking import checks, detection
     from frictrack.tracking.areas import Areas, is_polygon
+    from frictrack.tracking.batch_tracker import Work
     from frictrack.tracking.detection import find_reference, find_target
     from frictrack.tracking.driver import (
         align_track,
         learn_target,
         relearn_target,
         track,
+        track_and_learn,
         track_frames,
         track_same_target,
     )

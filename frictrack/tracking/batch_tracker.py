@@ -69,8 +69,8 @@ class _PathPredictor:
     """Predict positions from the last finds, by the polynomial that predicted best so far on each axis."""
 
     direction: int = 1  # forward or backward through the film
-    frame: list[int] = field(default_factory=list)
-    position: list[Array] = field(default_factory=list)
+    frame: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    position: Array = field(default_factory=lambda: np.empty((0, 2)))
     degree: list[int] = field(default_factory=lambda: [1, 1])
 
     def add(self, frame: NDArray[np.int64], at: Array) -> None:
@@ -78,18 +78,18 @@ class _PathPredictor:
         if len(frame) > 2 and len(self.frame) > 4:
             errors = [np.max(np.abs(prediction - at), axis=0) for prediction in self._polynomial_predictions(frame)]
             self.degree = np.argmin(errors, axis=0).tolist()
-        self.frame = [*self.frame, *frame[-PREDICTOR_FRAMES:].tolist()][-PREDICTOR_FRAMES:]
-        self.position = [*self.position, *at[-PREDICTOR_FRAMES:]][-PREDICTOR_FRAMES:]
+        self.frame = np.append(self.frame, frame)[-PREDICTOR_FRAMES:]
+        self.position = np.concatenate([self.position, at])[-PREDICTOR_FRAMES:]
 
     def restart(self, frame: int, at: Array) -> None:
         """Start a new path at this place; only a find in the frame just before is kept, for the velocity."""
-        last = [(f, a) for f, a in zip(self.frame, self.position, strict=True) if f == frame - self.direction]
-        self.frame, self.position = [f for f, _ in last] + [frame], [a for _, a in last] + [at]
+        last = self.frame == frame - self.direction
+        self.frame, self.position = np.append(self.frame[last], frame), np.vstack([self.position[last], at])
         self.degree = [1, 1]
 
     def age(self, frame: int) -> int:
         """Frames since the last find."""
-        return abs(frame - self.frame[-1])
+        return abs(frame - int(self.frame[-1]))
 
     def predicted(self, frame: NDArray[np.int64]) -> Array:
         """Predicted positions (n, 2) px in these frames."""
@@ -100,14 +100,14 @@ class _PathPredictor:
 
     def _polynomial_predictions(self, frame: NDArray[np.int64]) -> list[Array]:
         """Predictions by polynomials of degree 0, 1 and 2, as far as there are enough finds."""
-        past = np.array(self.frame, dtype=np.float64) - self.frame[-1]
+        past = (self.frame - self.frame[-1]).astype(np.float64)
         scale = max(abs(past[0]), 1.0)
         powers, ahead = ((t[:, None] / scale) ** np.arange(3) for t in (past, frame - self.frame[-1]))
-        positions = np.array(self.position)
-        normal, right = powers.T @ powers, powers.T @ positions
-        highest = 2 if len(positions) > 4 else len(positions) - 1 if len(positions) < 3 else 1
+        count = len(self.position)
+        normal, right = powers.T @ powers, powers.T @ self.position
+        highest = 2 if count > 4 else count - 1 if count < 3 else 1
         fits = [ahead[:, :d] @ np.linalg.solve(normal[:d, :d], right[:d]) for d in range(2, highest + 2)]
-        return [np.broadcast_to(positions[-1], (len(frame), 2)), *fits]
+        return [np.broadcast_to(self.position[-1], (len(frame), 2)), *fits]
 
 
 class BatchTracker:
@@ -393,6 +393,9 @@ class Work:
         for k, (future, task) in enumerate(zip(waiting, tasks, strict=True)):
             self.report(k, len(tasks), step)
             yield function(*task) if future is None else future.result()
+
+
+SILENT_WORK = Work()  # in this process, silently
 
 
 def follow_film(tracker: BatchTracker, start: Array, frame: int, work: Work) -> RawTrack:

@@ -8,7 +8,6 @@ rectangles differ, so that positions along the course refer to the same point of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.recording import FrameRange, Recording, random_access
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas, with_obstacles
-from frictrack.tracking.batch_tracker import MIN_SCORE, SEGMENT_FRAMES, BatchTracker, Progress, Work, follow_film
+from frictrack.tracking.batch_tracker import MIN_SCORE, SILENT_WORK, BatchTracker, Progress, Work, follow_film
 from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest_corner
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, target_fault
 from frictrack.tracking.followed_target import Followed, measure_track
@@ -108,14 +107,26 @@ def track(  # noqa: PLR0913 - one door with named settings, all but one of them 
     (150, 59.0)
 
     """
-    drawn, work = _areas(target), Work(progress, pool if recording.direct else None)
-    once = not recording.direct and _single_pass(recording, drawn.target, template, known)
-    with random_access(recording, once=once) as film:
-        followed = replace(_follow(film, drawn, template, known, work), rereadable=not once)
+    work = Work(progress, pool if recording.direct else None)
+    return track_and_learn(recording, _areas(target), template, known=known, name=name, work=work)[0]
+
+
+def track_and_learn(
+    recording: Recording,
+    drawn: Areas,
+    template: int,
+    *,
+    known: TargetModel | None = None,
+    name: str = "target",
+    work: Work = SILENT_WORK,
+) -> tuple[Track, TargetModel]:
+    """Track the target as `track` does, and return its model with the track."""
+    with random_access(recording) as film:
+        followed = _follow(film, drawn, template, known, work)
         track = measure_track(recording, film, followed, name, work)
         if drawn.target is None and (fault := target_fault(film, track)):
             raise FrictrackError(f"{recording.path.name}: {fault}")
-        return track
+        return track, followed.target_model
 
 
 def _rectangle_at(corner: Array, known: TargetModel) -> Rectangle:
@@ -132,10 +143,8 @@ def track_same_target(
     recording: Recording,
     target: Areas,
     known: TargetModel,
-    *,
     template: int = 0,
-    progress: Progress | None = None,
-    pool: WorkerPool | None = None,
+    work: Work = SILENT_WORK,
 ) -> tuple[Track, TargetModel] | None:
     """Track a target with the model learnt from another film, if it looks the same here.
 
@@ -143,10 +152,12 @@ def track_same_target(
     ----------
     recording : Recording
         Film.
-    target, template, progress, pool
+    target, template
         As in `track`.
     known : TargetModel
         Model of the target, learnt from another film.
+    work : Work
+        Where work is done, and who hears of its progress.
 
     Returns
     -------
@@ -163,7 +174,7 @@ def track_same_target(
         corner, score = match_near(film, rectangle, template, known.template)
         if score < MIN_SHARED_SCORE:
             return None
-        placed, work = _rectangle_at(corner, known), Work(progress, pool)
+        placed = _rectangle_at(corner, known)
         raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, work)
         adapted = adapt_known_target(film, raw_track, known)
         if adapted is None:
@@ -248,7 +259,7 @@ def relearn_target(recording: Recording, track: Track) -> TargetModel:
     drawn = Areas(track.outline or track.target, track.exclude, track.obstacles)
     may_rotate = bool(np.nanmax(np.abs(track.angle)) > MAX_STRAIGHT_ANGLE)
     with random_access(recording) as film:
-        return _learn_and_track(film, drawn, track.template, Work(), may_rotate=may_rotate).target_model
+        return _learn_and_track(film, drawn, track.template, SILENT_WORK, may_rotate=may_rotate).target_model
 
 
 def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *, may_rotate: bool = True) -> Followed:
@@ -311,13 +322,6 @@ def _follow_outline(
     return follow_film(BatchTracker(film, outline, with_obstacles(None, blocked), score), *where, work)
 
 
-def _single_pass(film: Recording, target: Target, template: int, known: TargetModel | None) -> bool:
-    """Whether one pass through the film, from its first frame, is enough; segments may have to be read again."""
-    is_rectangle = isinstance(target, Sequence) and len(target) == 4 and template == 0
-    is_short = film.n_frames < 2 * SEGMENT_FRAMES
-    return is_short and is_rectangle and known is not None and known.pattern is None
-
-
 def track_frames(
     film: Recording,
     frames: range,
@@ -365,9 +369,9 @@ def track_frames(
             f"expected the target near its drawn place in frame {frame} but it is not recognised "
             "there; draw it in a frame that shows it well"
         )
-    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, Work())
+    raw_track = _follow_known(part, known, drawn.obstacle_mask(film.shape), start, at, SILENT_WORK)
     followed = Followed(Areas(), _rectangle_at(start, known), at, raw_track, known)
-    return measure_track(part, part, followed, "target", Work())
+    return measure_track(part, part, followed, "target", SILENT_WORK)
 
 
 def match_near(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import Recording
@@ -81,7 +82,7 @@ def _spread(
 ) -> None:
     """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
     for _ in range(max_rounds):
-        rows = np.flatnonzero(~visited & (_distance(good) <= MAX_PREDICTION_GAP))
+        rows = np.flatnonzero(~visited & binary_dilation(good, iterations=MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
@@ -105,16 +106,6 @@ def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
     little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
     _spread(good, visited, is_gradual, len(good))
     good |= raw_track.found & ~visited & little
-
-
-def _distance(good: Mask) -> NDArray[np.int64]:
-    """Distance (n,) in frames from every frame to the nearest good one; n where there is none."""
-    n = np.arange(len(good))
-    rows = np.flatnonzero(good)
-    if len(rows) == 0:
-        return np.full(len(good), len(good))
-    after = np.searchsorted(rows, n).clip(0, len(rows) - 1)
-    return np.minimum(np.abs(rows[after] - n), np.abs(rows[np.maximum(after - 1, 0)] - n))
 
 
 def _remeasure(
@@ -223,7 +214,7 @@ def _loss_reasons(result: RawTrack, rows: NDArray[np.int64], max_corner: Array) 
 class Followed:
     """A target that was followed: its areas and rectangle in frame `template`, track and model.
 
-    `remeasure` tells whether frames are measured again with the model, `rereadable` whether any can still be read.
+    `remeasure` tells whether frames are measured again with the model.
     """
 
     drawn: Areas
@@ -232,7 +223,6 @@ class Followed:
     raw_track: RawTrack
     target_model: TargetModel
     remeasure: bool = True
-    rereadable: bool = True
 
 
 def measure_track(recording: Recording, film: Recording, followed: Followed, name: str, work: Work) -> Track:
@@ -253,12 +243,11 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
             result, angle=lost, sigma_angle=lost + UNKNOWN_ANGLE_SIGMA, notes=(*result.notes, ROTATION_UNSEEN)
         )
     result = _with_reference_sigma(result, followed.template)
-    line_notes = interlacing_note(film, result) if followed.rereadable else ()
     return replace(
         result,
         template=followed.template,
         picture=target_model.template.image,
-        notes=(*result.notes, *line_notes, *at_rest(result)),
+        notes=(*result.notes, *interlacing_note(film, result), *at_rest(result)),
         outline=followed.drawn.outline,
         exclude=tuple(followed.drawn.exclude),
         obstacles=tuple(followed.drawn.obstacles),

@@ -214,36 +214,22 @@ def min_frames_if_rotating(
         None where the target does not rotate.
 
     """
-    angle, found = raw_track.fit.angle[raw_track.found], float(np.sum(raw_track.found))
+    rows, lost = np.flatnonzero(raw_track.found), np.flatnonzero(~raw_track.found)
+    angle, found = raw_track.fit.angle[rows], len(rows)
     if np.mean(np.abs(angle - np.median(angle)) * rotatable.radius > MAX_CORNER_MOTION_PX) > MIN_LARGE_ROTATION_SHARE:
         return SAME_COUNT_RATIO * found
     first_lost = [*np.flatnonzero(~raw_track.found[first:])[:1] + first, *np.flatnonzero(~raw_track.found[:first])[-1:]]
-    lost = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
-    rotates = any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in lost)
-    if not (rotates and _may_recover(film, raw_track, rotatable, CLEARLY_MORE_RATIO * found)):
+    shown = [int(i) for i in first_lost if raw_track.reason[i] not in (LEAVES, UNREAD, FLAT)]
+    if not any(_has_rotated(film, raw_track, rotatable, i, first, start) for i in shown):
         return None
-    return CLEARLY_MORE_RATIO * found
-
-
-def _may_recover(film: Recording, raw_track: RawTrack, rotatable: RotatableTemplate, min_frames: float) -> bool:
-    """Whether enough of the lost frames may show a rotated target to reach `min_frames` finds.
-
-    A few of them, spread over the film, are searched. A single frame is less certain than all in sequence: half of the
-    required share is enough.
-    """
-    lost, found = np.flatnonzero(~raw_track.found), np.flatnonzero(raw_track.found)
-    share = (min_frames - len(found)) / max(len(lost), 1)
-    if share > 1 or len(lost) <= 2 * N_SAMPLED_FRAMES:
-        return share <= 1
-    typical_score = float(np.median(raw_track.fit.score[found]))
-    misses_left = (1 - 0.5 * share) * N_SAMPLED_FRAMES
-    sampled = lost[np.linspace(0, len(lost) - 1, N_SAMPLED_FRAMES).astype(int)]
-    for i in np.random.default_rng(0).permutation(sampled).tolist():
-        nearest = raw_track.position[found[np.argmin(np.abs(found - i))]]
-        misses_left -= _search_rotated(film, i, nearest, rotatable, typical_score) is None
-        if misses_left < 0:
-            return False
-    return True
+    share = (CLEARLY_MORE_RATIO - 1) * found / len(lost)  # of the lost frames that would have to show it
+    sampled = lost[np.unique(np.linspace(0, len(lost) - 1, N_SAMPLED_FRAMES).astype(int))] if share <= 1 else lost[:0]
+    corners = (raw_track.position[rows[np.argmin(np.abs(rows - i))]] for i in sampled)
+    score = float(np.median(raw_track.fit.score[rows]))
+    seen = [
+        _search_rotated(film, int(i), at, rotatable, score) is not None for i, at in zip(sampled, corners, strict=True)
+    ]
+    return CLEARLY_MORE_RATIO * found if sum(seen) > 0.5 * share * len(sampled) else None
 
 
 def _search_rotated(

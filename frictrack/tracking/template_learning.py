@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import comb
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.distributions import noise_of_differences
 from frictrack.records import Array, Mask
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.subpixel_fit import SubpixelFit
@@ -510,8 +510,7 @@ def _is_noise_only(deviations: Array, at: Array) -> bool:
     """
     harmonics = deviations[:, 1:]
     residuals = deviations[:, 0] - harmonics @ np.linalg.lstsq(harmonics, deviations[:, 0], rcond=None)[0]
-    binomial = np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
-    noise = np.median(np.abs(np.diff(at, DIFFERENCE_ORDER))) / (0.6745 * binomial)
+    noise = noise_of_differences(np.diff(at, DIFFERENCE_ORDER), DIFFERENCE_ORDER)
     return bool(np.std(residuals) < MAX_ROUGHNESS_RATIO * max(noise, MIN_NOISE_PX))
 
 

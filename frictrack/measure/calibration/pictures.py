@@ -416,11 +416,6 @@ class TargetWidth:
     std: float
     used: str
 
-    @property
-    def px(self) -> float:
-        """Width in the picture, px."""
-        return float(np.hypot(*(self.ends[1] - self.ends[0])))
-
 
 def target_width(track: Track, direction: Array, film: Recording | None = None) -> TargetWidth:
     """Measure the extent of the target along the course.
@@ -450,11 +445,11 @@ def target_width(track: Track, direction: Array, film: Recording | None = None) 
     picture = _median_picture(track, film) if film is not None else np.asarray(track.picture)
     course = np.asarray(direction, dtype=np.float64) / np.hypot(*direction)
     lines = _lines(picture, course, track.target[2:])
-    left, right = _edge(lines), _edge(lines[:, ::-1])
-    chords = (lines.shape[1] - 1 - right.at - left.at) / READINGS_PER_PX
+    (left, std_left), (right, std_right) = _edge(lines), _edge(lines[:, ::-1])
+    chords = (lines.shape[1] - 1 - right - left) / READINGS_PER_PX
     width, shape = _width_and_shape(chords)
-    std = float(np.sqrt(left.std**2 + right.std**2 + 2 * EDGE_ERROR_PX**2))
-    middle = float(np.median(left.at - right.at)) / 2 / READINGS_PER_PX
+    std = float(np.sqrt(std_left**2 + std_right**2 + 2 * EDGE_ERROR_PX**2))
+    middle = float(np.median(left - right)) / 2 / READINGS_PER_PX
     centre = np.array(track.target[:2]) + (np.array(track.target[2:]) - 1) / 2 + course * middle
     ends = np.stack([centre - course * width / 2, centre + course * width / 2])
     return TargetWidth(ends, std, f"{width:.2f} ± {std:.2f} px from edge to edge ({shape})")
@@ -505,16 +500,11 @@ def _lines(picture: Array, course: Array, size: tuple[float, ...]) -> Array:
     return np.asarray(lines, dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class _Edge:
-    """Edge of the target on lines from the left: reading number `at` (lines,) and its deviation, px."""
+def _edge(lines: Array) -> tuple[Array, float]:
+    """Find the left edge on each of the lines (n, m), then refine it on groups of aligned lines.
 
-    at: Array
-    std: float
-
-
-def _edge(lines: Array) -> _Edge:
-    """Find the left edge on each of the lines (n, m), then refine it on groups of aligned lines."""
+    Returns its reading number (n,) from the left, and its standard deviation, px.
+    """
     rough = _first_edges(lines)
     good = np.flatnonzero(np.isfinite(rough))
     if len(good) < max(MIN_LINES, 0.6 * len(lines)):
@@ -532,7 +522,7 @@ def _edge(lines: Array) -> _Edge:
     std = float(shifts.std(ddof=1) / np.sqrt(N_GROUPS) / READINGS_PER_PX)
     if not std < MAX_EDGE_SIGMA_PX or abs(np.sign(steps).sum()) < N_GROUPS:
         raise _no_outline()
-    return _Edge(smooth + shifts.mean(), std)
+    return smooth + shifts.mean(), std
 
 
 def _no_outline() -> FrictrackError:

@@ -242,20 +242,60 @@ class NoiseStretch:
 
     @cached_property
     def smooth(self) -> Array:
-        """Longest part (m,) without a jump or kink."""
-        return _longest_undisturbed(self.positions)
+        """Longest part (m,) without a jump or kink, whose spectrum would look like noise."""
+        d = np.abs(np.diff(self.positions, DIFFERENCE_ORDER))
+        if not len(d):
+            return self.positions
+        jumps = np.flatnonzero(d > OUTLIER_SIGMAS * robust_std(d)) + DIFFERENCE_ORDER // 2
+        return max(np.split(self.positions, np.unique(np.concatenate([jumps, jumps + 1]))), key=len)
 
     @cached_property
-    def spectrum(self) -> _Spectrum:
-        """Spectrum of that part."""
-        return _Spectrum.of(self.smooth)
+    def spectrum(self) -> tuple[Array, Array]:
+        """Frequencies (F,), cycles per frame, and the density (F,), m^2 per (cycle per frame), of the smooth part.
+
+        It is the multitaper spectrum of second differences without their straight line.
+        """
+        differences = np.diff(self.smooth, DIFFERENCES)
+        n = len(differences)
+        t = np.linspace(-1.0, 1.0, n)
+        differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
+        tapers = scipy.signal.windows.dpss(n, BANDWIDTH, TAPERS)  # Slepian 1978, Bell Syst. Tech. J. 57
+        power = np.mean(np.abs(np.fft.rfft(tapers * differences, axis=1)) ** 2, axis=0)
+        bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
+        return bins / n, power[bins] / (2 * np.sin(np.pi * bins / n)) ** (2 * DIFFERENCES)
+
+    def fit(self, shapes: Array, lowest: float = 0.0) -> tuple[Array, Array]:
+        """Fit noise of some shapes (R, 2) and motions to the spectrum from a frequency on, cycles per frame.
+
+        Returns the variances (R,) of the noise that sum with the motions to the spectrum, and -2 log-likelihood (R,).
+        """
+        frequency, density = (q[self.spectrum[0] >= lowest] for q in self.spectrum)
+        scale = float(np.median(density))
+        power, rotation, sine = density / scale, np.exp(-2j * np.pi * frequency), 2 * np.sin(np.pi * frequency)
+        noise = np.array([1 - share + share * (1 - c**2) / np.abs(1 - c * rotation) ** 2 for c, share in shapes])
+        motion = np.array([(sine / sine[0]) ** -exponent for exponent in MOTION_POWERS])
+        of_motion = np.broadcast_to(np.median(power / motion, axis=1), (len(shapes), len(motion)))
+        sizes = np.column_stack([np.median(power / noise, axis=1), of_motion]) / (1 + len(motion))  # all alone, shared
+        for _ in range(N_UPDATES):
+            inverse = 1.0 / (sizes[:, :1] * noise + sizes[:, 1:] @ motion)
+            capped = np.minimum(power * inverse, LINE_FACTOR) * inverse
+            up, down = (np.column_stack([np.einsum("rf,rf->r", q, noise), q @ motion.T]) for q in (capped, inverse))
+            sizes = sizes * np.sqrt(up / down)
+        model = sizes[:, :1] * noise + sizes[:, 1:] @ motion
+        losses = np.sum(np.log(model) + np.minimum(power / model, LINE_FACTOR), axis=1)
+        return scale * sizes[:, 0], 2 * TAPERS * losses
+
+    def gains(self, shapes: Array, lowest: float = 0.0) -> Array:
+        """Twice the gain in log-likelihood (R,) by noise of the shapes (R, 2) over white noise."""
+        losses = self.fit(np.concatenate([WHITE, shapes]), lowest)[1]
+        return losses[0] - losses[1:]
 
     @staticmethod
     def evidence(stretches: Sequence[NoiseStretch], lowest: float, n_shapes: int | None = None) -> Array:
         """Evidence (k, R) for the first `SHAPES`, by stretch, in the spectra from a frequency on, cycles per frame."""
-        new = [s for s in dict.fromkeys(stretches) if lowest not in s._evidence]
-        for stretch, row in zip(new, _evidence([s.spectrum.beyond(lowest) for s in new], SHAPES), strict=True):
-            stretch._evidence[lowest] = row
+        for stretch in stretches:
+            if lowest not in stretch._evidence:
+                stretch._evidence[lowest] = stretch.gains(SHAPES, lowest)
         return np.array([s._evidence[lowest][:n_shapes] for s in stretches])
 
 
@@ -307,13 +347,12 @@ def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
 
 def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedNoise:
     """Best-fitting noise: best of the first shapes, then refined."""
-    spectra = [s.spectrum for s in stretches]
     best = SHAPES[int(np.argmax(np.sum(NoiseStretch.evidence(stretches, 0.0, n_shapes), axis=0)))]
     for width in SEARCH_WIDTHS:
         near = _shapes_near(best, width)
-        best = near[int(np.argmax(np.sum(_evidence(spectra, near), axis=0)))]
-    variances, _ = _fit_shapes(spectra, best[None])
-    return CorrelatedNoise(float(best[0]), float(best[1]), np.sqrt(variances[:, 0]))
+        best = near[int(np.argmax(sum(s.gains(near) for s in stretches)))]
+    variances = [s.fit(best[None])[0][0] for s in stretches]
+    return CorrelatedNoise(float(best[0]), float(best[1]), np.sqrt(variances))
 
 
 def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
@@ -334,15 +373,6 @@ def _is_consistent(evidence: Array) -> bool:
     return consistent and float(np.sum(evidence[:, best])) > float(chi2_isf(ALPHA_CORRELATED, N_SHAPE_PARAMETERS))
 
 
-def _longest_undisturbed(x: Array) -> Array:
-    """Longest part (m,) of a stretch without a jump or kink, whose spectrum would look like noise."""
-    d = np.abs(np.diff(x, DIFFERENCE_ORDER))
-    if not len(d):
-        return x
-    jumps = np.flatnonzero(d > OUTLIER_SIGMAS * robust_std(d)) + DIFFERENCE_ORDER // 2
-    return max(np.split(x, np.unique(np.concatenate([jumps, jumps + 1]))), key=len) if len(jumps) else x
-
-
 def _n_resolved(stretches: Sequence[NoiseStretch]) -> int:
     """Number of `SHAPES`, from the first on, that the shortest stretch contains often enough."""
     n = min((len(s.smooth) for s in stretches), default=0)
@@ -355,102 +385,3 @@ def _shapes_near(shape: Array, width: float) -> Array:
     factors = np.exp(width * np.array([-1.0, 0.0, 1.0]))
     odds_near = np.array([(odds[0] * a, odds[1] * b) for a in factors for b in factors])
     return np.asarray(odds_near / (1 + odds_near))
-
-
-def _evidence(spectra: Sequence[_Spectrum], shapes: Array) -> Array:
-    """Twice the gain in log-likelihood (k, R) by noise of the shapes (R, 2) over white noise, by stretch."""
-    _, losses = _fit_shapes(spectra, np.concatenate([WHITE, shapes]))
-    return losses[:, :1] - losses[:, 1:]
-
-
-@dataclass(frozen=True)
-class _Spectrum:
-    """Spectral density (F,), m^2 per (cycle per frame), of one stretch at frequencies (F,), cycles per frame."""
-
-    frequency: Array
-    density: Array
-
-    @classmethod
-    def of(cls, x: Array) -> _Spectrum:
-        """Multitaper spectrum of positions (n,), from second differences without their straight line."""
-        differences = np.diff(x, DIFFERENCES)
-        n = len(differences)
-        t = np.linspace(-1.0, 1.0, n)
-        differences = differences - np.polyval(np.polyfit(t, differences, 1), t)
-        tapers = scipy.signal.windows.dpss(n, BANDWIDTH, TAPERS)  # Slepian 1978, Bell Syst. Tech. J. 57
-        power = np.mean(np.abs(np.fft.rfft(tapers * differences, axis=1)) ** 2, axis=0)
-        bins = np.arange(BANDWIDTH, (n - 1) // 2, max(BANDWIDTH, n // (2 * MAX_BINS)))
-        frequency = bins / n
-        return cls(frequency, power[bins] / (2 * np.sin(np.pi * frequency)) ** (2 * DIFFERENCES))
-
-    def beyond(self, lowest: float) -> _Spectrum:
-        """The part from a frequency on, cycles per frame."""
-        high = self.frequency >= lowest
-        return _Spectrum(self.frequency[high], self.density[high])
-
-    def noise(self, shapes: Array) -> Array:
-        """Spectra (R, F) of noise of the shapes (R, 2) and variance one."""
-        rotation = np.exp(-2j * np.pi * self.frequency)
-        return np.array([1 - share + share * (1 - c**2) / np.abs(1 - c * rotation) ** 2 for c, share in shapes])
-
-    def motion(self) -> Array:
-        """Spectra (2, F) of motions, one at the lowest frequency."""
-        sine = 2 * np.sin(np.pi * self.frequency)
-        return np.array([(sine / sine[0]) ** -power for power in MOTION_POWERS])
-
-
-def _fit_shapes(spectra: Sequence[_Spectrum], shapes: Array) -> tuple[Array, Array]:
-    """Variances (k, R) of noise of the shapes (R, 2) that fit the spectra best, and -2 log-likelihood (k, R)."""
-    if not spectra:
-        return np.empty((0, len(shapes))), np.empty((0, len(shapes)))
-    scales = np.array([[np.median(s.density)] for s in spectra])
-    powers = [s.density / scale for s, scale in zip(spectra, scales, strict=True)]
-    sizes, losses = _fit_sizes(powers, [s.noise(shapes) for s in spectra], [s.motion() for s in spectra])
-    return scales * sizes[..., 0], 2 * TAPERS * losses
-
-
-def _fit_sizes(powers: Sequence[Array], noises: Sequence[Array], motions: Sequence[Array]) -> tuple[Array, Array]:
-    """Fit sizes of one of R noises and of all motions, by stretch, so that they sum to its power.
-
-    All stretches are updated at once: shorter spectra are filled with zeros, and the model there with ones, which adds
-    nothing to the sums over frequencies.
-    """
-    power, noise, motion = _filled(powers)[:, None], _filled(noises), _filled(motions)
-    filling = 1.0 - _filled([np.ones_like(p) for p in powers])[:, None]
-    sizes = np.stack([_first_sizes(*parts) for parts in zip(powers, noises, motions, strict=True)])
-    k, n_noises, n = noise.shape
-    by_frequency = np.ascontiguousarray(np.swapaxes(motion, 1, 2))
-    weights = np.empty((k, 2, n_noises, n))
-    capped, inverse = weights[:, 0], weights[:, 1]  # capped power over the squared model, and one over the model
-    sums = np.empty((k, 2, n_noises, sizes.shape[-1]))
-    model = np.empty_like(noise)
-    for _ in range(N_UPDATES):
-        np.divide(1.0, _model(sizes, noise, motion, filling, model), out=inverse)
-        np.multiply(power, inverse, out=capped)
-        np.minimum(capped, LINE_FACTOR, out=capped)
-        capped *= inverse
-        np.einsum("karf,krf->kar", weights, noise, out=sums[..., 0])
-        sums[..., 1:] = (weights.reshape(k, -1, n) @ by_frequency).reshape(k, 2, n_noises, -1)
-        sizes = sizes * np.sqrt(sums[:, 0] / sums[:, 1])
-    _model(sizes, noise, motion, filling, model)
-    return sizes, np.sum(np.log(model) + np.minimum(power / model, LINE_FACTOR), axis=2)
-
-
-def _first_sizes(power: Array, noise: Array, motion: Array) -> Array:
-    """Sizes (R, K) with which each part alone would have the median of a power (F,), shared among the K parts."""
-    of_motion = np.broadcast_to(np.median(power / motion, axis=1), (len(noise), len(motion)))
-    return np.column_stack([np.median(power / noise, axis=1), of_motion]) / (1 + len(motion))
-
-
-def _model(sizes: Array, noise: Array, motion: Array, filling: Array, out: Array) -> Array:
-    """Write the sum (k, R, F) of noise (k, R, F) and motions (k, K - 1, F) of some sizes (k, R, K) to `out`."""
-    np.multiply(sizes[..., :1], noise, out=out)
-    out += sizes[..., 1:] @ motion
-    out += filling
-    return out
-
-
-def _filled(rows: Sequence[Array]) -> Array:
-    """Stack arrays (..., F_i), filled with zeros to the largest F_i."""
-    length = max(row.shape[-1] for row in rows)
-    return np.stack([np.pad(row, [(0, 0)] * (row.ndim - 1) + [(0, length - row.shape[-1])]) for row in rows])

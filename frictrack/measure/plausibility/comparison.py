@@ -21,6 +21,7 @@ from math import asin, degrees
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from frictrack.measure.friction import has_measured_force, is_moving
 from frictrack.measure.plausibility.slide import (
@@ -260,6 +261,7 @@ TIME_UNITS = {1e3: ("ms", "t_s (ms)"), 1e6: ("us", "t_s (us)"), 1 / 60: ("minute
 
 MIN_TURNS = 4  # turning points that show a centre and its scatter
 SMOOTHED_SHARE = 4  # part of a half swing over which positions are averaged: all turning points come nearer alike
+CENTRE_WEIGHTS = np.array([0.25, 0.5, 0.25])  # of three turning points: a decay that is linear cancels
 MIN_SWING_SHARE = 0.25  # of the whole travel; a smaller swing back is noise, or the end of a decay
 MIN_SHIFT_SIGMAS, MIN_SHIFT_SHARE = 5.0, 0.01  # standard deviations, and share of the travel, of a shift that is said
 
@@ -338,27 +340,21 @@ def swing_centre(x: Array) -> tuple[float, float] | None:
     Of three turning points in a row, (a + 2 b + c) / 4 is the centre, also while dry friction takes as much from every
     half swing.
     """
-    width = max(len(x) // (SMOOTHED_SHARE * max(len(_extremes(x)), 1)), 1)
-    turns = _extremes(np.convolve(x, np.ones(width) / width, mode="valid"))[1:-1]  # the ends are none
+    width = max(len(x) // (SMOOTHED_SHARE * (len(_turns(x)) + 2)), 1)
+    turns = _turns(np.convolve(x, np.ones(width) / width, mode="valid"))
     if len(turns) < MIN_TURNS:
         return None
-    centres = (turns[:-2] + 2 * turns[1:-1] + turns[2:]) / 4
-    return float(np.mean(centres)), float(np.std(centres) / np.sqrt(len(centres) - 1))
+    centres = np.convolve(turns, CENTRE_WEIGHTS, mode="valid")
+    # neighbouring centres differ by a quarter of the sum of four independent errors: half the error of a turning point
+    error = 2.0 * np.sqrt(np.mean(np.diff(centres) ** 2))
+    weights = np.convolve(np.full(len(centres), 1 / len(centres)), CENTRE_WEIGHTS)  # of the turning points in the mean
+    return float(np.mean(centres)), float(error * np.linalg.norm(weights))
 
 
-def _extremes(x: Array) -> Array:
-    """Extremes between which the mass moves by `MIN_SWING_SHARE` of its travel, the ends of the record included."""
+def _turns(x: Array) -> Array:
+    """Positions at which the mass turns, between which it moves by `MIN_SWING_SHARE` of its travel; not the ends."""
     least = MIN_SWING_SHARE * float(np.ptp(x)) if len(x) else 0.0
-    found, low, high, rising = [], np.inf, -np.inf, 0
-    for one in x.tolist():
-        low, high = min(low, one), max(high, one)
-        if rising >= 0 and high - one > least:
-            found.append(high)
-            low, rising = one, -1
-        elif rising <= 0 and one - low > least:
-            found.append(low)
-            high, rising = one, 1
-    return np.array([*found, low if rising < 0 else high])
+    return x[np.sort(np.concatenate([find_peaks(side, prominence=least)[0] for side in (x, -x)]))]
 
 
 def shifted_swings(positions: Mapping[str, Array]) -> Iterator[tuple[str, str, float]]:

@@ -6,16 +6,17 @@ distance and friction that no laboratory has name the unit with which they becom
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import degrees, inf, log10
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from frictrack.measure.friction import has_measured_force, is_moving, split_by_direction
 from frictrack.records import Array, Run, stretches
-from frictrack.study import ANGLE_NOTE
+from frictrack.study import ANGLE_NOTE, COLUMNS
 
 WARNING, ERROR = "warning", "error"
 CONFIRM = 'if it is right, set plausible = "checked"'
@@ -197,17 +198,17 @@ FILM_UNITS = (  # what a number of a film may have been mistyped by: length, tim
     (1.0, 1e-1, "fps is ten times too small"),
     (1.0, 1e1, "fps is ten times too large"),
 )
-MS_AND_MM = 't_s holds ms and x_m mm: give columns = {t = "t_s (ms)", x = "x_m (mm)"}'
+MS_AND_MM: Mapping[str, str] = {"t": "ms", "x": "mm"}
 MIN_TRAVEL_MS_MM = 1.0  # m: in a laboratory a free slide is shorter
-TABLE_UNITS = (
-    (1e-3, 1.0, 'x_m holds mm: give columns = {x = "x_m (mm)"}'),
-    (1.0, 1e-3, 't_s holds ms: give columns = {t = "t_s (ms)"}'),
+TABLE_UNITS = (  # the same of a table, and what its columns may hold
+    (1e-3, 1.0, {"x": "mm"}),
+    (1.0, 1e-3, {"t": "ms"}),
     (1e-3, 1e-3, MS_AND_MM),
-    (1e-6, 1.0, 'x_m holds um: give columns = {x = "x_m (um)"}'),
-    (1.0, 1e-6, 't_s holds us: give columns = {t = "t_s (us)"}'),
-    (1e-2, 1.0, 'x_m holds cm: give columns = {x = "x_m (cm)"}'),
-    (1e3, 1.0, 'x_m holds km: give columns = {x = "x_m (km)"}'),
-    (1.0, 60.0, 't_s holds minutes: give columns = {t = "t_s (min)"}'),
+    (1e-6, 1.0, {"x": "um"}),
+    (1.0, 1e-6, {"t": "us"}),
+    (1e-2, 1.0, {"x": "cm"}),
+    (1e3, 1.0, {"x": "km"}),
+    (1.0, 60.0, {"t": "min"}),
 )
 UNIT_STEP = 1e3  # factor of a wrong unit; no camera setting differs by as much
 FORCES = (("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))  # what a force may have been recorded in
@@ -373,39 +374,45 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
     return deceleration if deceleration > 0 else None
 
 
-def implausible_slide(run: Run, *, film: bool) -> tuple[Finding, ...]:
+def standard_header(key: str) -> str:
+    """Return the header that a column of a table has where the study file names none."""
+    return COLUMNS[key][0]
+
+
+def implausible_slide(run: Run, *, film: bool, header: Callable[[str], str] = standard_header) -> tuple[Finding, ...]:
     """Find an implausible speed, friction coefficient or energy of a run.
 
     `run`: a run with displacement and motion; `film`: whether it was filmed: then scale and fps may be wrong, else the
-    units of the table. An error is a speed beyond any rail vehicle, or a value that only a unit wrong by a thousand
-    explains.
+    units of the table, whose columns have a `header` each. An error is a speed beyond any rail vehicle, or a value that
+    only a unit wrong by a thousand explains.
     """
     if ANGLE_NOTE in run.displacement.notes:
         return ()  # of a moment of inertia, and torques, no range is known
     slide = estimate_slide(run)
     # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
     check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
-    found = [*_check_measured_friction(run), *([] if slide is None else _check_slide(run, slide, film=film))]
+    found = [*_check_measured_friction(run, header)]
+    found += [] if slide is None else _check_slide(run, slide, None if film else header)
     return tuple(replace(one, run=run.name, check=check) for one in found)
 
 
-def _check_slide(run: Run, slide: SlideEstimate, *, film: bool) -> Iterator[Finding]:
-    """Check the speed, else the friction, the distance or the energy of a slide."""
-    hint, correction, grade = _correction(slide, film=film)
+def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | None) -> Iterator[Finding]:
+    """Check the speed, else the friction, the distance or the energy of a slide; a film has no header."""
+    kind = ""
     if slide.speed not in SPEED:
-        beyond = slide.speed > RAIL_SPEED
-        than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if beyond else "than in a laboratory"
-        why = f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
-        yield Finding("speed", f"{why}; {hint}", correction, grade=ERROR if beyond else grade)
+        than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if slide.speed > RAIL_SPEED else "than in a laboratory"
+        kind, words = "speed", f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
     elif slide.friction is not None and slide.friction not in FRICTION:
-        yield Finding("friction", f"{_friction_text(run, slide)}; {hint}", correction, grade=grade)
+        kind, words = "friction", _friction_text(run, slide)
     elif slide.friction is not None and slide.travel not in TRAVEL:
-        words = f"the mass would slide {slide.travel:.3g} m without a stop; {hint}"
-        yield Finding("scale", words, correction, grade=grade)
-    elif not film and _holds_ms_and_mm(slide):
-        seconds = float(run.displacement.t[-1] - run.displacement.t[0])
+        kind, words = "scale", f"the mass would slide {slide.travel:.3g} m without a stop"
+    if kind:
+        hint, correction, grade = _correction(slide, header)
+        yield Finding(kind, f"{words}; {hint}", correction, grade=ERROR if slide.speed > RAIL_SPEED else grade)
+    elif header is not None and _holds_ms_and_mm(slide):
+        seconds, line = float(run.displacement.t[-1] - run.displacement.t[0]), _unit_text(MS_AND_MM, header)
         words = f"{_friction_text(run, slide)}, over {slide.travel:.3g} m in {seconds:.3g} s"
-        yield Finding("friction", f"{words}; probably {MS_AND_MM}", MS_AND_MM)
+        yield Finding("friction", f"{words}; probably {line}", line)
     elif slide.friction is not None and not run.has_incline and run.mass is not None:
         yield from _check_energy(run.mass, slide)
 
@@ -417,13 +424,13 @@ def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
     return 1e3 * slide.friction in DRY_FRICTION and 1e-3 * slide.travel in USUAL_TRAVEL
 
 
-def _check_measured_friction(run: Run) -> Iterator[Finding]:
+def _check_measured_friction(run: Run, header: Callable[[str], str]) -> Iterator[Finding]:
     """Check a measured friction force: its sign, where it is idle, and its size against the stated load."""
     if run.friction_N is None:
         return
     moving = np.flatnonzero(is_moving(run) & np.isfinite(run.friction_N))
     if len(moving) >= MIN_FRAMES:
-        yield from _check_sign(np.asarray(run.friction_N)[moving], run.motion.v[moving])
+        yield from _check_sign(np.asarray(run.friction_N)[moving], run.motion.v[moving], header)
         if run.free is None:
             yield from _check_idle_ends(np.asarray(run.friction_N)[moving], run.motion.t[moving])
     if run.normal_load is None:
@@ -431,13 +438,13 @@ def _check_measured_friction(run: Run) -> Iterator[Finding]:
     ratio = float(np.nanmedian(np.abs(run.friction_N[run.displacement.valid]))) / run.normal_load
     if ratio not in FRICTION and ratio != 0.0:
         unit = next((name for name, size in FORCES if ratio * size in FRICTION), "")
-        line = f'columns = {{friction = "friction_N ({unit})"}}' if unit else ""
-        likely = f"; probably friction_N holds {unit}: give {line}" if unit else ""
+        line = _unit_text({"friction": unit}, header) if unit else ""
+        likely = f"; probably {line}" if unit else ""
         words = f"the measured friction is {ratio:.3g} times the normal load of {run.normal_load:g} N{likely}"
-        yield Finding("friction", words, line)
+        yield Finding("friction", words, line.partition("give ")[2])
 
 
-def _check_sign(force: Array, v: Array) -> Iterator[Finding]:
+def _check_sign(force: Array, v: Array, header: Callable[[str], str]) -> Iterator[Finding]:
     """Check that friction takes energy from the motion: over all frames, the sum of F v is positive.
 
     Elastic energy that comes back, as after every reversal of a compliant set-up, cancels over a cycle.
@@ -449,7 +456,7 @@ def _check_sign(force: Array, v: Array) -> Iterator[Finding]:
             "|F||v| gives), so it has the sign of the force on the mass; frictrack takes the force against the motion: "
             "write a minus before the header of its column"
         )
-        yield Finding("friction", words, 'columns = {friction = "-friction_N"}', grade=ERROR)
+        yield Finding("friction", words, f'columns = {{friction = "-{header("friction")}"}}', grade=ERROR)
 
 
 def _check_idle_ends(force: Array, t: Array) -> Iterator[Finding]:
@@ -482,17 +489,26 @@ def _friction_text(run: Run, slide: SlideEstimate) -> str:
     return f"{out}, less than {'on an air bearing' if slide.friction < FRICTION.low else 'in a ball bearing'}"
 
 
-def _correction(slide: SlideEstimate, *, film: bool) -> tuple[str, str, str]:
+def _correction(slide: SlideEstimate, header: Callable[[str], str] | None) -> tuple[str, str, str]:
     """Likely correction of the units as a sentence and alone; an error where it must be a factor of a thousand."""
+    units: Sequence[tuple[float, float, Any]] = FILM_UNITS if header is None else TABLE_UNITS
     fitting = [
-        (made.rarity, words, max(length, 1 / length, time, 1 / time))
-        for length, time, words in (FILM_UNITS if film else TABLE_UNITS)
+        (made.rarity, what, max(length, 1 / length, time, 1 / time))
+        for length, time, what in units
         if (made := slide.scaled(length, time)).is_possible
     ]
     if not fitting:
-        return ("check scale and fps" if film else "check the units of the table's columns"), "", WARNING
-    words, grade = min(fitting)[1], ERROR if all(size >= UNIT_STEP for *_, size in fitting) else WARNING
+        return ("check scale and fps" if header is None else "check the units of the table's columns"), "", WARNING
+    what, grade = min(fitting, key=itemgetter(0))[1], ERROR if all(f[2] >= UNIT_STEP for f in fitting) else WARNING
+    words = what if header is None else _unit_text(what, header)
     return f"probably {words}", words, grade
+
+
+def _unit_text(units: Mapping[str, str], header: Callable[[str], str]) -> str:
+    """Say what the columns of a table hold, by unit, and what to enter then."""
+    held = " and ".join(f"{header(k)} {'' if n else 'holds '}{unit}" for n, (k, unit) in enumerate(units.items()))
+    given = ", ".join(f'{key} = "{header(key)} ({unit})"' for key, unit in units.items())
+    return f"{held}: give columns = {{{given}}}"
 
 
 def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import white_noise
-from frictrack.records import Array, Displacement, Mask, stretches
+from frictrack.records import Array, Displacement, Mask
 
 MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running
 MIN_CLIPPED_SAMPLES = 3  # equal samples in a row at the extreme
@@ -80,7 +80,7 @@ class SensorRecord:
         for extreme in (np.nanmax(v), np.nanmin(v)):
             at = v == extreme
             if extreme != 0.0 and np.mean(at) < MAX_CLIPPED_SHARE and np.mean(np.diff(v[~at]) == 0.0) < MAX_HELD_SHARE:
-                out |= _long_runs(at, MIN_CLIPPED_SAMPLES)
+                out |= scipy.ndimage.binary_opening(at, np.ones(MIN_CLIPPED_SAMPLES, bool))
         return out
 
     @cached_property
@@ -174,14 +174,6 @@ def _record_fault(t: Array, values: Array) -> str:
     if lost > MAX_MISSING_SHARE * len(t):
         return f"expected numbers but {lost} of {len(t)} samples are none; leave the sensor out, or mend the record"
     return ""
-
-
-def _long_runs(mask: Mask, least: int) -> Mask:
-    """Mask without stretches shorter than `least`."""
-    out = np.zeros(len(mask), dtype=bool)
-    for s in stretches(mask):
-        out[s] = s.stop - s.start >= least
-    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ def write_film(frames: Iterable[Frame], path: str | os.PathLike[str], fps: float
         raise FrictrackError(f"{path.name}: expected at least one frame to write but got none")
     _check_frame(first, path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _atomic_file(path) as partial, _WRITERS[path.suffix.lower()](partial, first, fps, quality) as write_frame:
+    with _atomic_file(path) as part, _WRITERS[path.suffix.lower()](part, first, fps, quality) as write_frame:
         n = 0
         for n, frame in enumerate(chain([first], frames), start=1):  # noqa: B007 - the count is the answer
             write_frame(np.ascontiguousarray(frame))
@@ -91,7 +92,7 @@ def _atomic_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.VideoWriter]:
+def _opencv(codec: str, path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
     """OpenCV writer of a codec; raise FrictrackError if this OpenCV cannot open it."""
     # OpenCV's own MJPEG writer, because FFmpeg's AVI muxer drops frames above 1000 fps and has no quality setting.
     mjpeg = codec == "MJPG"
@@ -100,25 +101,12 @@ def _opencv(path: Path, codec: str, fps: float, frame: Frame) -> Iterator[cv2.Vi
     writer = cv2.VideoWriter(str(path), api, cv2.VideoWriter.fourcc(*codec), fps, size, mjpeg)
     if not writer.isOpened():
         raise FrictrackError(f"{path.name}: expected OpenCV to write {codec} films but it cannot here; write .tif")
+    writer.set(cv2.VIDEOWRITER_PROP_QUALITY, quality)  # of MJPEG; lossless codecs have none
     try:
-        yield writer
+        # Three equal channels, because the writer of MJPEG scrambles grey frames.
+        yield lambda f: writer.write(cv2.cvtColor(f, cv2.COLOR_GRAY2BGR) if mjpeg else f)
     finally:
         writer.release()
-
-
-@contextmanager
-def _mjpeg(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
-    with _opencv(path, "MJPG", fps, frame) as writer:
-        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, quality)
-        # Three equal channels, because this writer scrambles grey frames.
-        yield lambda f: writer.write(cv2.cvtColor(f, cv2.COLOR_GRAY2BGR))
-
-
-@contextmanager
-def _mov(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[WriteFrame]:
-    # QuickTime keeps any frame rate; AVI does not (above), Matroska rounds time stamps to 1 ms.
-    with _opencv(path, "png ", fps, frame) as writer:
-        yield writer.write
 
 
 @contextmanager
@@ -140,9 +128,10 @@ def _folder(path: Path, frame: Frame, fps: float, quality: int) -> Iterator[Writ
     yield write_frame
 
 
+# QuickTime keeps any frame rate; AVI does not (above), Matroska rounds time stamps to 1 ms.
 _WRITERS: dict[str, Callable[[Path, Frame, float, int], AbstractContextManager[WriteFrame]]] = {
-    ".avi": _mjpeg,
-    ".mov": _mov,
+    ".avi": partial(_opencv, "MJPG"),
+    ".mov": partial(_opencv, "png "),
     ".tif": _tiff,
     ".tiff": _tiff,
     "": _folder,

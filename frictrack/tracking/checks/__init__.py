@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import shift
+from scipy.signal import savgol_filter
 
 from frictrack.base.distributions import chi2_isf, chi2_sf, normal_ppf, robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track, stretches
-from frictrack.sampling import SampledPath, Slip, describe_frames, find_slips, frame_numbers
+from frictrack.sampling import SampledPath, Slip, count_text, describe_frames, find_slips, frame_numbers
 from frictrack.tracking.template_learning import pixel_harmonics
 
 MIN_JUMP_PX = 0.1  # errors of the tracker may be as large
@@ -50,21 +51,17 @@ def timing_note(found: Sequence[Slip]) -> tuple[str, ...]:
 
     """
     doubled = [s.frame for s in found if s.doubled]
-    missing = [s for s in found if not s.doubled]
-    notes = []
-    if doubled:
-        notes.append(f"{_count_frames(len(doubled))} doubled, found from the motion: {describe_frames(doubled)}")
-    if missing:
-        total = sum(s.frames for s in missing)
-        notes.append(
-            f"{_count_frames(total)} missing, found from the motion: "
-            f"before {describe_frames([s.frame for s in missing])}"
-        )
-    return tuple(notes)
-
-
-def _count_frames(n: int) -> str:
-    return "1 frame is" if n == 1 else f"{n} frames are"
+    missing = [s.frame for s in found if not s.doubled]
+    lost = sum(s.frames for s in found if not s.doubled)
+    kinds = (
+        (len(doubled), "doubled", describe_frames(doubled)),
+        (lost, "missing", f"before {describe_frames(missing)}"),
+    )
+    return tuple(
+        f"{count_text(count, 'frame is', 'frames are')} {what}, found from the motion: {where}"
+        for count, what, where in kinds
+        if count
+    )
 
 
 def _main_direction(track: Track) -> SampledPath:
@@ -163,28 +160,16 @@ def _long_stretches(found: Mask) -> list[slice]:
 
 
 def _detrend(values: Array) -> Array:
-    """Residuals about a local cubic along the first axis, in full windows at the ends.
-
-    References
-    ----------
-    Savitzky, A. & Golay, M. J. E. (1964). Smoothing and differentiation of data by simplified least squares
-    procedures. Analytical Chemistry 36, 1627-1639.
-
-    """
-    cubics, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, SMOOTHING_FRAMES), 4))
-    smoother, half = cubics @ cubics.T, SMOOTHING_FRAMES // 2
-    middle = np.lib.stride_tricks.sliding_window_view(values, SMOOTHING_FRAMES, axis=0) @ smoother[half]
-    first, last = smoother[:half] @ values[:SMOOTHING_FRAMES], smoother[half + 1 :] @ values[-SMOOTHING_FRAMES:]
-    return np.asarray(values - np.concatenate([first, middle, last]), dtype=np.float64)
+    """Residuals about a local cubic along the first axis, in full windows at the ends."""
+    return np.asarray(values - savgol_filter(values, SMOOTHING_FRAMES, 3, axis=0, mode="interp"))
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Match scores of a track: typical and lowest value, its frame, and stretches (first, last frame) of low scores."""
+    """Match scores of a track: typical and lowest value, and stretches (first, last frame) of low scores."""
 
     median: float
     lowest: float
-    lowest_frame: int
     low: tuple[tuple[int, int], ...]
 
 
@@ -209,8 +194,7 @@ def scores(track: Track) -> Scores | None:
     usual = float(np.nanmedian(score))
     spread = float(robust_std(score[np.isfinite(score)] - usual))
     low = known & (np.nan_to_num(score, nan=1.0) < usual - max(LOW_SCORE_MARGIN, 6 * spread))
-    at = int(np.nanargmin(score))
-    return Scores(usual, float(score[at]), at, tuple((s.start, s.stop - 1) for s in stretches(low)))
+    return Scores(usual, float(np.nanmin(score)), tuple((s.start, s.stop - 1) for s in stretches(low)))
 
 
 @dataclass(frozen=True)

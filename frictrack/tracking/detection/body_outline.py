@@ -22,7 +22,6 @@ from frictrack.tracking.detection.sampled_scene import (
     read_subpixel,
 )
 
-MAX_UNEXPLAINED = 0.1  # share of the variance, in a frame that shows the body well
 MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it does not belong to the body
 MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
@@ -77,7 +76,6 @@ class BodyAppearance:
     member: Mask  # pixels that move with the body
     corner: NDArray[np.int64]  # (k, 2) px, corner of the window in each frame
     rows: NDArray[np.int64]  # (k,) those frames
-    misfit: Array  # (k,) share of each that the median does not explain
 
 
 def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
@@ -90,7 +88,7 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
     body : Body
         Body on the reduced pictures.
     frame : int, optional
-        Wanted frame. By default the first, unless that shows the body badly.
+        Wanted frame. By default the first that shows the body.
 
     Returns
     -------
@@ -104,21 +102,13 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
         return _rotating_outline(scene, body, frame)
     appearance = _register_body(scene, body.box, body.row, body.corner)
     x, y, w, h = _rectangle(appearance)
-    at = _choose_row(scene, appearance, frame)
+    index = np.array(scene.index)[appearance.rows]
+    at = int(np.flatnonzero(index == frame)[0]) if frame in index else 0
     left, top = (int(c) for c in appearance.corner[at])
     height, width = scene.frames[0].shape
     x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
     x1, y1 = np.clip(left + x + w, x0 + 8, width), np.clip(top + y + h, y0 + 8, height)
-    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), scene.index[appearance.rows[at]]
-
-
-def _choose_row(scene: SampledScene, appearance: BodyAppearance, frame: int | None) -> int:
-    """Choose the registered frame in which the rectangle is given."""
-    index = np.array(scene.index)[appearance.rows]
-    if frame is not None and frame in index:
-        return int(np.flatnonzero(index == frame)[0])
-    typical = int(np.argmin(appearance.misfit))
-    return 0 if appearance.misfit[0] < max(2 * appearance.misfit[typical], MAX_UNEXPLAINED) else typical
+    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), int(index[at])
 
 
 def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> BodyAppearance:
@@ -138,8 +128,7 @@ def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array)
     backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
     picture = np.median(stack, axis=0).astype(np.float32)
     member = without_shadow(_body_pixels(stack, backgrounds, picture), stack, backgrounds)
-    misfit = _misfit(stack[:, member], picture[member])
-    return BodyAppearance(picture, member, np.rint(at).astype(np.int64), rows, misfit)
+    return BodyAppearance(picture, member, np.rint(at).astype(np.int64), rows)
 
 
 def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask:
@@ -149,8 +138,7 @@ def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask
     spread = _typical_square(stack - picture)
     member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
     # The scene is visible through a moving shadow: it changes more than the body does in the same light.
-    normalised = _normalise_light(stack, picture, member)
-    spread = _typical_square(normalised - picture)
+    spread = _typical_square(_normalise_light(stack, picture, member) - picture)
     slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
     body_variance = float(np.percentile(spread[member], 25))
     similar = (spread < MAX_NOISE_RATIO * max(body_variance, 0.25) + 0.04 * slope).astype(np.uint8)
@@ -213,14 +201,6 @@ def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Ar
         around = cut_window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
         fine[k] += best_match(around, patch)[0] - reach
     return fine
-
-
-def _misfit(pictures: Picture, picture: Picture) -> Array:
-    """Share (k,) of the variance of pictures (k, p) that the median picture (p,) does not explain at any light."""
-    pictures = pictures - pictures.mean(axis=1, keepdims=True)
-    picture = picture - picture.mean()
-    power = np.sum(pictures**2, axis=1) * np.sum(picture**2)
-    return 1 - np.asarray(pictures @ picture, dtype=np.float64) ** 2 / np.maximum(power, 1e-12)
 
 
 def _largest_patches(mask: Mask) -> Mask:

@@ -23,8 +23,6 @@ from frictrack.tracking.detection.sampled_scene import Blob, Picture, SampledSce
 MIN_TRAVEL_PX = 1.5  # of a moving body
 MIN_SCORE = 0.6  # of a find
 DISTANCE_PENALTY = 0.3  # by which the score of a match on the other side of the picture must be better
-MIN_SHARPNESS = 0.15  # steepest change of brightness over the largest, 1/px; less is a shadow or a gradient of light
-MIN_FINDS = 8  # from which some must lie on the way, or the finds jump between similar objects
 MAX_BODIES = 8  # that are followed through the sampled frames
 MAX_SIDE_CHANGE, MAX_SIDE_CHANGE_PX = 0.15, 2  # share or px, of boxes that may be the same body
 MAX_SHAPE_CHANGE = 0.12  # of the principal lengths of a region that turns
@@ -119,11 +117,7 @@ def match_body(scene: SampledScene, row: int, box: Rectangle, blob: Blob | None 
         return (at, best) if best > MIN_SCORE and moves else None
 
     corner, score = _followed(scene, row, np.array([x, y], dtype=np.float64), by_texture)
-    axes_known = _textured_axes(patch)
-    # The position along a stripe is undetermined: a find far along it is another stripe.
-    stray = np.hypot(*((corner - (x, y)) @ (np.eye(2) - axes_known)).T) > 0.5 * max(w, h)
-    corner[stray], score[stray] = np.nan, np.nan
-    merit = _merit(scene, box, corner, score, axes_known) * _is_sharp(scene, row, box)
+    merit = _merit(scene, box, corner, score)
     textured = Body(box, row, corner, score, merit)
     region = None if blob is None else _follow_region(scene, row, blob)
     return textured if region is None or merit >= MIN_TEXTURE_MERIT * region.merit else region
@@ -159,19 +153,8 @@ def _follow_region(scene: SampledScene, row: int, blob: Blob) -> Body:
     distance = _span(corner[rows])
     step = float(np.max(np.hypot(*np.diff(corner[rows], axis=0).T) / np.diff(rows), initial=0.0))
     travels = distance > MIN_REGION_TRAVEL * np.sqrt(blob.area) and step < MAX_STEP_SHARE * distance
-    merit = _merit(scene, blob.box, corner, score, np.eye(2)) * (travels and _is_sharp(scene, row, blob.box))
+    merit = _merit(scene, blob.box, corner, score) * travels
     return Body(blob.box, row, corner, score, merit, rotates=True)
-
-
-def _is_sharp(scene: SampledScene, row: int, box: Rectangle) -> bool:
-    """Whether a box holds an edge of its own: a shadow or a gradient of light changes brightness slowly."""
-    x, y, w, h = box
-    part = slice(max(y - 2, 0), y + h + 2), slice(max(x - 2, 0), x + w + 2)
-    shown, still = (cv2.GaussianBlur(p[part], (0, 0), 1.0) for p in (scene.small[row], scene.background))
-    change = (shown / np.float32(scene.light[row]) + 1) / (still + 1)
-    change = np.log(np.maximum(change, 1e-3))
-    slope = np.hypot(*np.gradient(change))
-    return bool(np.quantile(slope, 0.97) > MIN_SHARPNESS * np.quantile(np.abs(change), 0.97))
 
 
 def _match(picture: Picture, foreground: Mask, patch: Picture, last: Array) -> tuple[Array, float, bool]:
@@ -202,19 +185,11 @@ def _surrounding(foreground: Mask, size: tuple[int, ...], last: Array) -> tuple[
     return slice(max(y0, 0), y1), slice(max(x0, 0), x1)
 
 
-def _textured_axes(patch: Picture) -> Array:
-    """Projection (2, 2) onto the directions in which the position of a patch is determined; a stripe has only one."""
-    gy, gx = np.gradient(patch)
-    power, axes = np.linalg.eigh([[np.sum(gx * gx), np.sum(gx * gy)], [np.sum(gx * gy), np.sum(gy * gy)]])
-    axes_known = axes[:, power > 0.02 * power[1]]
-    return np.asarray(axes_known @ axes_known.T, dtype=np.float64)
-
-
-def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array, axes_known: Array) -> float:
+def _merit(scene: SampledScene, box: Rectangle, corner: Array, score: Array) -> float:
     """Suitability as a target: found often and well, large, far travelled; 0 for a body that does not move."""
     seen = np.isfinite(corner[:, 0])
-    distance = _travel_distance(corner[seen] @ axes_known)
-    if distance * scene.factor <= MIN_TRAVEL_PX or _jumps(corner[seen] @ axes_known, distance):
+    distance = _travel_distance(corner[seen])
+    if distance * scene.factor <= MIN_TRAVEL_PX:
         return 0.0
     cut = np.mean([_is_cut_off(scene, row, box, corner[row]) for row in np.flatnonzero(seen).tolist()]) > 0.8
     similarity = np.sum((score[seen] - MIN_SCORE) ** 3)
@@ -227,12 +202,6 @@ def _travel_distance(corner: Array) -> float:
         return 0.0
     away = np.sort(np.hypot(*(corner - np.median(corner, axis=0)).T))
     return 2 * float(away[-max(2, len(corner) // 10)])
-
-
-def _jumps(corner: Array, distance: float) -> bool:
-    """Whether the finds (k, 2) jump between places without any on the way: several similar objects."""
-    steps = np.hypot(*np.diff(corner, axis=0).T)
-    return len(corner) >= MIN_FINDS and float(np.sum(steps[steps < 0.45 * distance])) < 0.2 * distance
 
 
 def _is_cut_off(scene: SampledScene, row: int, box: Rectangle, corner: Array) -> bool:
@@ -325,7 +294,7 @@ def target_fault(recording: Recording, track: Track) -> str:
         return ""
     box, row = (*np.rint([*corner[seen][0], *size]).astype(int).tolist(),), int(np.flatnonzero(seen)[0])
     score = np.where(seen, track.score[scene.index], np.nan)
-    return rival_question(scene, Body(box, row, corner, score, _merit(scene, box, corner, score, np.eye(2))))
+    return rival_question(scene, Body(box, row, corner, score, _merit(scene, box, corner, score)))
 
 
 def _where(scene: SampledScene, k: int, box: Sequence[float], side: float) -> tuple[bool, list[Blob]]:
@@ -337,7 +306,7 @@ def _where(scene: SampledScene, k: int, box: Sequence[float], side: float) -> tu
         return False, scene.blobs[k]
     here = [b for b in scene.blobs[k] if _overlaps(b.box, box)]
     others = [b for b in scene.blobs[k] if not _overlaps(b.box, box) and (any(h.cut for h in here) or not b.cut)]
-    return len(here) > 0, [b for b in others if _thickness(b) > MIN_THICKNESS * side and _is_sharp(scene, k, b.box)]
+    return len(here) > 0, [b for b in others if _thickness(b) > MIN_THICKNESS * side]
 
 
 def _silhouettes(scene: SampledScene, corner: Array, size: Array, angle: Array) -> tuple[Mask, Mask]:
