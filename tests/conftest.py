@@ -19,6 +19,7 @@ from page_client import Client
 
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study
+from frictrack.flow.tried_models import TriedModels
 from frictrack.samples import copy_films
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
@@ -77,6 +78,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         }
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _short_papers_route() -> Iterator[None]:
+    """End the fit by the papers' route that belongs to every report early; searches that a test asks for do not."""
+    whole = TriedModels.fit_papers_route
+
+    def short(models: TriedModels) -> None:
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(global_search, "MAX_EVALUATIONS", 2000)
+            whole(models)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(TriedModels, "fit_papers_route", short)
+        yield
 
 
 def write_tables(folder: Path) -> Path:

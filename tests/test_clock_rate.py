@@ -53,6 +53,7 @@ def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
     assert again.parameters["clock_rate.rate[r2]"].value == pytest.approx(own.value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs():
     found = fit("coulomb,viscous,clock_rate", recorded({2: 1.05}, sigma=1e-5))
     drawn = bootstrap(found, draws=24).summary()["parameters"]["clock_rate.rate[r2]"]

@@ -152,6 +152,7 @@ def test_budget_is_combined_as_the_gum_says(folder: Path) -> None:
         assert float(expanded[column]) == pytest.approx(2 * float(combined[column]))  # GUM 6.2.1
 
 
+@pytest.mark.slow
 def test_computed_again_elsewhere_everything_is_equal(crate: Path, tmp_path: Path) -> None:
     """Another process in another folder, with an empty home, that has only the crate."""
     away, home = tmp_path / "away", tmp_path / "home"

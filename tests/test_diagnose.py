@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from few_effects import use_few_effects
 from repeats import few_or_many
 from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
@@ -206,12 +207,13 @@ def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
             assert limit["value"] is None or limit["value"] > 0
 
 
-def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing):
+def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing, monkeypatch):
+    use_few_effects(monkeypatch)
     limit = nothing_missing.detection_limits["drag"]
     assert limit["unit"] == "N s^2/m^2"
     large = diagnose(fit(LAW, runs_with("drag", {"c": 1.5 * limit["value"]})), quick=True)
     assert large.verdict != "complete"
-    small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})))
+    small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})), quick=True)
     assert small.verdict == "complete"
 
 

@@ -115,7 +115,7 @@ def files(results: Results, to: str) -> dict[str, Path]:
 # --- the table of formats
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("to", FORMATS)
 def test_every_format_writes_into_the_results_and_says_what_it_loses(results: Results, to: str) -> None:
     found = exported(results, to)

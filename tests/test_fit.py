@@ -184,6 +184,7 @@ def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repe
     assert np.std(levels) < 1e-3  # each run's own level, which its parabola gives to 4e-4
 
 
+@pytest.mark.slow
 def test_a_constant_force_does_not_take_the_place_of_scattering_levels():
     """In one direction Coulomb friction and a spring's constant force are nearly one; the levels scatter anyway."""
     values = {
@@ -459,7 +460,8 @@ def test_a_rejected_model_is_fitted_through_a_stop():
     assert fitted.reduced_chi2 > 100
 
 
-@pytest.mark.parametrize("effect", ["timebase", "rolling_shutter", "out_of_plane"])
+@pytest.mark.few(1)
+@pytest.mark.parametrize("effect", ["out_of_plane", "timebase", "rolling_shutter"])
 def test_a_model_that_lacks_much_is_fitted_no_worse_with_one_effect_more(effect):
     runs = samples.runs()  # a patch is missing
     law = ["coulomb", "stribeck", "viscous"]

@@ -105,7 +105,8 @@ def test_measured_friction_is_passed_on_without_a_mass():
     assert result.reason.startswith("whole record (friction is measured)")
 
 
-@pytest.mark.parametrize("repeats", few_or_many(5, 20))
+@pytest.mark.few(1)
+@pytest.mark.parametrize("repeats", few_or_many(3, 20))
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_coulomb_slide_gives_its_force_within_its_deviation(direction, repeats):
     z = []

@@ -167,6 +167,7 @@ def test_the_screen_finds_a_hidden_effect_and_the_late_drive(extract, monkeypatc
     assert one["texture"]["phase"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_fit_of_the_displacement_is_told_in_the_same_measure(extract):
     law = screen.Law({name: {} for name in SYMMETRIC.split(",")})
     run = machine_fit.filmed(extract)

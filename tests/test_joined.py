@@ -88,7 +88,7 @@ def test_two_motions_end_to_end_follow_their_closed_forms():
     np.testing.assert_allclose(moved[101:], (1 - np.exp(-6 * t)) / 12, atol=1e-13)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", ["bouc_wen", "presliding", "friction_lag", "lugre", "rate_state_slip"])
 def test_a_law_with_memory_that_is_continued_is_the_same_as_along_the_whole_motion(law):
     run = swinging(0, (-1.2, 0.0), seconds=0.6)

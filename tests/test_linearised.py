@@ -231,6 +231,7 @@ BLOWS = {  # speed m/s, mass over the first one, frames: impulse N s and moment 
 }
 
 
+@pytest.mark.slow
 def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
     law = {"coulomb": {"F_c": 17.05}, "drag": {"c": 0.1514}}
     rng, runs = np.random.default_rng(8), []

@@ -75,6 +75,7 @@ def said(displacement, words):
 # ---- the targets of several films
 
 
+@pytest.mark.slow
 def test_films_with_other_rectangles_are_not_said_to_depend_on_the_direction(tmp_path):
     """With areas drawn, the second film follows a point one pixel aside, which is moved after it was checked."""
     filmed(tmp_path)
@@ -173,6 +174,7 @@ def test_pictures_shown_more_than_once(tmp_path, pattern):
     assert bool(said(d, "the film was stretched by repeating frames")) == (pattern == "all")
 
 
+@pytest.mark.slow
 def test_missing_frames_of_a_shaking_film(tmp_path):
     """The shake is told on the true time base: its tones go through the gap."""
     x = filmed(tmp_path, SHAKE)

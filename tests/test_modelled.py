@@ -217,6 +217,7 @@ def test_impulses_scatter_as_they_say():
     assert np.mean([b["relative_std"] for b in blows]) == pytest.approx(0.0036, rel=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("sigma", "least"), [(2e-6, 0.93), (10e-6, 0.93), (50e-6, 0.85)])
 def test_a_law_that_misses_the_vibration_says_so_and_widens_its_band(sigma, least):
     told = fitted("tustin", sigma).motion[0]
@@ -231,6 +232,7 @@ def test_a_law_that_misses_the_vibration_says_so_and_widens_its_band(sigma, leas
         assert 0.75 < rms(missed[quantity] / sigma_q) < 1.35
 
 
+@pytest.mark.slow
 def test_a_law_that_misses_a_blow_says_so():
     told = fitted(pulse=True).motion[0]
     assert told.notes
@@ -246,6 +248,7 @@ def test_motion_is_the_sliders_not_the_cameras():
     assert told.notes == ()
 
 
+@pytest.mark.slow
 def test_five_runs_and_a_predicted_one():
     runs = [seen(s, seed=i, name=f"r{i}") for i, s in enumerate(five())]
     runs[3] = replace(runs[3], role="validation")

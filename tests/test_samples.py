@@ -37,13 +37,6 @@ def test_the_noise_of_the_samples_comes_from_rng():
     assert (first != other).any()
 
 
-def test_the_strokes_are_a_measured_friction():
-    columns = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
-    run = ft.Run.from_dataframe(ft.samples.strokes(), columns=columns, normal_load=5.0)
-    assert run.mass is None
-    assert abs(run.friction_N).max() / 5.0 == pytest.approx(0.5, abs=0.1)  # gross slip at 0.47 (see its README)
-
-
 def test_the_carriage_is_driven_to_and_fro():
     table = ft.samples.carriage()
     assert table["t_s"].diff().dropna().to_numpy() == pytest.approx(0.005)
