@@ -17,6 +17,7 @@ from browser import Open, Serve, Server, Tab, browser
 from filelock import FileLock
 from page_client import Client
 
+from frictrack.diagnose import conclusion
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study
 from frictrack.flow.tried_models import TriedModels
@@ -147,6 +148,12 @@ def finished_sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Global searches of a fit end early: for tests that do not ask how near they come."""
     monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
+
+
+@pytest.fixture
+def no_formulas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A diagnosis does not ask whether a formula explains as much as the effects that it names."""
+    monkeypatch.setattr(conclusion, "compare_with_formulas", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

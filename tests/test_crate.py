@@ -59,7 +59,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Session(open_study(folder)).diagnose(3)  # another seed: a new sequence of tests, at a smaller level
     session.attempt("slope")
     session.add("slope")  # takes the fit from there
-    session.diagnose(3, quick=True)
     session.apply("use", model="1_coulomb+viscous")
     session.diagnose(3)
     return folder / "study.toml"

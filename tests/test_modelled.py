@@ -131,6 +131,7 @@ def test_acceleration_is_nearer_than_smoothing_and_at_the_bound():
     assert np.all(np.abs(np.mean([scores(m, vib()) for m in told], axis=0) - 1) < 0.5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sigma", BOUNDS)
 def test_band_is_the_cramer_rao_bound(sigma):
     told = fitted(sigma=sigma).motion[0]

@@ -33,7 +33,7 @@ def found(film):
     return "body" if _on(film.body, box, frame) else f"{box} in frame {frame}"
 
 
-@pytest.mark.few(14)
+@pytest.mark.few(10)
 @pytest.mark.parametrize("disc", [False, True], ids=["block", "disc"])
 @pytest.mark.parametrize("look", ["textured", "plain", "marked"])
 @pytest.mark.parametrize("kind", DISTURBANCES)

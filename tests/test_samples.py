@@ -5,6 +5,7 @@ import pytest
 import frictrack as ft
 
 
+@pytest.mark.slow
 def test_the_samples_lead_from_a_failing_model_to_a_complete_one():
     runs = ft.samples.runs(rng=1)
     fit = ft.fit("tustin", runs)
