@@ -287,7 +287,7 @@ def waves(rng, n):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize(("repeats", "drawn"), few_or_many((20, 1), (30, 5)))
+@pytest.mark.parametrize(("repeats", "drawn"), few_or_many((20, 3), (30, 5)))
 def test_a_correlated_residual_is_drawn_in_blocks(repeats, drawn):
     values, told, white = [], [], []
     for seed in range(repeats):
