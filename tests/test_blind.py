@@ -267,6 +267,7 @@ def test_every_cause_takes_its_turn():
     assert all(LIBRARY[n].acts_on == "measurement" for n in candidates("fault", LAWS[0][0]))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_runs")
 def test_a_draw_hides_nothing_that_its_camera_cannot_show():
     for seed in range(3):

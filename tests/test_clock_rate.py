@@ -93,11 +93,13 @@ def test_a_law_with_a_clock_is_held_against_one_without():
     assert abs(expected_separation(timed, timed)) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_wrong_in_all_runs_is_absorbed_by_the_law():
     said = diagnose(fit("coulomb,viscous", recorded(dict.fromkeys(range(6), 1.1), sigma=1e-5)), quick=True)
     assert said.missing == []
 
 
+@pytest.mark.slow
 def test_a_push_comes_at_the_times_of_the_frames_by_the_wrong_clock_too():
     def push(tau):
         return 300.0 * np.sin(np.pi * tau / 0.012) ** 2 if 0 < tau < 0.012 else 0.0

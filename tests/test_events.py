@@ -144,6 +144,7 @@ def test_what_may_hide_is_what_is_not_found():
         assert found == seen
 
 
+@pytest.mark.slow
 def test_what_lies_above_a_cutoff_is_said():
     t, x = vibrating(134.0, 8e-6)
     run = filmed(t, x, cutoff=60.0)

@@ -168,6 +168,7 @@ def test_stated_intervals_cover_the_truth_over_200_seeds():
     assert all(0.91 <= c <= 0.98 for c in cover.values()), cover
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("repeats", "rel"), few_or_many((4, 0.6), (40, 0.2)))
 def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repeats, rel):
     taus, z, levels = [], [], []

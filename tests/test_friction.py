@@ -311,6 +311,7 @@ def test_a_frame_that_was_lost_from_a_precise_record_is_no_rest():
     assert moving_sections(run) == [slice(0, len(t))]
 
 
+@pytest.mark.slow
 def test_a_frame_that_was_lost_is_no_push():
     t = np.arange(0, 0.15, 1 / 6000)
     true = 2.0 * (t + np.where(t > 0.04, 1 / 6000, 0.0))

@@ -93,7 +93,7 @@ CLOCKS = {
 }
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CLOCKS)
 def test_clocks_need_no_unit_where_their_values_tell(tmp_path: Path, name: str) -> None:
     header, clock = CLOCKS[name]
@@ -147,7 +147,7 @@ TEXTS = {
 }
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", TEXTS)
 def test_texts_of_instruments(tmp_path: Path, name: str) -> None:
     header, cells, how = TEXTS[name]

@@ -113,6 +113,7 @@ def test_camera_shake_is_found_and_taken_out(tmp_path):
         assert {"reference", "backward"} >= set(file["tracks"])
 
 
+@pytest.mark.slow
 def test_a_still_film_is_as_it_was(tmp_path):
     x = filmed(tmp_path)
     d = worked(tmp_path).get("displacement")
@@ -124,6 +125,7 @@ def test_a_still_film_is_as_it_was(tmp_path):
     assert said(named, "no camera shake: the fixed reference [264, 10, 48, 40]")
 
 
+@pytest.mark.slow
 def test_a_reference_that_the_target_passes_over_does_not_move_with_it(tmp_path):
     x = filmed(tmp_path)
     work = worked(tmp_path, "reference = [220, 10, 48, 40]")

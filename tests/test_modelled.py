@@ -205,6 +205,7 @@ def test_collision_is_told_by_its_impulse():
     assert json.loads(json.dumps(result.summary()["collisions"]))
 
 
+@pytest.mark.slow
 def test_a_blow_that_was_none_is_said():
     (blow,) = fitted(COLLISION).collisions
     assert blow["words"] == "no significant collision in this run"
@@ -240,6 +241,7 @@ def test_a_law_that_misses_a_blow_says_so():
     assert rms(told.sigma_a) > 2.0
 
 
+@pytest.mark.slow
 def test_motion_is_the_sliders_not_the_cameras():
     shake = 40e-6 * np.sin(2 * np.pi * 83.0 * vib()["t"] + 0.9)
     known = effects.get("camera_shake").adjusted(frequency={"fixed": 83.0})  # one run does not tell which is which
@@ -364,6 +366,7 @@ def test_figure_shows_both_bands_and_opens_at_a_blow():
     assert np.all(np.isfinite(plots.fit(model, runs).axes[0].lines[-1].get_ydata()))  # filtered, a blow has a peak
 
 
+@pytest.mark.slow
 def test_figure_of_a_law_that_fails_says_so():
     model, runs = results_of(fitted("tustin"))
     assert plots.modelled(model, runs).get_suptitle().endswith("; the model misses something")

@@ -48,6 +48,7 @@ def test_a_body_that_rests_first_or_bounces_back(motion):
     assert found(film) in ("body", "choices")
 
 
+@pytest.mark.slow
 def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
     film = scene(2, look="marked", **ROLLING)
     assert np.ptp(film.body.angle) > np.pi
@@ -79,6 +80,7 @@ def test_a_faint_body_is_tracked_or_refused_but_no_empty_place_is(wall, seed):
     assert judge(film).outcome in ("right", "refused", "choices")
 
 
+@pytest.mark.slow
 def test_a_hand_over_the_first_frame_is_not_learnt():
     """Twenty of ninety frames, at rest, have a hand over a quarter of the body, which is not in the learnt picture."""
     film = scene(

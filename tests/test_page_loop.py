@@ -137,6 +137,7 @@ def test_undo_and_redo_walk_between_the_models(films: Server, tab: Open) -> None
     page.sees("Tustin + patch (current)")
 
 
+@pytest.mark.slow
 def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Open) -> None:
     page = tab()
     page.page.set_viewport_size({"width": 1440, "height": 900})
@@ -159,6 +160,7 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     page.click("Undo").hears("Undone")
 
 
+@pytest.mark.slow
 def test_the_report_is_written_and_downloaded(films: Server, tab: Open) -> None:
     page = tab().open(films)
     page.to("History")

@@ -154,7 +154,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
     return made
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rival"), [("vibration", "camera_shake"), ("spring", "drift"), ("texture", "vibration")]
 )

@@ -169,6 +169,7 @@ def test_a_length_quoted_as_a_ratio_is_the_brute_force_one():
     assert [chi2(found.low) - least, chi2(found.high) - least] == pytest.approx([Z**2, Z**2], rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_scattering_level_counts_as_its_standard_deviation_has_it():
     runs, _ = study(specs=SIX[:5], sigma=1e-5, scatter=0.03, rng=np.random.default_rng(4))
     fitted = fit("tustin", runs)

@@ -92,9 +92,15 @@ def fits():
 
 
 @pytest.fixture(scope="module")
-def firsts(fits):
-    """The first formula of a cause, looked for once."""
-    return cache(lambda cause: FormulaSearch.of(fits(cause).solution).found()[0].entry)
+def searches(fits):
+    """The search for the formulas of a cause, which finds them once."""
+    return cache(lambda cause: FormulaSearch.of(fits(cause).solution))
+
+
+@pytest.fixture(scope="module")
+def firsts(searches):
+    """The first formula of a cause."""
+    return lambda cause: searches(cause).found()[0].entry
 
 
 @pytest.mark.few(1)
@@ -173,8 +179,8 @@ def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, f
     assert after.errors["heldout_rms_um"] == pytest.approx(10.0, rel=0.06)
 
 
-def test_the_json_has_what_the_report_shows(fits):
-    found = unexplained_force(FormulaSearch.of(fits("joint").solution)).summary
+def test_the_json_has_what_the_report_shows(searches):
+    found = unexplained_force(searches("magnet")).summary
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()

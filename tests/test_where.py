@@ -375,6 +375,7 @@ def test_a_run_counts_only_where_it_has_been():
     assert curve["sigma_F"][alone] == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_runs_of_other_mass_agree_in_the_force_over_the_load():
     found = find_failure_pattern(fit("tustin", samples.runs()).solution, np.random.default_rng(0)).figures
     load = found["residual_force"]["load"]
