@@ -60,6 +60,7 @@ def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs():
     assert drawn["std"] == pytest.approx(found.parameters["clock_rate.rate[r2]"].std, rel=0.5)  # 15 % by chance
 
 
+@pytest.mark.slow
 def test_a_run_that_is_foretold_has_a_right_clock():
     runs = recorded({2: 1.05})
     foretold = replace(runs[3], name="later", role="validation")

@@ -235,6 +235,7 @@ def test_a_peer_that_breaks_off_leaves_its_reason(signals, tmp_path, does, said)
     assert said in run.table("vib", 1e-5, {run.WIENER: {"a": 1.0}, "peer": run._judge_peer(truth, [found])})
 
 
+@pytest.mark.slow
 def test_an_unknown_signal_is_answered_with_the_known_ones():
     command = [sys.executable, str(BENCHMARKS / "derivatives"), "--signals", "vib,wobble", "--no-peers"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

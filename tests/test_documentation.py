@@ -137,6 +137,7 @@ def test_the_effect_itself_explains_the_misfit_and_others_less(texture):
     assert all(0 <= share <= 1 for _, share in texture.lookalikes)
 
 
+@pytest.mark.slow
 def test_a_wave_of_less_than_a_period_and_a_half_is_no_lookalike():
     found = gallery_fit.fit_without("drag", gallery_runs.EXAMPLES["drag"])
     assert found.explained["drag"] > 0.98

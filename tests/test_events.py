@@ -117,6 +117,7 @@ def test_residual_follows_the_floor_where_only_noise_is_taken_and_leaves_it_wher
     assert found.structural < 0.7 * found.total.min()
 
 
+@pytest.mark.slow
 def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences():
     rng = np.random.default_rng(0)
     t, x = vibrating()

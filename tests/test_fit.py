@@ -80,6 +80,7 @@ def test_model_may_be_given_by_name(how):
     assert fit(how, runs).model.names == models.parse(how).names
 
 
+@pytest.mark.slow
 def test_a_mirrored_course_has_the_same_friction():
     runs, _ = study(sigma=1e-5, scatter=0.03)
     mirrored = [
@@ -130,6 +131,7 @@ def bound(values, start, t, sigma):
     return sigma**2 * np.linalg.inv(jac.T @ jac)[2:, 2:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("repeats", "room"), few_or_many((10, 0.5), (40, 0.3)))  # 40 repeats: 11 % deviation
 def test_one_run_reaches_the_cramer_rao_bound(repeats, room):
     sigma, t = 2e-6, np.arange(260) / FPS

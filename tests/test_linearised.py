@@ -260,7 +260,7 @@ def test_a_direction_that_others_absorb_entirely_gains_nothing():
 
 
 class TestTrials:
-    @pytest.mark.few(1)
+    @pytest.mark.slow
     @pytest.mark.parametrize("factor", [1, 3, 50])
     def test_a_trial_that_leads_astray_begins_at_the_model_without_the_effect(self, factor):
         model = fit(["coulomb", "viscous"], samples.runs()[1:2]).solution

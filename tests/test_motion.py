@@ -130,7 +130,7 @@ def test_likelihood_is_that_of_the_dense_covariance(rng):
     assert found - found[0] == pytest.approx(theirs - theirs[0], abs=1e-3)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cutoff", [1.0, 60.0, 1900.0])
 def test_parabola_passes_whatever_the_cutoff(cutoff):
     t = 3.0 + np.arange(400) / FPS
@@ -463,7 +463,7 @@ def test_a_known_acceleration_is_taken_in(rng):
     assert rms((both.x - x)[heard]) < rms((differentiate(low_pass(seen)).x - x)[heard])
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["structural", "savitzky-golay"])
 def test_what_is_left_of_a_shake_widens_the_deviations(method):
     """A wave of unknown phase within the pass band: its own derivatives, at their mean square."""

@@ -60,6 +60,7 @@ def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
     assert np.nanstd(_error(film, result)[known, 0]) < 0.05
 
 
+@pytest.mark.slow
 def test_the_rotation_of_a_plain_disc_is_said_to_be_unseen():
     film = scene(6, look="plain", slope=0.0, **ROLLING)  # shading that turns with it would be a mark that is not seen
     result = track(DrawnFilm(film.frames))
