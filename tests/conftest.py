@@ -26,6 +26,7 @@ from frictrack.samples import copy_films
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
 NOISE = 10e-6  # m
+SHARES = 40  # of the slow tests, for CI
 
 STUDY = """
 [study]
@@ -43,7 +44,9 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--twentieth", metavar="COMMIT", help="only the twentieth of the tests that this hash of a commit chooses"
+        "--share",
+        metavar="COMMIT",
+        help=f"only the one of {SHARES} shares that this hash of a commit chooses",
     )
 
 
@@ -55,9 +58,9 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the further cases of `few` tests as slow, and keep only a twentieth of all tests if asked.
+    """Mark the further cases of `few` tests as slow, and keep only a share of all tests if asked.
 
-    Every test is in one of the twenty, but for those that take minutes alone.
+    Every test is in one of the shares, but for those that take minutes alone.
     """
     families: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -69,13 +72,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for i, case in enumerate(cases):
             if i not in kept:
                 case.add_marker("slow")
-    commit = config.getoption("--twentieth")
+    commit = config.getoption("--share")
     if commit:
-        turn = int(commit, 16) % 20
+        turn = int(commit, 16) % SHARES
         others = {
             item
             for item in items
-            if zlib.crc32(item.nodeid.encode()) % 20 != turn or item.get_closest_marker("release")
+            if zlib.crc32(item.nodeid.encode()) % SHARES != turn or item.get_closest_marker("release")
         }
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]

@@ -121,8 +121,7 @@ def read_hdf5_tracks(path: Path) -> TableFile:
 
 def read_arrays(path: Path) -> Mapping[str, Any]:
     """Return the arrays that the other process finds in a file; `ValueError` if it cannot read it."""
-    state = path.stat()
-    return _arrays_of(path.absolute(), state.st_size, state.st_ino, state.st_mtime_ns)
+    return _arrays_of(path.absolute(), path.stat().st_size, path.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=1)  # a table is opened for its columns, its units and for every run in it
