@@ -380,7 +380,6 @@ def test_what_is_absorbed_exactly_is_said():
         assert found[name].reason.startswith(f"these runs cannot tell it from {other}; film the same course in both")
 
 
-@pytest.mark.slow
 def test_atm2_as_printed_is_said_to_be_nearly_unidentifiable_by_its_profile():
     values = {
         "atm2:1": {"f_c": 4.0, "f_s": 9.0, "f_v": 1.1, "v_s": 0.4, "sliding_frequency_1": 31.0, "sliding_phase_1": 0.7}
