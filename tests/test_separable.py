@@ -239,7 +239,6 @@ class TestTied:
         assert values["v_s"] == 0.5
         assert 20 <= values["viscous_frequency_2"] <= 60
 
-    @pytest.mark.slow
     def test_runs_share_all_but_their_phases(self):
         shared = {"f_c": 8.0, "f_s": 13.0, "f_v": 1.3, "v_s": 0.5, "sliding_frequency_1": 4.0}
         shared |= {"sliding_frequency_2": 38.0, "viscous_frequency_1": 5.0, "viscous_frequency_2": 75.0}
