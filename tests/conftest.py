@@ -26,6 +26,7 @@ from frictrack.samples import copy_films
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
 NOISE = 10e-6  # m
+WHOLE_PAPERS_ROUTE = TriedModels.fit_papers_route
 SHARES = 40  # of the slow tests, for CI
 
 STUDY = """
@@ -87,12 +88,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(scope="session", autouse=True)
 def _short_papers_route() -> Iterator[None]:
     """End the fit by the papers' route that belongs to every report early; searches that a test asks for do not."""
-    whole = TriedModels.fit_papers_route
 
     def short(models: TriedModels) -> None:
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr(global_search, "MAX_EVALUATIONS", 2000)
-            whole(models)
+            WHOLE_PAPERS_ROUTE(models)
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(TriedModels, "fit_papers_route", short)

@@ -24,11 +24,10 @@ RATE = 200.0  # Hz, of the EMPS extract
 @pytest.fixture(scope="module")
 def strokes():
     table = read_table(samples.DATA / "tribometer" / "strokes.txt", COLUMNS)
-    t, x, friction = (column[:2200] for column in (table.t, table.x, table.friction))  # six strokes and more
-    nan = np.full(len(t), np.nan)
-    seen = Displacement(t, x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
+    nan = np.full(len(table.t), np.nan)
+    seen = Displacement(table.t, table.x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
     motion = differentiate(low_pass(seen, method="kalman"))
-    return Run(seen, motion, friction_N=friction, name="strokes", normal_load=5.0)
+    return Run(seen, motion, friction_N=table.friction, name="strokes", normal_load=5.0)
 
 
 @pytest.mark.slow
