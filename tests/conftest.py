@@ -17,13 +17,17 @@ from browser import Open, Serve, Server, Tab, browser
 from filelock import FileLock
 from page_client import Client
 
+from frictrack.diagnose import conclusion
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study
+from frictrack.flow.tried_models import TriedModels
 from frictrack.samples import copy_films
 
 MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
 NOISE = 10e-6  # m
+WHOLE_PAPERS_ROUTE = TriedModels.fit_papers_route
+SHARES = 40  # of the slow tests, for CI
 
 STUDY = """
 [study]
@@ -41,7 +45,9 @@ def slide(t: np.ndarray, v0: float) -> np.ndarray:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--twentieth", metavar="COMMIT", help="only the twentieth of the tests that this hash of a commit chooses"
+        "--share",
+        metavar="COMMIT",
+        help=f"only the one of {SHARES} shares that this hash of a commit chooses",
     )
 
 
@@ -53,9 +59,9 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the further cases of `few` tests as slow, and keep only a twentieth of all tests if asked.
+    """Mark the further cases of `few` tests as slow, and keep only a share of all tests if asked.
 
-    Every test is in one of the twenty, but for those that take minutes alone.
+    Every test is in one of the shares, but for those that take minutes alone.
     """
     families: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -67,16 +73,30 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for i, case in enumerate(cases):
             if i not in kept:
                 case.add_marker("slow")
-    commit = config.getoption("--twentieth")
+    commit = config.getoption("--share")
     if commit:
-        turn = int(commit, 16) % 20
+        turn = int(commit, 16) % SHARES
         others = {
             item
             for item in items
-            if zlib.crc32(item.nodeid.encode()) % 20 != turn or item.get_closest_marker("release")
+            if zlib.crc32(item.nodeid.encode()) % SHARES != turn or item.get_closest_marker("release")
         }
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _short_papers_route() -> Iterator[None]:
+    """End the fit by the papers' route that belongs to every report early; searches that a test asks for do not."""
+
+    def short(models: TriedModels) -> None:
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(global_search, "MAX_EVALUATIONS", 2000)
+            WHOLE_PAPERS_ROUTE(models)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(TriedModels, "fit_papers_route", short)
+        yield
 
 
 def write_tables(folder: Path) -> Path:
@@ -131,6 +151,12 @@ def finished_sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Global searches of a fit end early: for tests that do not ask how near they come."""
     monkeypatch.setattr(global_search, "MAX_EVALUATIONS", 4000)
+
+
+@pytest.fixture
+def no_formulas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A diagnosis does not ask whether a formula explains as much as the effects that it names."""
+    monkeypatch.setattr(conclusion, "compare_with_formulas", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

@@ -193,6 +193,7 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
     assert trajectory.v[-1] == pytest.approx(v, rel=2e-3)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("simulated", [simulate_memory, simulate])
 def test_the_way_since_release_counts_in_a_law_with_memory(simulated: Callable[..., Trajectory]):
     ring = {"amplitude": 0.3, "frequency": 120.0, "r": 0.8, "beam_length": 0.9, "phase": 0.4}
@@ -266,6 +267,7 @@ def test_every_cause_takes_its_turn():
     assert all(LIBRARY[n].acts_on == "measurement" for n in candidates("fault", LAWS[0][0]))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_runs")
 def test_a_draw_hides_nothing_that_its_camera_cannot_show():
     for seed in range(3):
@@ -322,7 +324,7 @@ def test_the_same_seed_draws_the_same_study():
 WAVE = {"amplitude": 0.6, "frequency": 61.0, "phase": 0.3}
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "own"), [("vibration", WAVE), ("texture", CAUSES["texture"] | {"amplitude": 0.3})])
 def test_a_force_in_time_is_like_a_shake_and_one_in_place_is_not(name: str, own: dict[str, float], tmp_path: Path):
     truth = holding(replace(TRUTH, hidden=(name,)), **{name: own})
@@ -355,7 +357,7 @@ def test_several_causes_are_as_large_as_each_is_seen_beside_the_others(
         assert remove_effect(full, name).objective - full.objective == pytest.approx(rise, rel=rel)
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("fps", [2000.0, 6000.0])  # three frames of rest, and an end that smoothing bends
 def test_a_contact_is_unbent_where_a_push_begins_with_the_record(fps: float, tmp_path: Path):
     law = {"coulomb": {"F_c": 1.09}, "stribeck": {"F_s": 0.31, "v_s": 0.24, "delta": 1.0}, "viscous": {"F_v": 0.137}}

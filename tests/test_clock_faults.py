@@ -75,6 +75,7 @@ CASES = [(RATES[i % 7], ROUNDINGS[i % 5], FAULTS[(i + i // 9) % 9]) for i in ran
 UNKNOWABLE = ("expected at least 8", "give stamps with more digits")  # a few frames; rows that nothing counts
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize(("rate", "rounding", "fault"), CASES)
 def test_the_law_or_a_remedy_that_works(tmp_path: Path, rate: float, rounding: float, fault: str) -> None:
     try:
@@ -89,6 +90,7 @@ def test_the_law_or_a_remedy_that_works(tmp_path: Path, rate: float, rounding: f
     assert max(map(abs, off)) < LIMIT
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("rate", "rounding"), [(120, 1e-2), (1000, 1e-2), (2500, 1e-2), (480, 1e-3)])
 def test_the_error_of_a_fitted_clock_is_in_the_interval(tmp_path: Path, rate: float, rounding: float) -> None:
     columns = record(rate, rounding, "none", 2.0, 0)

@@ -53,12 +53,14 @@ def test_the_factor_of_a_wrong_clock_comes_back_with_the_law(factor, tmp_path):
     assert again.parameters["clock_rate.rate[r2]"].value == pytest.approx(own.value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_deviation_of_a_clock_is_the_scatter_of_drawn_runs():
     found = fit("coulomb,viscous,clock_rate", recorded({2: 1.05}, sigma=1e-5))
     drawn = bootstrap(found, draws=24).summary()["parameters"]["clock_rate.rate[r2]"]
     assert drawn["std"] == pytest.approx(found.parameters["clock_rate.rate[r2]"].std, rel=0.5)  # 15 % by chance
 
 
+@pytest.mark.slow
 def test_a_run_that_is_foretold_has_a_right_clock():
     runs = recorded({2: 1.05})
     foretold = replace(runs[3], name="later", role="validation")
@@ -92,11 +94,13 @@ def test_a_law_with_a_clock_is_held_against_one_without():
     assert abs(expected_separation(timed, timed)) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_wrong_in_all_runs_is_absorbed_by_the_law():
     said = diagnose(fit("coulomb,viscous", recorded(dict.fromkeys(range(6), 1.1), sigma=1e-5)), quick=True)
     assert said.missing == []
 
 
+@pytest.mark.slow
 def test_a_push_comes_at_the_times_of_the_frames_by_the_wrong_clock_too():
     def push(tau):
         return 300.0 * np.sin(np.pi * tau / 0.012) ** 2 if 0 < tau < 0.012 else 0.0

@@ -83,6 +83,7 @@ def test_nothing_to_compare_is_said():
         compare([])
 
 
+@pytest.mark.slow
 def test_the_true_law_fails_nowhere_by_chance():
     spans = []
     for seed in range(5):

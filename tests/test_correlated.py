@@ -61,7 +61,7 @@ def spectral_level(noise):
 # ---------------------------------------------------------------- found in the spectrum
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("rho", "white"), [(0.3, 0.0), (0.6, 0.0), (0.8, 0.5), (0.9, 0.0)])
 def test_correlated_noise_is_found_with_its_size_and_its_level_at_low_frequencies(slides, rng, rho, white):
     levels, sizes = [], []

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 import tifffile
 from camera_films import write_photron
-from conftest import STUDY, slide
+from conftest import STUDY, WHOLE_PAPERS_ROUTE, slide
 from range_server import serving
 
 from frictrack import effects
@@ -32,6 +33,7 @@ from frictrack.flow.crate.payload import UNIT_CODES, safe_place, unpack
 from frictrack.flow.crate.reproducing import Crate, CrateFile, compare_files, find_inputs, read_crate, tolerance_of
 from frictrack.flow.crate.writing import read_authorship
 from frictrack.flow.store import GroupContent
+from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Friction
 
 ROOT = Path(__file__).parents[1]
@@ -43,6 +45,14 @@ def write_table(path: Path, v0: float, seed: int) -> None:
     x = slide(t, v0) + 1e-5 * np.random.default_rng(seed).normal(size=len(t))
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, np.c_[t, x], delimiter=",", header="t_s,x_m", comments="")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _whole_papers_route() -> Iterator[None]:
+    """As another process has it, which computes the results again."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(TriedModels, "fit_papers_route", WHOLE_PAPERS_ROUTE)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +69,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Session(open_study(folder)).diagnose(3)  # another seed: a new sequence of tests, at a smaller level
     session.attempt("slope")
     session.add("slope")  # takes the fit from there
-    session.diagnose(3, quick=True)
     session.apply("use", model="1_coulomb+viscous")
     session.diagnose(3)
     return folder / "study.toml"
@@ -152,6 +161,7 @@ def test_budget_is_combined_as_the_gum_says(folder: Path) -> None:
         assert float(expanded[column]) == pytest.approx(2 * float(combined[column]))  # GUM 6.2.1
 
 
+@pytest.mark.slow
 def test_computed_again_elsewhere_everything_is_equal(crate: Path, tmp_path: Path) -> None:
     """Another process in another folder, with an empty home, that has only the crate."""
     away, home = tmp_path / "away", tmp_path / "home"

@@ -114,6 +114,7 @@ def test_the_bounds_land_where_the_anchor_has_them(signals):
     assert known["width"] / PULSE["width"] == pytest.approx(0.87, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_bound_is_what_a_fit_of_the_true_model_reaches(signals):
     truth = signals["vib"]
     deviations, sizes = cramer_rao(truth, 1e-5)
@@ -131,6 +132,7 @@ def test_the_bound_is_what_a_fit_of_the_true_model_reaches(signals):
     assert found == pytest.approx(np.sqrt(np.mean(deviations[2] ** 2)), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_practice_of_laboratories_is_as_bad_as_the_anchor_says(signals):
     truth = signals["vib"]
     rows = {name: run.row(method, truth, 1e-5, 2) for name, method in classics.methods(truth).items()}
@@ -233,6 +235,7 @@ def test_a_peer_that_breaks_off_leaves_its_reason(signals, tmp_path, does, said)
     assert said in run.table("vib", 1e-5, {run.WIENER: {"a": 1.0}, "peer": run._judge_peer(truth, [found])})
 
 
+@pytest.mark.slow
 def test_an_unknown_signal_is_answered_with_the_known_ones():
     command = [sys.executable, str(BENCHMARKS / "derivatives"), "--signals", "vib,wobble", "--no-peers"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

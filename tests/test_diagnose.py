@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from repeats import few_or_many
+from few_effects import use_few_effects
 from runs import BASE, FPS, HIDDEN, MASS, Spec, measured, study
 
 from frictrack import effects
@@ -206,12 +206,14 @@ def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
             assert limit["value"] is None or limit["value"] > 0
 
 
-def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing):
+@pytest.mark.usefixtures("no_formulas")
+def test_an_effect_at_its_detection_limit_is_found_and_one_far_below_is_not(nothing_missing, monkeypatch):
+    use_few_effects(monkeypatch)
     limit = nothing_missing.detection_limits["drag"]
     assert limit["unit"] == "N s^2/m^2"
     large = diagnose(fit(LAW, runs_with("drag", {"c": 1.5 * limit["value"]})), quick=True)
     assert large.verdict != "complete"
-    small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})))
+    small = diagnose(fit(LAW, runs_with("drag", {"c": 0.1 * limit["value"]})), quick=True)
     assert small.verdict == "complete"
 
 
@@ -263,7 +265,8 @@ def test_the_same_seed_gives_the_same_p_values():
     assert first.p_lack_of_fit == pytest.approx(other.p_lack_of_fit, abs=0.1)
 
 
-@pytest.mark.parametrize("repeats", few_or_many(8, 20))
+@pytest.mark.slow
+@pytest.mark.parametrize("repeats", [8, 20])
 def test_false_alarms_are_as_rare_as_stated_and_the_lack_of_fit_is_calibrated(repeats):
     found = [diagnose(fit(LAW, runs_with(specs=FOUR[:1], seed=s)), quick=True) for s in range(repeats)]
     assert sum(d.verdict in ("complete", "undetermined") for d in found) >= repeats - 1  # alpha = 0.01
@@ -312,7 +315,9 @@ def test_structure_that_no_effect_explains_is_shown_and_not_named():
         assert np.shape(found.unexplained["curve"])[1] == 2
 
 
-def test_two_effects_are_found_one_after_the_other_and_nothing_more():
+@pytest.mark.usefixtures("no_formulas")
+def test_two_effects_are_found_one_after_the_other_and_nothing_more(monkeypatch):
+    use_few_effects(monkeypatch)
     law = {name: BASE[name] for name in LAW} | {"texture": HIDDEN["texture"], "drag": {"c": 0.3}}
     rng = np.random.default_rng(4)
     runs = study(models.of(law), law, specs=FOUR, sigma=1e-5, scatter=0.03, rng=rng)[0]

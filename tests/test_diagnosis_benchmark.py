@@ -60,6 +60,7 @@ def test_the_size_seen_lies_between_two_steps(shares: list[float], size: float |
     assert found == (None if size is None else pytest.approx(size, rel=1e-9))
 
 
+@pytest.mark.slow
 def test_the_peer_is_given_every_effect_as_columns_of_its_own():
     forms = {"drag": {}, "texture": {"period": 0.03}}
     assert sparse.owners(forms) == ["drag", "texture", "texture"]

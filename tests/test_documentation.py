@@ -137,12 +137,14 @@ def test_the_effect_itself_explains_the_misfit_and_others_less(texture):
     assert all(0 <= share <= 1 for _, share in texture.lookalikes)
 
 
+@pytest.mark.slow
 def test_a_wave_of_less_than_a_period_and_a_half_is_no_lookalike():
     found = gallery_fit.fit_without("drag", gallery_runs.EXAMPLES["drag"])
     assert found.explained["drag"] > 0.98
     assert found.explained["vibration"] < 0.9  # without the rule a slow one explains 99 %
 
 
+@pytest.mark.slow
 def test_a_lost_frame_leaves_a_misfit_and_does_not_end_the_run():
     found = gallery_fit.fit_without("dropped_frame", gallery_runs.EXAMPLES["dropped_frame"])
     assert found.fit.reduced_chi2 > 100  # it was 1.0: the run was fitted up to the lost frame alone
@@ -159,6 +161,7 @@ def test_a_pair_that_one_run_cannot_distinguish_is_separated_by_the_planned_one(
     assert gallery_separation.separating_run("coulomb", "thermal") is None
 
 
+@pytest.mark.slow
 def test_the_page_of_an_effect_holds_what_the_definition_says(texture):
     page = gallery.effect_page("texture", texture)
     effect = effects.get("texture")
@@ -171,6 +174,7 @@ def test_the_page_of_an_effect_holds_what_the_definition_says(texture):
     assert set(linked) <= {gallery.page_name(name) for name in gallery.all_effects()}
 
 
+@pytest.mark.slow
 def test_a_page_is_made_again_only_if_its_effect_changed(texture, tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(gallery, "all_effects", lambda: ["texture"])

@@ -32,6 +32,7 @@ def pulled(folder, until):
     return Session(open_study(folder / "study.toml"))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("until", [f"{ENDS} s", ""], ids=["time", "place"])
 def test_the_law_is_found_within_two_deviations(tmp_path, until):
     found = pulled(tmp_path, until).fit()

@@ -60,6 +60,7 @@ def test_chi_squared_of_accelerations_counts_the_noise_of_the_drive() -> None:
     assert 0.3 < found.reduced_chi2 < 2.5
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("header", "size"), [("Time (s),Velocity (mm/s)", 1e3), ("t (s),v", 1.0)])
 def test_a_table_of_speeds_is_a_record(tmp_path: Path, header: str, size: float) -> None:
     for seed, speed in enumerate((2.4, 1.3, -1.8)):

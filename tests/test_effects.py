@@ -372,7 +372,7 @@ def turned(slide, values):
 # ---------------------------------------------------------------- fitted and stored
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", [n for n in PLAIN if n not in BASE and n not in HIDDEN])
 def test_parameters_come_back_and_outlive_the_store(name, tmp_path):
     """Those of the rest of the library do in test_fit; the fit is read back from HDF5 without a search."""

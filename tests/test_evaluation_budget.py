@@ -72,7 +72,7 @@ def test_a_normal_search_stays_far_below_its_limit(recorded: list[Any], monkeypa
     assert 0 < used[0] < 0.1
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [1, 5])
 def test_a_search_that_was_cut_says_so_and_claims_less(recorded: list[Any], granted: Any, limit: int) -> None:
     granted(limit)

@@ -117,6 +117,7 @@ def test_residual_follows_the_floor_where_only_noise_is_taken_and_leaves_it_wher
     assert found.structural < 0.7 * found.total.min()
 
 
+@pytest.mark.slow
 def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences():
     rng = np.random.default_rng(0)
     t, x = vibrating()
@@ -144,6 +145,7 @@ def test_what_may_hide_is_what_is_not_found():
         assert found == seen
 
 
+@pytest.mark.slow
 def test_what_lies_above_a_cutoff_is_said():
     t, x = vibrating(134.0, 8e-6)
     run = filmed(t, x, cutoff=60.0)

@@ -7,6 +7,7 @@ which meets a patch, or whose picture shakes.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,6 +29,7 @@ SPEEDS = (3.5, 4.0, 5.0, -4.0)
 W = 2 * np.pi * HERTZ
 
 
+@cache
 def slides(cause, *, seed=0, speeds=SPEEDS, bounce=True):
     """Runs, and what an accelerometer on the mass would have felt (bias 0.3 and noise 0.5 m/s^2)."""
     rng = np.random.default_rng(seed)
@@ -60,9 +62,17 @@ def seen(runs, auxiliary=None):
     return assess_auxiliary_signals(fit(LAW, runs).solution, runs, np.random.default_rng(0), auxiliary)
 
 
-def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence():
+@pytest.fixture(scope="module")
+def load():
+    """Runs whose load swings, the fit of them, and the first evidence."""
     runs, _ = slides("load")
-    (first,) = seen(runs)
+    fitted = fit(LAW, runs).solution
+    (first,) = assess_auxiliary_signals(fitted, runs, np.random.default_rng(0))
+    return runs, fitted, first
+
+
+def test_a_load_that_swings_with_the_vertical_motion_is_first_evidence(load):
+    first = load[2]
     assert (first.kind, first.acts_on, first.run) == ("vertical", "force", None)
     assert first.share > 0.9
     assert first.p <= 0.01
@@ -102,11 +112,9 @@ def test_vertical_motion_that_drifts_with_the_place_is_no_evidence_of_a_patch():
     assert found == []
 
 
-def test_what_tells_less_than_the_best_candidate_is_evidence_only_beside_it():
+def test_what_tells_less_than_the_best_candidate_is_evidence_only_beside_it(load):
     """A candidate that explains all of it leaves nothing to the witness."""
-    runs, _ = slides("load")
-    fitted = fit(LAW, runs).solution
-    (first,) = seen(runs)
+    runs, fitted, first = load
     assert assess_auxiliary_signals(fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2)) == []
     (more,) = assess_auxiliary_signals(
         fitted, runs, np.random.default_rng(0), None, KnownFindings(3 * fitted.chi2, fitted, ["patch"])

@@ -352,6 +352,7 @@ def slide_to_rest(
     return measured(t, slide.sol(t)[0], sigma=sigma, mass=0.4, name=f"{speed}", rng=noise)
 
 
+@pytest.mark.slow
 def test_a_worn_place_that_the_mass_stops_before_is_found_beyond_what_it_passed() -> None:
     """Its middle was clipped to one step of the scan beyond the course; a second patch took what was left."""
 

@@ -115,8 +115,9 @@ def files(results: Results, to: str) -> dict[str, Path]:
 # --- the table of formats
 
 
-@pytest.mark.few(4)
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize(
+    "to", [pytest.param(to, marks=[pytest.mark.slow] if to in ("svg", "pdf") else []) for to in FORMATS]
+)
 def test_every_format_writes_into_the_results_and_says_what_it_loses(results: Results, to: str) -> None:
     found = exported(results, to)
     assert list(found.files)
@@ -426,8 +427,10 @@ def test_tables_alone_have_no_project(results: Results, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["svg", "pdf"])
 def test_figures_are_the_same_bytes_again_and_have_their_data(results: Results, form: str) -> None:
     first = {name: path.read_bytes() for name, path in files(results, form).items()}
-    again = {path.name: path.read_bytes() for path in export.write(results, form)}
-    assert first == again
+    one_run = replace(results, runs=results.runs[:1], models=())
+    again = {path.name: path.read_bytes() for path in export.write(one_run, form) if "film" in path.name}
+    assert len(again) > 2
+    assert again.items() <= first.items()
     figures = {name for name in first if name.endswith(form)}
     assert {Path(name).with_suffix(".csv").name for name in figures} == first.keys() - figures
     assert {f"{name}.{form}" for name in ("motion film", "film film", "history", "friction", "verdict")} <= figures

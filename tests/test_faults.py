@@ -113,7 +113,7 @@ def batch(folder: Path) -> tuple[str | Path, ...]:
 
 
 def test_what_is_killed_goes_on(tmp_path: Path) -> None:
-    survives(lambda folder: campaign(folder, 1), tmp_path, fitting, 2, 0)
+    survives(lambda folder: campaign(folder, 1), tmp_path, fitting, 1, 0)
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ def error(result, x):
     return off - np.nanmean(off)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "x",
     [

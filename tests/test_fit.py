@@ -80,6 +80,7 @@ def test_model_may_be_given_by_name(how):
     assert fit(how, runs).model.names == models.parse(how).names
 
 
+@pytest.mark.slow
 def test_a_mirrored_course_has_the_same_friction():
     runs, _ = study(sigma=1e-5, scatter=0.03)
     mirrored = [
@@ -130,6 +131,7 @@ def bound(values, start, t, sigma):
     return sigma**2 * np.linalg.inv(jac.T @ jac)[2:, 2:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("repeats", "room"), few_or_many((10, 0.5), (40, 0.3)))  # 40 repeats: 11 % deviation
 def test_one_run_reaches_the_cramer_rao_bound(repeats, room):
     sigma, t = 2e-6, np.arange(260) / FPS
@@ -168,6 +170,7 @@ def test_stated_intervals_cover_the_truth_over_200_seeds():
     assert all(0.91 <= c <= 0.98 for c in cover.values()), cover
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("repeats", "rel"), few_or_many((4, 0.6), (40, 0.2)))
 def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repeats, rel):
     taus, z, levels = [], [], []
@@ -184,6 +187,7 @@ def test_stated_intervals_cover_a_scattering_level_and_the_scatter_is_found(repe
     assert np.std(levels) < 1e-3  # each run's own level, which its parabola gives to 4e-4
 
 
+@pytest.mark.slow
 def test_a_constant_force_does_not_take_the_place_of_scattering_levels():
     """In one direction Coulomb friction and a spring's constant force are nearly one; the levels scatter anyway."""
     values = {
@@ -459,7 +463,8 @@ def test_a_rejected_model_is_fitted_through_a_stop():
     assert fitted.reduced_chi2 > 100
 
 
-@pytest.mark.parametrize("effect", ["timebase", "rolling_shutter", "out_of_plane"])
+@pytest.mark.few(1)
+@pytest.mark.parametrize("effect", ["out_of_plane", "timebase", "rolling_shutter"])
 def test_a_model_that_lacks_much_is_fitted_no_worse_with_one_effect_more(effect):
     runs = samples.runs()  # a patch is missing
     law = ["coulomb", "stribeck", "viscous"]

@@ -189,6 +189,7 @@ class TestSearch:
         assert min(found) > 0.999
         assert np.median(found) < close
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("search", ["de", pytest.param("mga", marks=pytest.mark.slow)])
     def test_levels_do_not_follow_what_a_model_lacks(self, search):
         """Six runs of one friction, with a vibration of 40 N in six phases, which the model lacks."""

@@ -30,7 +30,7 @@ def study(folder, head, tables, run=()):
 def bench(tmp_path_factory):
     """Friction of a bench at 28 constant speeds whose Stribeck exponent is 2."""
     rng = np.random.default_rng(1)
-    v = np.concatenate([-np.geomspace(1, 0.01, 14), np.geomspace(0.01, 1, 14)]).repeat(20)
+    v = np.concatenate([-np.geomspace(1, 0.01, 14), np.geomspace(0.01, 1, 14)]).repeat(8)
     force = np.sign(v) * (0.6 + 1.6 * np.exp(-((v / 0.09) ** 2))) + 0.6 * v + 0.02 * rng.standard_normal(len(v))
     rows = np.column_stack([0.05 * np.arange(len(v)), np.cumsum(v * 0.05), force])
     folder = tmp_path_factory.mktemp("bench")
@@ -42,16 +42,16 @@ def bench(tmp_path_factory):
 def swings(tmp_path_factory):
     """Two records of swings whose origins are 12 mm apart."""
     rng = np.random.default_rng(2)
-    t, tables = np.arange(0, 3, 0.01), {}
+    t, tables = np.arange(0, 2, 0.01), {}
     for name, start, origin in (("first", 0.08, 0.0), ("second", 0.06, 0.012)):
-        x = solve_ivp(lambda t, z: [z[1], -(14.0 * z[0] + 0.1 * z[1])], (0, 3), [start, 0.0], t_eval=t, rtol=1e-10).y[0]
+        x = solve_ivp(lambda t, z: [z[1], -(14.0 * z[0] + 0.1 * z[1])], (0, 2), [start, 0.0], t_eval=t, rtol=1e-10).y[0]
         tables[name] = ("t_s,x_m", np.column_stack([t, x + origin + 5e-5 * rng.standard_normal(len(t))]))
     folder = tmp_path_factory.mktemp("swings")
     return study(folder, ['mass = "1 kg"', 'model = ["spring", "viscous"]'], tables)
 
 
 def test_a_fixed_exponent_that_is_wrong_is_named_before_anything_is_invented(bench):
-    found = bench.diagnose()
+    found = bench.diagnose(quick=True)
     named = [*found["missing"], *found["leads"]]
     assert named[0] == "stribeck.delta"
     first = found["candidates"][0]
@@ -68,7 +68,7 @@ def test_adding_an_address_frees_it_and_removing_it_holds_it_again(bench):
 
 
 def test_records_of_two_origins_need_an_origin_each(swings):
-    found = swings.diagnose()
+    found = swings.diagnose(quick=True)
     assert (found["verdict"], found["missing"]) == ("missing", ["spring.x_0"])
     fitted = swings.add("spring.x_0")
     x_0 = [fitted["parameters"][f"spring.x_0[{name}]"]["value"] for name in ("first", "second")]
@@ -101,4 +101,4 @@ def test_a_worn_place_just_before_a_stop_is_a_cause():
 
 
 def test_the_json_of_a_diagnosis_holds_leads(bench):
-    assert json.loads(json.dumps(bench.diagnose()))["leads"] is not None
+    assert json.loads(json.dumps(bench.diagnose(quick=True)))["leads"] is not None

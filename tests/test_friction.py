@@ -105,7 +105,8 @@ def test_measured_friction_is_passed_on_without_a_mass():
     assert result.reason.startswith("whole record (friction is measured)")
 
 
-@pytest.mark.parametrize("repeats", few_or_many(5, 20))
+@pytest.mark.few(1)
+@pytest.mark.parametrize("repeats", few_or_many(3, 20))
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_coulomb_slide_gives_its_force_within_its_deviation(direction, repeats):
     z = []
@@ -310,6 +311,7 @@ def test_a_frame_that_was_lost_from_a_precise_record_is_no_rest():
     assert moving_sections(run) == [slice(0, len(t))]
 
 
+@pytest.mark.slow
 def test_a_frame_that_was_lost_is_no_push():
     t = np.arange(0, 0.15, 1 / 6000)
     true = 2.0 * (t + np.where(t > 0.04, 1 / 6000, 0.0))

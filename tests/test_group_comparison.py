@@ -36,6 +36,7 @@ def runs(difference: float, counts: tuple[int, int] = (4, 4), seed: int = 0) -> 
     return out
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("counts", "tau"), [((4, 4), 0.03), ((2, 3), 0.03), ((3, 6), 0.0), ((2, 2), 0.1)])
 def test_p_is_uniform_and_intervals_cover(counts: tuple[int, int], tau: float) -> None:
     rng, p, covered, n = np.random.default_rng(1), [], 0, sum(counts)

@@ -31,6 +31,7 @@ def test_a_dropped_frame_can_be_held_out_wherever_it_falls(seed):
     assert errors["heldout_rms_um"] == pytest.approx(1e6 * NOISE_M, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_model_without_the_dropped_frame_fails_where_it_is_held_out():
     runs = [slide(3.0, 150, 0), slide(4.0, 201, 1), slide(5.0, len(T), 2)]
     assert ft.fit("coulomb", runs).errors["heldout_rms_um"] > 20 * 1e6 * NOISE_M

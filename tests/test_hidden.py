@@ -41,7 +41,7 @@ def deviations(result: Track, clear: Mask) -> Array:
 KINDS = [("box", 12.0, 40.0, 0.0), ("box", 70.0, 230.0, 0.0), ("texture", 60.0, 128.0, 0.0), ("hand", 60.0, 150.0, 2.0)]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("kind", "width", "level", "soft"), KINDS)
 def test_a_target_that_passes_behind_something(kind: str, width: float, level: float, soft: float) -> None:
     result = track(passing(kind, width, level, seed=3, soft=soft), RECTANGLE)

@@ -584,7 +584,7 @@ def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("words", [("batch", ".", "--workers", "2"), ("verify", "."), ("fit", "study.toml")])
+@pytest.mark.parametrize("words", [("verify", "."), ("batch", ".", "--workers", "2"), ("fit", "study.toml")])
 def test_python_files_beside_a_study_are_not_run(tmp_path: Path, words: tuple[str, ...]) -> None:
     """A folder that somebody sent: also the processes that a command begins look for nothing in it."""
     campaign(tmp_path, 1)

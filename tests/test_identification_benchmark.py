@@ -80,6 +80,7 @@ def told():
     return accuracy._judged(scene, limits, draws) | {"apart": accuracy._differs(limits, draws)}
 
 
+@pytest.mark.slow
 def test_frictrack_is_at_the_bound(told):
     ours = told[accuracy.OURS]
     assert ours["draws"] == 8
@@ -91,6 +92,7 @@ def test_frictrack_is_at_the_bound(told):
     assert told["apart"] < 1e-3  # whatever smoother it starts from
 
 
+@pytest.mark.slow
 def test_other_ways_are_far_from_it(told):
     chain, tuned, papers = (told[title]["rms"] for title in METHODS if title != accuracy.OURS)
     assert all(1.2 < value < 30 for value in chain.values()), chain
@@ -114,6 +116,7 @@ def test_lines_are_numbered_by_frequency_and_pushed_not_resisted():
         assert abs(accuracy._error_ratio(name, estimate.values[name], truth)) < 5 * limits[name], name
 
 
+@pytest.mark.slow
 def test_tables_print(told):
     rows = {t: told[t] for t in METHODS}
     limits = bound(SCENES["tustin"], 1e-5)
@@ -167,6 +170,7 @@ def test_the_screen_finds_a_hidden_effect_and_the_late_drive(extract, monkeypatc
     assert one["texture"]["phase"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_fit_of_the_displacement_is_told_in_the_same_measure(extract):
     law = screen.Law({name: {} for name in SYMMETRIC.split(",")})
     run = machine_fit.filmed(extract)

@@ -122,6 +122,7 @@ def test_a_next_run_separates_an_effect_from_a_formula():
     assert next_run(made, found | sure, COSTS) is None  # nothing is open
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("unlike", "own"), [(0.055, False), (0.2, True)])
 def test_runs_get_amplitudes_of_their_own_only_if_that_lowers_the_bic(unlike, own):
     """A gain of 18 by three amplitudes more is unlikely by chance, but it is no evidence: the BIC asks for 23."""

@@ -40,6 +40,7 @@ def test_odd_lines_half_a_frame_late_are_found(step):
     assert "separate the fields" in note
 
 
+@pytest.mark.slow
 def test_a_target_that_also_moves_across_the_lines_is_judged_by_the_lines_of_the_film():
     progressive, interlaced, target = films(3.0, y=50 + 0.7 * np.arange(FRAMES))
     assert notes(progressive, target) == []

@@ -93,6 +93,7 @@ def test_a_swing_that_is_let_go_keeps_its_first_quarter_and_one_that_is_pushed_d
     assert pushed.motion.t[np.argmax(free_section(pushed)[0])] > 0.1
 
 
+@pytest.mark.slow
 def test_a_gap_and_another_rate_within_a_swing_are_neither_rounding_nor_an_impact() -> None:
     t = np.arange(0, 8, 2e-3)
     x = noisy(swing(t))

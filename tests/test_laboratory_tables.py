@@ -93,6 +93,7 @@ CLOCKS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CLOCKS)
 def test_clocks_need_no_unit_where_their_values_tell(tmp_path: Path, name: str) -> None:
     header, clock = CLOCKS[name]
@@ -106,6 +107,7 @@ def test_frames_are_counted_with_a_rate_above_the_rows_or_given(tmp_path: Path) 
     assert_law(law(tmp_path))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("bits", [16, 32])
 def test_counts_roll_over_and_have_a_size(tmp_path: Path, bits: int) -> None:
     def count(t: float, x: float, i: int) -> tuple[str, str]:
@@ -122,6 +124,7 @@ def test_the_size_of_a_count_and_the_mass_are_read_above_the_rows(tmp_path: Path
     assert_law(law(tmp_path, mass=None))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("unit", "turn"), [("°", 360.0), ("rad", 2 * np.pi)])
 def test_wrapped_angles_are_positions_in_radians(tmp_path: Path, unit: str, turn: float) -> None:
     t = np.arange(900) / 400
@@ -144,6 +147,7 @@ TEXTS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", TEXTS)
 def test_texts_of_instruments(tmp_path: Path, name: str) -> None:
     header, cells, how = TEXTS[name]
@@ -187,6 +191,7 @@ def test_structures_of_matlab_are_runs(tmp_path: Path) -> None:
     assert_law(law(tmp_path, units=units))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("spread", [0.3, None])
 def test_uneven_and_repeated_times(tmp_path: Path, spread: float | None) -> None:
     for seed, (name, speed) in enumerate(SPEEDS.items()):

@@ -231,6 +231,7 @@ BLOWS = {  # speed m/s, mass over the first one, frames: impulse N s and moment 
 }
 
 
+@pytest.mark.slow
 def test_events_that_hide_each_other_are_found_in_every_run_that_has_one():
     law = {"coulomb": {"F_c": 17.05}, "drag": {"c": 0.1514}}
     rng, runs = np.random.default_rng(8), []
@@ -259,7 +260,7 @@ def test_a_direction_that_others_absorb_entirely_gains_nothing():
 
 
 class TestTrials:
-    @pytest.mark.few(1)
+    @pytest.mark.slow
     @pytest.mark.parametrize("factor", [1, 3, 50])
     def test_a_trial_that_leads_astray_begins_at_the_model_without_the_effect(self, factor):
         model = fit(["coulomb", "viscous"], samples.runs()[1:2]).solution

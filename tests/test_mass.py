@@ -83,9 +83,10 @@ def z_of(found, **truth):
 TRUTH = {"mass.m": MASS, "coulomb.F_c": F_C, "viscous.F_v": F_V}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("repeats", "margin"),
-    [(18, 0.5), pytest.param(120, 0.1, marks=pytest.mark.slow)],  # margin over deviation: 3 and 1.5
+    [(18, 0.5), (120, 0.1)],  # margin over deviation: 3 and 1.5
 )
 def test_the_mass_comes_back_within_its_deviation(course, repeats, margin):
     sigmas, z = (2e-6, 10e-6, 50e-6), {k: [] for k in TRUTH}

@@ -75,6 +75,7 @@ def said(displacement, words):
 # ---- the targets of several films
 
 
+@pytest.mark.slow
 def test_films_with_other_rectangles_are_not_said_to_depend_on_the_direction(tmp_path):
     """With areas drawn, the second film follows a point one pixel aside, which is moved after it was checked."""
     filmed(tmp_path)
@@ -112,6 +113,7 @@ def test_camera_shake_is_found_and_taken_out(tmp_path):
         assert {"reference", "backward"} >= set(file["tracks"])
 
 
+@pytest.mark.slow
 def test_a_still_film_is_as_it_was(tmp_path):
     x = filmed(tmp_path)
     d = worked(tmp_path).get("displacement")
@@ -123,6 +125,7 @@ def test_a_still_film_is_as_it_was(tmp_path):
     assert said(named, "no camera shake: the fixed reference [264, 10, 48, 40]")
 
 
+@pytest.mark.slow
 def test_a_reference_that_the_target_passes_over_does_not_move_with_it(tmp_path):
     x = filmed(tmp_path)
     work = worked(tmp_path, "reference = [220, 10, 48, 40]")
@@ -173,6 +176,7 @@ def test_pictures_shown_more_than_once(tmp_path, pattern):
     assert bool(said(d, "the film was stretched by repeating frames")) == (pattern == "all")
 
 
+@pytest.mark.slow
 def test_missing_frames_of_a_shaking_film(tmp_path):
     """The shake is told on the true time base: its tones go through the gap."""
     x = filmed(tmp_path, SHAKE)

@@ -260,7 +260,7 @@ def test_a_slide_with_a_lag_is_followed():
     assert np.max(np.abs(run.x - truth.y[0])) < 0.1 * NM
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1e-6, 1e-5])
 def test_the_stiffness_is_found_from_a_run_that_reverses_under_a_drive(sigma):
     t = np.arange(600) / 4000
@@ -274,6 +274,7 @@ def test_the_stiffness_is_found_from_a_run_that_reverses_under_a_drive(sigma):
         assert estimate.std < 0.2 * truth
 
 
+@pytest.mark.slow
 def test_an_effect_with_memory_takes_few_simulations_where_something_else_is_missing(monkeypatch):
     evaluated, evaluate = [], LeastSquaresProblem.evaluate
     monkeypatch.setattr(LeastSquaresProblem, "evaluate", lambda *a, **k: (evaluated.append(1), evaluate(*a, **k))[1])

@@ -449,6 +449,7 @@ def test_a_command_to_type_next_has_quotes_where_a_folder_has_a_blank(capsys: py
     assert "frictrack run 'my runs/study.toml'" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("head", "column"), [("Weg [m]", "Weg [m]"), ("Weg", "Weg (m)"), ("x_m", None)])
 def test_the_remedy_for_a_unit_works_whatever_the_header_is(
     capsys: pytest.CaptureFixture[str], head: str, column: str | None

@@ -131,6 +131,7 @@ def test_acceleration_is_nearer_than_smoothing_and_at_the_bound():
     assert np.all(np.abs(np.mean([scores(m, vib()) for m in told], axis=0) - 1) < 0.5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sigma", BOUNDS)
 def test_band_is_the_cramer_rao_bound(sigma):
     told = fitted(sigma=sigma).motion[0]
@@ -204,6 +205,7 @@ def test_collision_is_told_by_its_impulse():
     assert json.loads(json.dumps(result.summary()["collisions"]))
 
 
+@pytest.mark.slow
 def test_a_blow_that_was_none_is_said():
     (blow,) = fitted(COLLISION).collisions
     assert blow["words"] == "no significant collision in this run"
@@ -217,6 +219,7 @@ def test_impulses_scatter_as_they_say():
     assert np.mean([b["relative_std"] for b in blows]) == pytest.approx(0.0036, rel=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("sigma", "least"), [(2e-6, 0.93), (10e-6, 0.93), (50e-6, 0.85)])
 def test_a_law_that_misses_the_vibration_says_so_and_widens_its_band(sigma, least):
     told = fitted("tustin", sigma).motion[0]
@@ -231,12 +234,14 @@ def test_a_law_that_misses_the_vibration_says_so_and_widens_its_band(sigma, leas
         assert 0.75 < rms(missed[quantity] / sigma_q) < 1.35
 
 
+@pytest.mark.slow
 def test_a_law_that_misses_a_blow_says_so():
     told = fitted(pulse=True).motion[0]
     assert told.notes
     assert rms(told.sigma_a) > 2.0
 
 
+@pytest.mark.slow
 def test_motion_is_the_sliders_not_the_cameras():
     shake = 40e-6 * np.sin(2 * np.pi * 83.0 * vib()["t"] + 0.9)
     known = effects.get("camera_shake").adjusted(frequency={"fixed": 83.0})  # one run does not tell which is which
@@ -246,6 +251,7 @@ def test_motion_is_the_sliders_not_the_cameras():
     assert told.notes == ()
 
 
+@pytest.mark.slow
 def test_five_runs_and_a_predicted_one():
     runs = [seen(s, seed=i, name=f"r{i}") for i, s in enumerate(five())]
     runs[3] = replace(runs[3], role="validation")
@@ -360,6 +366,7 @@ def test_figure_shows_both_bands_and_opens_at_a_blow():
     assert np.all(np.isfinite(plots.fit(model, runs).axes[0].lines[-1].get_ydata()))  # filtered, a blow has a peak
 
 
+@pytest.mark.slow
 def test_figure_of_a_law_that_fails_says_so():
     model, runs = results_of(fitted("tustin"))
     assert plots.modelled(model, runs).get_suptitle().endswith("; the model misses something")

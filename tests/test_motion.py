@@ -130,6 +130,7 @@ def test_likelihood_is_that_of_the_dense_covariance(rng):
     assert found - found[0] == pytest.approx(theirs - theirs[0], abs=1e-3)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cutoff", [1.0, 60.0, 1900.0])
 def test_parabola_passes_whatever_the_cutoff(cutoff):
     t = 3.0 + np.arange(400) / FPS
@@ -273,11 +274,12 @@ def test_a_cutoff_that_takes_signal_away_says_so():
     assert reason.endswith("Hz: the deviations count the signal lost")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("cutoff", [20.0, 45.0, 150.0, 400.0])
 def test_deviations_of_a_given_cutoff_hold_the_signal_lost_too(cutoff):
     t, x, v, a = tustin_slide(2.0)
     z = []
-    for seed in range(4):
+    for seed in range(2):
         noise = NOISE * np.random.default_rng(seed).normal(size=len(t))
         m = differentiate(low_pass(displacement(t, x + noise), cutoff))
         z.append([rms(e) for e in ((m.x - x) / m.sigma_x, (m.v - v) / m.sigma_v, (m.a - a) / m.sigma_a)])
@@ -370,6 +372,7 @@ def test_the_acceleration_at_an_event_lies_anywhere_between_both_sides():
     assert np.all(more[34:] == 0.0)
 
 
+@pytest.mark.slow
 def test_lines_are_followed_as_far_as_they_wander(rng):
     """A ring-down and two tones, one of them beyond what any low-pass of a slide would let through."""
     t = np.arange(800) / FPS
@@ -402,7 +405,7 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
 # -- what a mean is worth --------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("repeats", few_or_many(8, 30))
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_covariance_covers_the_error_of_a_mean(method, repeats):
@@ -460,7 +463,7 @@ def test_a_known_acceleration_is_taken_in(rng):
     assert rms((both.x - x)[heard]) < rms((differentiate(low_pass(seen)).x - x)[heard])
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["structural", "savitzky-golay"])
 def test_what_is_left_of_a_shake_widens_the_deviations(method):
     """A wave of unknown phase within the pass band: its own derivatives, at their mean square."""

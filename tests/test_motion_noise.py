@@ -97,7 +97,7 @@ def test_the_likelihood_of_noise_is_that_of_the_dense_covariance():
         assert ours(colour) - ours(None) == pytest.approx(dense(colour) - dense(None), abs=1e-5)
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("correlation", "share"), [(0.5, 1.0), (0.9, 1.0), (0.9, 0.8)])
 def test_deviations_hold_in_correlated_noise(correlation, share):
     t, x, v, a = slid()
@@ -134,6 +134,7 @@ def test_noise_that_other_runs_have_shown_is_taken_into_a_short_one():
     assert rms((differentiate(given).v - v) / differentiate(given).sigma_v) < 2.0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("texture", [0.0, 2.0])
 def test_white_noise_and_a_rough_course_are_not_called_correlated(texture):
     t, x, _, _ = slid(texture=texture)

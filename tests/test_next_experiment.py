@@ -130,7 +130,7 @@ def pair(request):
     return truth, rival, law_with(truth, values), runs, explanations(runs, truth, rival)
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 def test_the_recommended_run_parts_the_pair_with_about_the_evidence_promised(pair):
     truth, rival, law, runs, among = pair
     _, before = explained(runs, truth, rival)

@@ -144,7 +144,7 @@ def assert_tells(notebook: Any, name: str, figures: int, claim: str) -> None:
         assert "DOES NOT HOLD" in printed
 
 
-@pytest.mark.few(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "figures", "claim"), [(n, *what) for n, what in (PAPERS | STORIES).items()])
 def test_a_notebook_is_kept_with_its_outputs(name: str, figures: int, claim: str):
     assert_tells(kept(NOTEBOOK.with_name(f"{name}.ipynb")), name, figures, claim)

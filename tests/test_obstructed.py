@@ -33,6 +33,7 @@ def found(film):
     return "body" if _on(film.body, box, frame) else f"{box} in frame {frame}"
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("disc", [False, True], ids=["block", "disc"])
 @pytest.mark.parametrize("look", ["textured", "plain", "marked"])
 @pytest.mark.parametrize("kind", DISTURBANCES)
@@ -47,6 +48,7 @@ def test_a_body_that_rests_first_or_bounces_back(motion):
     assert found(film) in ("body", "choices")
 
 
+@pytest.mark.slow
 def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
     film = scene(2, look="marked", **ROLLING)
     assert np.ptp(film.body.angle) > np.pi
@@ -58,6 +60,7 @@ def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
     assert np.nanstd(_error(film, result)[known, 0]) < 0.05
 
 
+@pytest.mark.slow
 def test_the_rotation_of_a_plain_disc_is_said_to_be_unseen():
     film = scene(6, look="plain", slope=0.0, **ROLLING)  # shading that turns with it would be a mark that is not seen
     result = track(DrawnFilm(film.frames))
@@ -78,6 +81,7 @@ def test_a_faint_body_is_tracked_or_refused_but_no_empty_place_is(wall, seed):
     assert judge(film).outcome in ("right", "refused", "choices")
 
 
+@pytest.mark.slow
 def test_a_hand_over_the_first_frame_is_not_learnt():
     """Twenty of ninety frames, at rest, have a hand over a quarter of the body, which is not in the learnt picture."""
     film = scene(

@@ -33,7 +33,7 @@ SAID = {
 }
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", SAID)
 def test_the_chain_ends_or_says_why_not(tmp_path: Path, name: str) -> None:
     t, x, said = SAID[name]

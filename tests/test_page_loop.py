@@ -137,6 +137,17 @@ def test_undo_and_redo_walk_between_the_models(films: Server, tab: Open) -> None
     page.sees("Tustin + patch (current)")
 
 
+def test_a_link_of_nonsense_opens_the_page_and_starts_nothing(films: Server, tab: Open) -> None:
+    page = tab()
+    page.page.goto(f"{films.address}#tab=no&run=zz&frame=a%40b&select=%40%40&shown=9_no&background=8_no&tried=patch")
+    page.page.get_by_role("tab", name="Film", selected=True).wait_for()
+    page.to("Compare")
+    page.page.locator(".ui-verdict-title").wait_for()
+    page.until(lambda: page.page.locator(".fp-plot").count() > 3)
+    assert page.page.evaluate("fetch('/api/state').then((r) => r.json()).then((s) => s.job)") is None
+
+
+@pytest.mark.slow
 def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Open) -> None:
     page = tab()
     page.page.set_viewport_size({"width": 1440, "height": 900})
@@ -159,6 +170,7 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     page.click("Undo").hears("Undone")
 
 
+@pytest.mark.slow
 def test_the_report_is_written_and_downloaded(films: Server, tab: Open) -> None:
     page = tab().open(films)
     page.to("History")

@@ -68,8 +68,8 @@ def test_a_friction_parameter_has_its_coefficient():
 
 
 @browsed
-def test_three_films_that_wait_are_not_97_percent(sample: Server, tab: Open) -> None:
-    page = tab().open(sample)
+def test_three_films_that_wait_are_not_97_percent(tables: Server, tab: Open) -> None:
+    page = tab().open(tables)
     told = page.page.evaluate(
         """async () => {
             const { progressOf, stateOf } = await import("/static/page/selectors.js");
@@ -84,6 +84,7 @@ def test_three_films_that_wait_are_not_97_percent(sample: Server, tab: Open) -> 
     assert told[2] == {"step": "Fit the model", "share": 0.97}
 
 
+@pytest.mark.slow
 @browsed
 def test_a_link_opens_the_same_run_frame_and_selection(sample: Server, tab: Open) -> None:
     page = tab()
@@ -97,17 +98,7 @@ def test_a_link_opens_the_same_run_frame_and_selection(sample: Server, tab: Open
     page.until(lambda: "select=30-49" in page.page.url and "tab=compare" in page.page.url)
 
 
-@browsed
-def test_a_link_of_nonsense_opens_the_page_and_starts_nothing(sample: Server, tab: Open) -> None:
-    page = tab()
-    page.page.goto(f"{sample.address}#tab=no&run=zz&frame=a%40b&select=%40%40&shown=9_no&background=8_no&tried=patch")
-    page.page.get_by_role("tab", name="Film", selected=True).wait_for()
-    page.to("Compare")
-    page.page.locator(".ui-verdict-title").wait_for()
-    page.until(lambda: page.page.locator(".fp-plot").count() > 3)
-    assert page.page.evaluate("fetch('/api/state').then((r) => r.json()).then((s) => s.job)") is None
-
-
+@pytest.mark.slow
 @browsed
 def test_a_plot_and_a_figure_are_shown_large_and_words_are_explained(sample: Server, tab: Open) -> None:
     page = tab().open(sample).to("Compare")
@@ -124,6 +115,7 @@ def test_a_plot_and_a_figure_are_shown_large_and_words_are_explained(sample: Ser
     assert "degree of freedom" in title
 
 
+@pytest.mark.slow
 @browsed
 def test_the_picture_of_the_film_is_adjusted_without_a_change_of_the_study(sample: Server, tab: Open) -> None:
     page = tab().open(sample).to("Film")
@@ -143,6 +135,7 @@ def test_the_picture_of_the_film_is_adjusted_without_a_change_of_the_study(sampl
     assert sample.study_text == before
 
 
+@pytest.mark.slow
 @browsed
 def test_every_axis_has_two_ticks_at_least(sample: Server, tab: Open) -> None:
     page = tab().open(sample)

@@ -86,6 +86,7 @@ def test_a_cutoff_is_seen_before_it_is_used(bench: Server, tab: Open) -> None:
     undone(page, bench, before)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cutoff", [60.0, 300.0, 900.0])
 def test_a_preview_is_what_the_study_would_give(bench: Server, cutoff: float) -> None:
     run = read_results(open_study(bench.study)).runs[0]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from few_effects import use_few_effects
 from runs import BASE, HIDDEN, Spec, study
 
 from frictrack import samples
@@ -228,7 +229,9 @@ def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         np.savetxt(folder / f"r{i}.csv", columns, delimiter=",", header="t_s,x_m", comments="", fmt="%.9f")
         lines += ["", "[[run]]", f'table = "r{i}.csv"', f"mass = {run.mass}"]
     (folder / "study.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    run_study(Session(open_study(folder / "study.toml"), author="page"), lambda found: None)
+    with pytest.MonkeyPatch.context() as patched:
+        use_few_effects(patched)
+        run_study(Session(open_study(folder / "study.toml"), author="page"), lambda found: None)
     return folder
 
 

@@ -29,6 +29,7 @@ WITH_CODE = [p for p in PAGES if any(b.language in ("console", "python") for b i
 NAMES = [p.stem for p in WITH_CODE]
 
 
+@pytest.mark.slow
 def test_the_quick_blocks_of_a_page_print_what_it_shows(tmp_path):
     assert "\n".join(map(str, run_page(DOCS / "tutorials" / "arrays.md", tmp_path, quick=True))) == ""
 

@@ -154,7 +154,7 @@ def film_planned(run_plan, name, factor=1.0, seed=4):
     return made
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rival"), [("vibration", "camera_shake"), ("spring", "drift"), ("texture", "vibration")]
 )
@@ -167,6 +167,7 @@ def test_films_of_the_planned_runs_keep_what_the_plan_promised(run_plan, name, r
     assert information_criterion(bare) - information_criterion(true) > 10
 
 
+@pytest.mark.slow
 def test_the_detection_limit_is_where_the_effect_begins_to_show(run_plan, told):
     limit = told["detection_limits"]["texture"]
     assert limit["unit"] == "N"

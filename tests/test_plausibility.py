@@ -633,8 +633,8 @@ def test_the_page_says_what_is_to_be_checked(study_file: Path) -> None:
 
 def test_a_clock_that_contradicts_its_rate_or_the_other_runs_is_named():
     def timed(name, fps):
-        t, nan = np.arange(400) / fps, np.full(400, np.nan)
-        seen = Displacement(t, 2 * t - t**2, nan, nan, np.full(400, 1e-5), nan, np.ones(400, bool))
+        t, nan = np.arange(100) / fps, np.full(100, np.nan)
+        seen = Displacement(t, 2 * t - t**2, nan, nan, np.full(100, 1e-5), nan, np.ones(100, bool))
         return Run(seen, differentiate(low_pass(seen)), mass=1.0, name=name)
 
     rates = {"a": 4000.0, "b": 4000.0, "c": 3156.0, "d": 4000.0, "e": 1000.0}

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 import numpy as np
 import pandas as pd
 import pytest
+from few_effects import use_few_effects
 
 import frictrack as ft
 from frictrack.base.errors import FrictrackError
@@ -164,7 +165,9 @@ def fit(slides):
 
 @pytest.fixture(scope="module")
 def diagnosis(fit):
-    return ft.diagnose(fit, quick=True)
+    with pytest.MonkeyPatch.context() as patched:
+        use_few_effects(patched)
+        return ft.diagnose(fit, quick=True)
 
 
 def test_every_result_prints_in_a_few_lines(slides, fit, diagnosis):

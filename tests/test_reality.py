@@ -111,8 +111,6 @@ def test_strokes_are_told_from_the_noise_of_a_coordinate():
 
 
 def test_a_law_is_complete_only_where_a_tenth_of_the_friction_would_have_been_seen():
-    quiet = study("tustin", BASE, SIX, sigma=1e-5, rng=np.random.default_rng(1))[0]
-    assert diagnose(fit(TUSTIN, quiet), quick=True).verdict == "complete"
     loud = study("tustin", BASE, SIX, sigma=2e-3, rng=np.random.default_rng(1))[0]
     found = diagnose(fit(TUSTIN, loud))
     assert (found.verdict, found.missing, found.fails_at) == ("undetermined", [], [])
@@ -149,7 +147,7 @@ def test_a_bound_that_holds_a_parameter_hides_no_misfit():
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_rounded_positions_raise_no_alarm(seed):
     runs = []
-    for run in study("tustin", BASE, SIX, sigma=1e-6, rng=np.random.default_rng(seed))[0]:
+    for run in study("tustin", BASE, SIX[::2], sigma=1e-6, rng=np.random.default_rng(seed))[0]:
         x = 1e-3 * np.round(run.displacement.x / 1e-3)
         seen = screened(replace(run.displacement, x=x))
         assert seen.resolution == pytest.approx(1e-3)
@@ -238,7 +236,7 @@ def test_a_hidden_effect_is_plausible_as_it_is_found():
 # --- deviations that hold when the law does not
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("hidden", ["texture", "drag", "spring", "vibration", "patch"])
 def test_deviations_hold_while_the_law_misses_an_effect(hidden):
     law = models.tustin() + hidden
@@ -290,6 +288,7 @@ def swinging(seed, begin, *, F_c=0.25, F_v=0.03, c=0.01, k=64.0, seconds=4.0, si
     return Run(seen, differentiate(low_pass(seen)), mass=1.0, name=f"swing {seed}")
 
 
+@pytest.mark.slow
 def test_a_swinging_mass_is_followed_through_its_reversals():
     gravity = effects.formula("gravity", "k*sin(x)", units={"k": "N"})
     runs = [swinging(0, (-1.2, 0.0)), swinging(1, (0.8, 0.0))]

@@ -248,6 +248,7 @@ def test_figures_count_what_is_wrong_and_what_is_not_named():
     assert "confidently wrong: 1 of 3" in "\n".join(table(counts))
 
 
+@pytest.mark.slow
 def test_two_studies_are_made_and_judged(tmp_path: Path):
     clean = judge(Case("clean", TRUTH, Fault()), tmp_path / "clean")
     assert (clean.verdict, clean.wrong, clean.noted) == (clean.verdict, "", ())

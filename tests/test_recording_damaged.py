@@ -133,7 +133,7 @@ def in_another_process(folder: Path, form: str, seeds: range) -> None:
     assert int(done.stdout.split()[-1]) < 1 << 20  # kB
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("form", FORMS)
 def test_damaged_files(tmp_path, form):
     in_another_process(tmp_path, form, range(40))

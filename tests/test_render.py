@@ -106,6 +106,7 @@ def test_whole_frame_agrees_with_supersampling() -> None:
     assert np.abs(still(30.0625, 22.1875) - supersampled(30.0625, 22.1875, 0.0, 16)).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_turned_block_agrees_with_supersampling() -> None:
     frame, slow = still(30.2, 22.6, 0.07), supersampled(30.2, 22.6, 0.07, 16)
     assert np.abs(frame - slow)[16:29, 21:40].max() < 2e-4  # inside the block

@@ -294,6 +294,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
         reproduce.reproduce(tmp_path / "file")
 
 
+@pytest.mark.slow
 def test_table_7_stands_in_full_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = replace(QUICK, seeds=2, generations=10)
     monkeypatch.setattr(search_trials, "QUICK", tiny)

@@ -83,6 +83,7 @@ def test_the_effect_is_named_and_its_values_are_right(name, dry, truth):
         assert estimate.std < 0.3 * value
 
 
+@pytest.mark.slow
 def test_a_law_that_took_up_much_of_the_effect_gives_it_back_when_the_effect_is_added():
     """Levels and Stribeck effect imitate it; its motions start elsewhere, by many standard deviations of 0.7 um."""
     runs = ft.with_earlier_runs(series(heating(1.0, 30.0), sigma=7e-7)[0], PAUSES)

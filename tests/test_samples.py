@@ -5,6 +5,7 @@ import pytest
 import frictrack as ft
 
 
+@pytest.mark.slow
 def test_the_samples_lead_from_a_failing_model_to_a_complete_one():
     runs = ft.samples.runs(rng=1)
     fit = ft.fit("tustin", runs)
@@ -35,13 +36,6 @@ def test_the_noise_of_the_samples_comes_from_rng():
     first, same, other = (ft.samples.runs(rng=seed)[0].displacement.x for seed in (3, 3, 4))
     assert (first == same).all()
     assert (first != other).any()
-
-
-def test_the_strokes_are_a_measured_friction():
-    columns = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
-    run = ft.Run.from_dataframe(ft.samples.strokes(), columns=columns, normal_load=5.0)
-    assert run.mass is None
-    assert abs(run.friction_N).max() / 5.0 == pytest.approx(0.5, abs=0.1)  # gross slip at 0.47 (see its README)
 
 
 def test_the_carriage_is_driven_to_and_fro():

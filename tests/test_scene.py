@@ -105,6 +105,7 @@ def test_every_nuisance_of_a_scene_is_filmed_and_recorded(tmp_path):
     assert np.std(seen) < 0.004 * np.mean(seen)
 
 
+@pytest.mark.slow
 def test_what_the_runs_of_an_effect_must_tell_is_filmed_and_told(tmp_path):
     """Vertical motion, angle, clamp and drive; the truth holds the laws that follow them."""
     known = "clamp_x = -0.1\nbeam_length = 0.8\nlift = { amplitude = 1e-4, frequency = 60 }\n"

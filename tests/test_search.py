@@ -236,7 +236,7 @@ def test_finds_the_minimum_of_a_bowl(method: str) -> None:
     np.testing.assert_allclose(found.x, 0.3, atol=5e-3)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 def test_finds_the_lowest_of_a_hundred_minima(method: str) -> None:
     runs = [
         minimise(rastrigin, [[-5.12, 4.7]] * 2, method=method, rng=rng(seed), max_evaluations=10_000)

@@ -156,6 +156,7 @@ def test_z_scores_of_offset_gain_and_bias_are_standard(sensor: Sensor, sigma: fl
     assert np.all((rms > 0.88) & (rms < most)), rms
 
 
+@pytest.mark.slow
 def test_z_scores_are_standard_over_few_seeds() -> None:
     z = []
     for seed in range(10):
@@ -164,6 +165,7 @@ def test_z_scores_are_standard_over_few_seeds() -> None:
     assert 0.55 < np.sqrt(np.mean(np.square(z))) < 1.4
 
 
+@pytest.mark.slow
 def test_the_gain_is_not_too_small_under_noise() -> None:
     """A regressor with noise attenuates; its expected share is taken out."""
     gains = [found(seed, Sensor(rate=1e3, noise=1.5))[0].gain or 0.0 for seed in range(8)]
@@ -379,6 +381,7 @@ def _ringing(seed: int, gain: float, delay: float, frequency: float = 300.0) -> 
     return problem(Displacement(t, seen, nan, nan, np.full(len(t), 1e-6), nan, np.ones(len(t), bool)), series)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("gain", "delay"), [(0.92, 2.3e-3), (1.1, 4.4e-3), (0.85, 0.7e-3), (-1.0, 2.3e-3)])
 def test_no_delay_of_a_ringing_slide_is_wrong_without_being_called_ambiguous(gain: float, delay: float) -> None:
     for seed in range(3):

@@ -22,11 +22,9 @@ from frictrack.fit import fit, restore, state
 from frictrack.fit.observations import friction_pieces
 from frictrack.fit.observations.measured_friction import block_covariance
 from frictrack.flow import Session, open_study, tried_models
-from frictrack.measure.motion import differentiate, low_pass
 from frictrack.present import export, plots, report
 from frictrack.records import Displacement, Motion, Run
 from frictrack.results import to_builtins
-from frictrack.study import read_table
 
 DATA = samples.DATA / "tribometer"
 COLUMNS = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
@@ -280,13 +278,15 @@ class TestRefused:
         assert said in str(caught.value)
 
 
-def strokes():
-    """Four strokes to and fro of the tribometer, as the flow has them."""
-    data = read_table(DATA / "strokes.txt", COLUMNS)
-    n, nan = len(data.t), np.full(len(data.t), np.nan)
-    displacement = Displacement(data.t, data.x, nan, nan, np.full(n, 3e-8), nan, np.ones(n, bool))
-    motion = differentiate(low_pass(displacement))
-    return Run(displacement, motion, friction_N=data.friction, normal_load=5.0, name="strokes")
+@pytest.fixture(scope="module")
+def strokes_study(tmp_path_factory):
+    """A study of four strokes to and fro of the tribometer, its motion known."""
+    folder = tmp_path_factory.mktemp("tribometer")
+    shutil.copy(DATA / "strokes.txt", folder)
+    (folder / "study.toml").write_text(STUDY)
+    session = Session(open_study(folder / "study.toml"))
+    session.bring_up_to("motion")
+    return session
 
 
 class TestTribometer:
@@ -295,8 +295,8 @@ class TestTribometer:
 
     @pytest.fixture(scope="class")
     @staticmethod
-    def run():
-        return strokes()
+    def run(strokes_study):
+        return strokes_study.models.runs[0]
 
     def test_units_and_sign_are_read_from_the_headers(self, run):
         assert np.ptp(run.displacement.x) == pytest.approx(0.228e-3, rel=0.01)
@@ -354,14 +354,10 @@ normal_load = "5 N"
 class TestFlow:
     @pytest.fixture(scope="class")
     @staticmethod
-    def session(tmp_path_factory):
-        folder = tmp_path_factory.mktemp("tribometer")
-        shutil.copy(DATA / "strokes.txt", folder)
-        (folder / "study.toml").write_text(STUDY)
-        session = Session(open_study(folder / "study.toml"))
-        session.fit()
-        session.add("presliding")
-        return session
+    def session(strokes_study):
+        strokes_study.fit()
+        strokes_study.add("presliding")
+        return strokes_study
 
     def test_the_error_falls_as_memory_is_added(self, session):
         before, after = session.history()["models"]
@@ -390,7 +386,7 @@ class TestFlow:
         assert "rms_N" in files["errors"]
 
     def test_pictures_show_newtons(self, session):
-        run = strokes()
+        run = session.models.runs[0]
         results = tried_models.model_results(session.models.path, session.models.groups[-1])
         assert plots.noise_um(results) is None
         assert results.summary["errors"]["noise_N"] < 1e-3

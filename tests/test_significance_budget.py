@@ -66,6 +66,7 @@ class TestSequences:
         assert sum(map(sequence_alpha, range(1, 7))) < 0.02
 
 
+@pytest.mark.slow
 def test_errors_of_a_session_stay_below_what_is_said():
     """Uniform p-values of complete models; a user who adds what is named, and tries other models until one is named."""
     rng, false_sessions, sessions, spent = np.random.default_rng(5), 0, 20_000, 0.0

@@ -118,7 +118,7 @@ def test_the_ideal_detector_knows_which_effects_nobody_can_tell_apart(at_the_lim
 
 
 def test_studies_hide_the_effect_at_the_size():
-    for truth in run.studies("drag", 1.5, 2, seed=4):
+    for truth in run.studies("drag", 1.5, 1, seed=4):
         assert truth.hidden == ("drag",)
         assert truth.size[0] == pytest.approx(1.5, rel=1e-3)
 

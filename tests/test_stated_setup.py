@@ -63,14 +63,16 @@ def test_a_stated_incline_is_one_unknown_of_the_record():
     assert ft.fit(["coulomb", "viscous"], [both], domain="force").model.names == ["coulomb", "viscous"]
 
 
+@pytest.mark.usefixtures("no_formulas")
 def test_a_wrong_incline_is_named_as_such():
     fit = ft.fit(["coulomb", "viscous"], [cart(np.deg2rad(3.6), v0=0.9, seconds=2.2, incline="3.0 deg")])
-    found = ft.diagnose(fit)
+    found = ft.diagnose(fit, quick=True)
     assert found.missing[0] == "slope"
     assert "asymmetry" in found.best.indistinguishable_from  # its level part pulls alike
     assert found.best.words["here"].startswith("The incline is 3.6 degrees, not 3:")
 
 
+@pytest.mark.slow
 def test_an_incline_and_drag_together_stand_beside_the_effect_that_imitates_both():
     fit = ft.fit(["coulomb"], [cart(np.deg2rad(3.6), v0=0.7, seconds=1.6, incline="3.5 deg", noise=3e-4)])
     found = ft.diagnose(fit)
@@ -78,7 +80,8 @@ def test_an_incline_and_drag_together_stand_beside_the_effect_that_imitates_both
     assert {"slope", "viscous"} in sets
 
 
+@pytest.mark.usefixtures("no_formulas")
 def test_an_incline_that_contradicts_its_stated_error_is_a_candidate():
     run = cart(np.deg2rad(3.6), v0=0.9, seconds=2.2, incline="2.0 +/- 0.01 deg")
-    found = ft.diagnose(ft.fit(["coulomb", "viscous"], [run]))
+    found = ft.diagnose(ft.fit(["coulomb", "viscous"], [run]), quick=True)
     assert found.missing[0] == "slope.F"

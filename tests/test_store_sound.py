@@ -154,7 +154,7 @@ def test_what_the_sums_of_the_groups_do_not_find_harms_nobody(sound: Path) -> No
     with h5py.File(sound, locking=False) as file:
         text = content.index(b'{"mass": 0.35}')  # strings lie in a heap where a flip may hang HDF5: the seal's part
         assert file["other"].attrs["settings"] in content[text - 5 : text + 99].decode(errors="replace")
-    for at in (*rng.integers(0, len(content), 40), text + 3):
+    for at in (*rng.integers(0, len(content), 20), text + 3):
         flipped = bytearray(content)
         flipped[at] ^= 0x08
         path.write_bytes(flipped)
@@ -166,8 +166,8 @@ def test_what_the_sums_of_the_groups_do_not_find_harms_nobody(sound: Path) -> No
             ask.kill()
         assert ask.exitcode != 2, f"byte {at} changes what is read and no checksum says so"
         found, harmless = found + (ask.exitcode != 0), harmless + (ask.exitcode == 0)
-    assert found > 8
-    assert harmless > 3
+    assert found > 4
+    assert harmless > 1
 
 
 def _compare(path: Path, whole: dict[str, Any]) -> None:
@@ -185,7 +185,7 @@ def test_bytes_that_hdf5_fails_on_end_another_process(sound: Path, monkeypatch: 
     monkeypatch.setattr(file_header, "MIN_TIMEOUT_S", 0.4)
     content, path = sound.read_bytes(), sound.with_name("harm.h5")
     text = content.index(b'{"mass": 0.35}')
-    for at in range(text - 8, text + 30):
+    for at in range(text - 8, text + 30, 3):
         harm = bytearray(content)
         harm[at] = 8
         path.write_bytes(sealed(bytes(harm[store.HEADER_BYTES :]), __version__))

@@ -86,7 +86,7 @@ def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> N
 
 
 def test_four_swings_without_dry_friction_have_no_levels_to_compare() -> None:
-    t = np.arange(0.0, 2.0, 0.01)
+    t = np.arange(0.0, 1.5, 0.02)
     swings = [
         ft.Run.from_arrays(t, size * np.exp(-0.05 * t) * np.cos(6.0 * t), mass=0.35, name=f"swing {size}")
         for size in (0.1, 0.15, 0.2, 0.25)

@@ -318,6 +318,7 @@ def changing(seed, n=160):
     return np.stack([expose(p + strip, light) for p, strip in zip(pictures, strips, strict=True)]), truth
 
 
+@pytest.mark.slow
 def test_slow_errors_of_a_changing_look_are_stated():
     """The places' errors over twelfths of the film against what their residual pictures tell, six textures."""
     actual, stated = [], []

@@ -42,6 +42,7 @@ def known_template(name: str, film: conditions.Condition) -> np.ndarray:
     return np.array(errors)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["nominal", "lowlight"])
 def test_the_bound_is_what_the_known_template_reaches(folder, name):
     film = conditions.condition(name, 0, 30)

@@ -115,6 +115,7 @@ def nearly_equal_runs():
     return out
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("effect", ["rolling_shutter", "clock_rate"])
 def test_an_effect_more_never_fits_worse_because_levels_are_held_at_one(effect):
     """The linearised model promises levels of one, at the price of values that its motion does not reach."""

@@ -80,7 +80,7 @@ def off(result: Track, true: Array) -> Array:
     return error - (turned @ offset).reshape(2, -1)
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "n"), [(2.0, 48), (-20.0, 30)])
 def test_a_turning_target_is_tracked_to_the_noise_bound(rate: float, n: int) -> None:
     film, true = filmed(pose(rate, n))

@@ -91,6 +91,7 @@ def unsteady(rng, n, rms=2e-5):
     return rms * (idct(size * rng.standard_normal(n), norm="ortho") + rng.standard_normal(n))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("repeats", "room"), few_or_many((8, 0.5), (60, 0.25)))
 @pytest.mark.parametrize("told", [True, False])
 def test_what_a_tracker_is_off_by_slowly_is_in_the_deviations(told, repeats, room):
@@ -168,6 +169,7 @@ def test_a_length_quoted_as_a_ratio_is_the_brute_force_one():
     assert [chi2(found.low) - least, chi2(found.high) - least] == pytest.approx([Z**2, Z**2], rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_scattering_level_counts_as_its_standard_deviation_has_it():
     runs, _ = study(specs=SIX[:5], sigma=1e-5, scatter=0.03, rng=np.random.default_rng(4))
     fitted = fit("tustin", runs)
@@ -261,7 +263,7 @@ def red(rng, n, rho=0.9, sigma=2e-5):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize(("repeats", "room"), few_or_many((4, 0.9), (20, 0.4)))
+@pytest.mark.parametrize(("repeats", "room"), few_or_many((2, 0.9), (20, 0.4)))
 def test_correlated_noise_is_found_and_widens_the_deviations(repeats, room):
     fits = []
     for seed in range(repeats):
@@ -302,6 +304,7 @@ def test_a_correlated_residual_is_drawn_in_blocks(repeats, drawn):
     assert np.mean(white) < 0.5 * truth  # what white noise would say
 
 
+@pytest.mark.slow
 def test_levels_are_drawn_anew_and_their_scatter_is_found_again():
     runs = [slide(i, F_c=8.0 * level, n=160, name=f"r{i}") for i, level in enumerate((0.95, 1.02, 1.0, 1.06, 0.97))]
     fitted = fit("coulomb", runs)

@@ -88,26 +88,32 @@ def slides(cause, *, sigma=1e-5, seed=0, plan=PLAN):
 
 @pytest.fixture(scope="module")
 def fits():
-    return {cause: fit(LAW, slides(cause)) for cause in CAUSES}
+    return cache(lambda cause: fit(LAW, slides(cause)))
 
 
 @pytest.fixture(scope="module")
-def firsts(fits):
-    """The first formula of a cause, looked for once."""
-    return cache(lambda cause: FormulaSearch.of(fits[cause].solution).found()[0].entry)
+def searches(fits):
+    """The search for the formulas of a cause, which finds them once."""
+    return cache(lambda cause: FormulaSearch.of(fits(cause).solution))
 
 
-@pytest.mark.few(3)
+@pytest.fixture(scope="module")
+def firsts(searches):
+    """The first formula of a cause."""
+    return lambda cause: searches(cause).found()[0].entry
+
+
+@pytest.mark.few(1)
 @pytest.mark.parametrize("cause", CAUSES)
 def test_the_axis_of_a_cause_outside_the_library_is_found(fits, cause):
-    best, second, *_ = compress_residual(fits[cause].solution).smooth
+    best, second, *_ = compress_residual(fits(cause).solution).smooth
     assert best.axis.name == CAUSES[cause][0]
     assert best.share > 0.9
     assert best.gain > second.gain
 
 
 def test_the_curve_is_the_force_within_its_band(fits):
-    smooth = compress_residual(fits["magnet"].solution).smooth[0]
+    smooth = compress_residual(fits("magnet").solution).smooth[0]
     assert smooth.axis.factor == ""  # it pulls whichever way the mass goes
     truth = CAUSES["magnet"][1](smooth.at, 0, 0, 0, 0)
     away = smooth.force - truth
@@ -136,7 +142,7 @@ def test_the_formula_is_the_cause_or_its_equal_and_leaves_the_noise(firsts, caus
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["rate_and_state", "magnet"])
 def test_formulas_are_ordered_by_probability_and_the_group_holds_the_cause(fits, cause):
-    found = [one.entry for one in FormulaSearch.of(fits[cause].solution).found()]
+    found = [one.entry for one in FormulaSearch.of(fits(cause).solution).found()]
     probabilities = [f["probability"] for f in found]
     assert probabilities == sorted(probabilities, reverse=True)
     assert 0.5 < sum(probabilities) < 1.0
@@ -166,15 +172,15 @@ def test_the_snippet_is_an_effect_that_makes_the_error_fall_to_the_noise(fits, f
     tables = [read_settings(table) for table in tomllib.loads(first["toml"])["effect"]]
     (effect,) = definitions(tables)
     assert effect.name == "unexplained"
-    before = fits[cause]
+    before = fits(cause)
     after = fit(before.model + effect, before.runs)
     assert before.reduced_chi2 > 1.15
     assert after.reduced_chi2 == pytest.approx(1.0, abs=0.1)
     assert after.errors["heldout_rms_um"] == pytest.approx(10.0, rel=0.06)
 
 
-def test_the_json_has_what_the_report_shows(fits):
-    found = unexplained_force(FormulaSearch.of(fits["joint"].solution)).summary
+def test_the_json_has_what_the_report_shows(searches):
+    found = unexplained_force(searches("magnet")).summary
     assert {"axis", "factor", "curve", "band", "share", "formulas"} <= found.keys()
     assert np.shape(found["curve"]) == (len(found["band"]), 2)
     assert {"formula", "axis", "share", "delta_bic", "toml"} <= found["formulas"][0].keys()
@@ -194,7 +200,7 @@ def repeated(axis):
 @pytest.mark.slow
 def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
     """The library's best imitation swings the load, with an amplitude and a phase in every run."""
-    start = fits["rate_and_state"]
+    start = fits("rate_and_state")
     imitation = fit([*LAW, "load_modulation"], start.runs)
     told = compare_with_formulas(FormulaSearch.of(start.solution), imitation.solution, lambda: repeated("v"))
     assert told.summary["decisive"]
@@ -206,7 +212,7 @@ def test_a_plain_force_of_velocity_beats_numbers_of_its_own_in_every_run(fits):
 
 @pytest.mark.slow
 def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
-    found = unexplained_force(FormulaSearch.of(fits["joint"].solution))
+    found = unexplained_force(FormulaSearch.of(fits("joint").solution))
     name, law, delta_bic = found.as_candidate()
     assert name == "formula:1"
     assert delta_bic == found.summary["formulas"][0]["delta_bic"]
@@ -219,7 +225,7 @@ def test_the_first_formula_is_a_candidate_with_the_name_that_adds_it(fits):
 @pytest.mark.slow
 def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
     """A magnet: a few waves in every run imitate it, and any other set of so many effects can only do the same."""
-    start = fits["magnet"].solution
+    start = fits("magnet").solution
     formulas, waves = FormulaSearch.of(start), start
     for name in ("vibration", "drift", "spring"):
         waves = add_effect(waves, effects.get(name))
@@ -234,7 +240,7 @@ def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
 def test_effects_that_one_formula_beats_are_not_named(fits):
     """The search ends with two patches that leave misfit: three would be no better imitation of a magnet."""
     heard = []
-    found = diagnose(fits["magnet"], quick=True, progress=lambda done, total, what: heard.append(what))
+    found = diagnose(fits("magnet"), quick=True, progress=lambda done, total, what: heard.append(what))
     assert any("trying sets of 2" in what for what in heard)
     assert not any("trying sets of 3" in what for what in heard)
     assert (found.verdict, found.missing) == ("unexplained", [])
@@ -265,7 +271,7 @@ def test_an_effect_of_the_library_wins_ties():
 
 def test_fewer_numbers_say_the_same_as_all_frames(fits):
     """The traces of a force in few numbers against the motion itself, moved by that force."""
-    solution = fits["magnet"].solution
+    solution = fits("magnet").solution
     left = compress_residual(solution)
     push = [1e-3 * np.sin(2 * np.pi * p.x / 0.1)[:, None] for p in left.paths]
     told = left.traces_of(np.concatenate(push))[:, 0]
@@ -298,7 +304,7 @@ def test_one_direction_alone_has_no_second_factor():
 
 def test_the_law_is_taken_out_of_every_trace(fits):
     """What the law could make by itself leaves nothing beside it."""
-    solution = fits["joint"].solution
+    solution = fits("joint").solution
     left = compress_residual(solution)
     assert np.linalg.norm(
         left.traces_of(left.concatenate(lambda p: np.sign(p.v)[:, None] * p.load))

@@ -85,6 +85,7 @@ def narrow_patch(x, v):
     return np.sign(v) * (1.0 + 0.6 * np.exp(-0.5 * ((x - 0.2) / 0.012) ** 2))
 
 
+@pytest.mark.slow
 def test_model_is_compared_and_drawn_through_the_filter_of_the_measurement():
     runs = [slide(v0, narrow_patch, cutoff=20.0, rng=k) for k, v0 in enumerate((1.8, 2.2))]
     fit = ft.fit(["coulomb", "patch"], runs)

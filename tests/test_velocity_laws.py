@@ -86,7 +86,7 @@ def test_adhesion_and_coulomb_friction_are_one_with_one_mass():
     )
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["adhesion", "load_exponent"])
 def test_two_masses_cannot_part_adhesion_from_a_power_of_the_load_and_a_third_is_asked_for(name):
     runs = runs_with(name, specs=SPEEDS[:6])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from few_effects import use_few_effects
 from rich.console import Console
 from runs import BASE, HIDDEN, Spec, study
 
@@ -25,6 +27,13 @@ from frictrack.results.verdicts import VERDICT_ONLY
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05))
 LATER = ("fails_at", "importance", "evidence", "next_experiment")  # what follows from a verdict
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_effects() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        use_few_effects(patched)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -261,6 +261,7 @@ def test_what_the_other_runs_predict_repeats_however_narrow_it_is():
     )
 
 
+@pytest.mark.slow
 def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
     specs = tuple(Spec(v, 1, 0.1) for v in (2.5, 3.5, 5.0, -6.5))
     found = repeatability_of(fit(LAW, lacking("drag", {"c": 0.02}, specs=specs)).solution)
@@ -268,6 +269,7 @@ def test_a_slow_force_of_speed_is_told_from_one_of_every_run():
     assert found.best.evidence > 10
 
 
+@pytest.mark.slow
 def test_a_fine_wave_over_the_place_repeats_there():
     texture = {"amplitude": 0.3, "period": 0.012, "phase": 0.4}
     found = repeatability_of(fit(LAW, lacking("texture", texture, sigma=2e-6)).solution)
@@ -375,6 +377,7 @@ def test_a_run_counts_only_where_it_has_been():
     assert curve["sigma_F"][alone] == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_runs_of_other_mass_agree_in_the_force_over_the_load():
     found = find_failure_pattern(fit("tustin", samples.runs()).solution, np.random.default_rng(0)).figures
     load = found["residual_force"]["load"]

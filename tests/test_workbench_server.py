@@ -32,8 +32,8 @@ ROUTES = ("/api/state", "/api/effects", "/api/film?run=slow", "/api/plots?view=c
 # --- the page and the state
 
 
-def test_the_page_its_modules_and_the_headers_of_every_answer(study_file: Path, page: Clients) -> None:
-    client = page(study_file)
+def test_the_page_its_modules_and_the_headers_of_every_answer(shared: Client) -> None:
+    client = shared
     for path in ("/", "/static/vendor/preact-htm.js", *ROUTES[:2], "/api/film?run=slow", "/static/none.js"):
         status, headers, _ = client.ask("GET", path)
         assert status == {"/api/film?run=slow": 404, "/static/none.js": 404}.get(path, 200), path
@@ -253,8 +253,8 @@ def test_a_tab_that_does_not_read_costs_little_and_is_dropped(monkeypatch: pytes
     assert asyncio.run(asyncio.wait_for(scenario(), 20)) < 40_000_000  # all unread messages: 60 MB and more
 
 
-def test_a_ping_is_answered(study_file: Path, page: Clients) -> None:
-    client = page(study_file).listen()
+def test_a_ping_is_answered(shared: Client) -> None:
+    client = shared.listen()
     client.send('{"type":"ping"}')
     assert client.hear(lambda m: m["type"] == "pong")
 

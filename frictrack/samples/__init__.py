@@ -132,7 +132,7 @@ def strokes() -> pd.DataFrame:
     --------
     >>> import frictrack as ft
     >>> columns = {"t": "Time [s]", "x": "Position [mm]", "friction": "-Friction [uN]"}
-    >>> run = ft.Run.from_dataframe(ft.samples.strokes(), columns=columns, name="strokes", normal_load=5.0)
+    >>> run = ft.Run.from_dataframe(ft.samples.strokes()[900:1700], columns=columns, name="strokes", normal_load=5.0)
     >>> f"{abs(run.friction_N).max():.1f} N"
     '2.6 N'
 

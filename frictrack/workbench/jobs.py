@@ -344,7 +344,7 @@ class JobFollower:
 
 # --- the processes
 
-PREPARE_S = 1.0  # from one job to the next process that waits
+PREPARE_S = 2.0  # from the start of the server, or of a job, to the next process that waits
 COMMAND = (sys.executable, "-P", "-m", "frictrack.workbench.job_process")  # -P: import nothing from this folder
 
 
@@ -370,11 +370,11 @@ class WarmLauncher:
     def __init__(self) -> None:
         self._spare: subprocess.Popen[bytes] | None = None
         self._lock = Lock()
-        self._closed, self._used = False, -PREPARE_S
+        self._closed, self._used = False, time.monotonic()
 
     @property
     def is_needed(self) -> bool:
-        """Whether no process waits. After a job was started there is a pause: it needs the processor."""
+        """Whether no process waits. After a start there is a pause: the page or the job needs the processor."""
         return self._spare is None and not self._closed and time.monotonic() - self._used >= PREPARE_S
 
     def prepare(self) -> None:
@@ -397,8 +397,8 @@ class WarmLauncher:
         """End the process that waits."""
         with self._lock:
             spare, self._spare, self._closed = self._spare, None, True
-        if spare is not None and spare.stdin is not None:
-            spare.stdin.close()
+        if spare is not None:
+            spare.terminate()
 
 
 def _write_line(process: subprocess.Popen[bytes], line: str) -> bool:

@@ -73,7 +73,7 @@ class ParameterByGroup:
     >>> import frictrack as ft
     >>> from dataclasses import replace
     >>> runs = [replace(run, group="low" if run.name == "to_a_stop" else "high") for run in ft.samples.runs()]
-    >>> found = ft.compare_groups(ft.fit(["coulomb", "viscous", "patch"], runs), "viscous.F_v")
+    >>> found = ft.compare_groups(ft.fit(["coulomb", "viscous"], runs), "viscous.F_v")
     >>> list(found.differences), found.degrees
     (['low - high'], 2)
 
@@ -153,7 +153,7 @@ def compare_groups(fitted: Fit | GroupFits, parameter: str) -> ParameterByGroup:
     >>> import frictrack as ft
     >>> from dataclasses import replace
     >>> runs = [replace(run, group="low" if run.name == "to_a_stop" else "high") for run in ft.samples.runs()]
-    >>> fit = ft.fit(["coulomb", "viscous", "patch"], runs)
+    >>> fit = ft.fit(["coulomb", "viscous"], runs)
     >>> ft.compare_groups(fit, "viscous.F_v").differences["low - high"].p > 0.01
     True
 

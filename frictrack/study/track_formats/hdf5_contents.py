@@ -42,9 +42,7 @@ def run() -> None:
         found = contents(Path(sys.argv[1]))
     except Exception as e:  # noqa: BLE001 - h5py fails in many ways on damaged files; the parent says which file it was
         found = {"error": np.array(str(e).splitlines()[0] if str(e) else type(e).__name__)}
-    packed = BytesIO()
-    np.savez(packed, **found)
-    sys.stdout.buffer.write(packed.getvalue())
+    np.savez(sys.stdout.buffer, **found)
 
 
 def contents(path: Path) -> dict[str, Any]:

@@ -31,6 +31,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -120,13 +121,17 @@ def read_hdf5_tracks(path: Path) -> TableFile:
 
 def read_arrays(path: Path) -> Mapping[str, Any]:
     """Return the arrays that the other process finds in a file; `ValueError` if it cannot read it."""
-    size = path.stat().st_size
+    return _arrays_of(path.absolute(), path.stat().st_size, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)  # a table is opened for its columns, its units and for every run in it
+def _arrays_of(path: Path, size: int, *_: int) -> Mapping[str, Any]:
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{size / 1e6:.0f} MB")
     with path.open("rb") as file:
         if file.read(len(NETCDF_3)) == NETCDF_3:
             raise ValueError('it is netCDF 3; write it with engine="netcdf4" or "h5netcdf"')
-    call = [sys.executable, "-P", "-c", _CHILD, str(path.absolute())]
+    call = [sys.executable, "-P", "-c", _CHILD, str(path)]
     timeout = TIMEOUT_S + size / BYTES_PER_EXTRA_SECOND
     try:
         done = subprocess.run(call, capture_output=True, timeout=timeout, check=False)
