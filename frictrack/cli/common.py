@@ -192,13 +192,12 @@ class ProgressBars(ProgressDisplay):
         """Draw the bar of a step; one of unknown length moves to and fro."""
         self._drawn.start()
         bar = what if what in OWN_BAR else "now"
+        if not total and bar in self._tasks:  # a bar that is reset keeps the length of the step before
+            self._drawn.remove_task(self._tasks.pop(bar))
         if bar not in self._tasks:
             self._tasks[bar] = self._drawn.add_task(what, total=total or None)
-        now = self._tasks[bar]
-        if total == 0:
-            self._drawn.reset(now, total=None, description=what)
         visible = done < total or not total
-        self._drawn.update(now, description=what, completed=done, total=total or None, visible=visible)
+        self._drawn.update(self._tasks[bar], description=what, completed=done, total=total or None, visible=visible)
         return True
 
 

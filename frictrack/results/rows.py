@@ -37,6 +37,7 @@ class ErrorRow(NamedTuple):
 
 
 MIN_P_STATED = 1e-6
+FILTERED = {"relative force error": "filtered force error"}  # noise that passes the filter is in it
 _KINDS = (
     ("rms_displacement_um", "displacement, rms", "µm", "x", 1.0),
     ("rms_N", "friction force, rms", "N", "F", 1.0),
@@ -64,11 +65,16 @@ def error_rows(models: Iterable[Mapping[str, Any]]) -> list[ErrorRow]:
     --------
     >>> error_rows([{"relative_force_error": 0.02}])
     [ErrorRow(name='relative force error', unit='%', short='force', values=(2.0,))]
+    >>> error_rows([{"rms_displacement_um": 1.0, "relative_force_error": 0.02}])[1].name
+    'filtered force error'
 
     """
     found = list(models)
+    names = FILTERED if any(e.get("rms_displacement_um") is not None for e in found) else {}
     return [
-        ErrorRow(name, unit, short, tuple(None if e.get(key) is None else factor * e[key] for e in found))
+        ErrorRow(
+            names.get(name, name), unit, short, tuple(None if (x := e.get(key)) is None else factor * x for e in found)
+        )
         for key, name, unit, short, factor in _KINDS
         if any(e.get(key) is not None for e in found)
     ]

@@ -150,7 +150,9 @@ def error_words(model: ModelResults) -> str:
     errors = model.summary["errors"]
     rms, force = errors.get("rms_displacement_um"), errors.get("relative_force_error")
     parts = [] if rms is None else [f"residual {format_number(rms)} µm{_noise_words(noise_um(model), 'µm')}"]
-    parts += [] if force is None else [f"force error {format_number(100 * force, 2)} %"]
+    parts += (
+        [] if force is None else [f"{'' if rms is None else 'filtered '}force error {format_number(100 * force, 2)} %"]
+    )
     return ", ".join(parts)
 
 

@@ -92,8 +92,7 @@ export async function runAll() {
   const { ready, exists } = store.study || {};
   if (!exists || !ready.can_run) {
     say(exists ? ready.words : "Choose recordings or open the sample study first.", "warn");
-    const missing = document.querySelector('.ui-field[data-missing="true"] input');
-    if (missing) missing.focus();
+    document.querySelector(exists ? '.ui-field[data-missing="true"] input' : ".ui-folder > button")?.focus();
     return;
   }
   update({ tab: "compare", tried: "", shown: "", perRun: false });
