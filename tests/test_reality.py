@@ -16,6 +16,7 @@ from test_series import given, swing, tustin_force
 from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import physical_objection
+from frictrack.diagnose.residual_curves import residual_series
 from frictrack.diagnose.search import subsample
 from frictrack.effects import LIBRARY, Span, models
 from frictrack.fit import fit, restore, state
@@ -113,6 +114,15 @@ def test_a_force_that_two_strokes_repeat_at_their_places_is_no_noise():
     noise = friction_noise(fit(["coulomb", "viscous"], [reciprocating(0.03, 0.5, 4.0, 1)]).solution)
     assert noise.rms == pytest.approx(0.03, rel=0.05)  # 0.1 if strokes over the same speeds were compared
     assert noise.correlation_frames == 1.0
+
+
+def test_the_force_drawn_for_an_effect_is_what_the_model_lacked():
+    run = reciprocating(0.03, 1.5, 2.0, 2)
+    poor, better = (fit(["coulomb", "viscous", *more], [run]) for more in ([], ["stribeck"]))
+    drawn = residual_series(poor.solution, better.solution, ["stribeck"])
+    law = 2.8 + 1.15 * np.exp(-drawn["v"] / 0.25) + 0.35 * drawn["v"]  # without the ripple, which stays as it is
+    had = poor.parameters["coulomb.F_c"].value + poor.parameters["viscous.F_v"].value * drawn["v"]
+    assert np.sqrt(np.mean((drawn["F"] - (law - had)) ** 2)) < 0.02  # N; Stribeck's own force is up to 1.15 N
 
 
 @pytest.mark.slow
