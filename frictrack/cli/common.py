@@ -314,8 +314,8 @@ def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the 
         return f"{first} {CHECK_NEXT}"
     study, formulas = shlex.quote(str(study)), (diagnosis.get("unexplained") or {}).get("formulas") or [{}]
     if diagnosis["verdict"] == "unexplained" and formulas[0].get("toml"):  # a lead would be no cause
-        found = f"{formulas[0]['formula']} ({formula_evidence(formulas[0])})"
-        return f"{first} Then: frictrack add {study} formula:1 adds the force {found}, or write an effect of your own"
+        force = f"the force {formulas[0]['formula']} ({formula_evidence(formulas[0])})"
+        return f"{first} Then: frictrack add {study} formula:1 adds {force}, or write an effect of your own"
     if diagnosis["missing"]:
         return f"{first} Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
     return f"{first} Then: frictrack plan {study} lists which runs would tell more"

@@ -265,10 +265,10 @@ def residual_series(before: Solution, after: Solution | None, effects: Sequence[
     if after is not None and sizes == [len(r.piece.t) for r in after.responses]:
         out["after"] = joined(lambda r: r.piece.y - r.model_y, after)
         direction = joined(lambda r: np.where(position_and_velocity(r)[1] < 0, -1.0, 1.0), after)
-        forces = [out["before"] - out["after"]]  # of a load cell: an effect also takes over what others had imitated
-        if after.problem.simulates:
-            fitted = [FittedEffect(name, after) for name in effects]
-            forces = [np.concatenate([b[kept] for b in one.blocks]) for one in fitted if one.effect.acts_on == "force"]
+        fitted = [FittedEffect(name, after) for name in effects]
+        forces = [np.concatenate([b[kept] for b in one.blocks]) for one in fitted if one.effect.acts_on == "force"]
+        if not after.problem.simulates:  # of a load cell: an effect also takes over what others had imitated
+            forces = [out["before"] - out["after"]]
         out["F"] = direction * np.sum(forces, axis=0) if forces else np.zeros_like(direction)
     return out
 

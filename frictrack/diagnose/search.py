@@ -225,9 +225,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
 
 def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:
     """Whether one effect more beside all of a set still explains more with a load cell's frames averaged about it."""
-    (larger, examined), (smaller, last) = taken, before
-    fall = information_criterion(last.solution) - information_criterion(examined.solution)
-    return fall > 0 or not smaller.names <= larger.names
+    (more, its), (less, last) = taken, before
+    return not less.names <= more.names or information_criterion(its.solution) < information_criterion(last.solution)
 
 
 def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:

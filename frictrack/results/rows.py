@@ -72,9 +72,7 @@ def error_rows(models: Iterable[Mapping[str, Any]]) -> list[ErrorRow]:
     found = list(models)
     names = FILTERED if any(e.get("rms_displacement_um") is not None for e in found) else {}
     return [
-        ErrorRow(
-            names.get(name, name), unit, short, tuple(None if (x := e.get(key)) is None else factor * x for e in found)
-        )
+        ErrorRow(names.get(name, name), unit, short, tuple(e.get(key) and factor * e[key] for e in found))
         for key, name, unit, short, factor in _KINDS
         if any(e.get(key) is not None for e in found)
     ]
@@ -89,9 +87,8 @@ def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
     (0.02, 'N')
 
     """
-    if errors.get("heldout_rms_um") is not None:
-        return errors["heldout_rms_um"], "µm"
-    return errors.get("heldout_rms_N"), "N"
+    micrometres, newtons = errors.get("heldout_rms_um"), errors.get("heldout_rms_N")
+    return (newtons, "N") if micrometres is None else (micrometres, "µm")
 
 
 FAILING_HEADS = ("t / ms", "x / m", "v / (m/s)", "share of the misfit", "p")  # after the run

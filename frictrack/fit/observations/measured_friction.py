@@ -110,9 +110,8 @@ def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
     """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
     piece, residual = response.piece, response.r * response.piece.sigma
     x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    over_place = strokes(x)  # strokes of speed repeat nothing where the motion reverses: their places differ
-    coordinate, found = (x, over_place) if len(over_place) > 1 else (v, strokes(v))
-    for group in _comparable_strokes(found, coordinate, v):
+    coordinate = x if len(strokes(x)) > 1 else v  # where the motion reverses, strokes of speed differ in place
+    for group in _comparable_strokes(strokes(coordinate), coordinate, v):
         yield _unrepeated_residual(group, coordinate, residual), len(group)
 
 

@@ -46,9 +46,7 @@ MIN_BETTER_CHI2 = 0.1  # fall of chi-squared from which another optimum counts a
 PROBE_MIN_FALL = 0.05  # of chi-squared: fits that only test whether a profile has an end stop where a step gains less
 PROBE_STD = 4.0  # standard deviations at which a bounded profile has passed the quantile
 SAME_VALUE_STD = 1e-3  # standard deviations; closer values count as equal
-NO_RESPONSE = (
-    "small changes of it change nothing in these runs; a force that jumps there has no slope: take tanh for it"
-)
+NO_RESPONSE = "small changes of it change nothing in these runs; a force that jumps has no slope: take tanh for it"
 MAX_SCALE = 1e12  # of a variance over that of white noise; beyond, the derivatives do not see the quantity at all
 UNLIMITED_RATIO = 1e6  # times the larger of value and standard deviation: unbounded
 MAX_NEWTON_STEPS = 12  # for the pivot; one suffices where the quantity is linear in it
