@@ -165,7 +165,7 @@ class CommandHistory:
         with lock_folder(self.folder):
             self.check_revision()
             if self.path.is_symlink():
-                raise FrictrackError(f"expected the log in {self.path} but it is a link elsewhere; remove the link")
+                raise FrictrackError(f"expected the log {self.path} but it is a link to another place; remove the link")
             time = datetime.now().astimezone().isoformat(timespec="seconds")
             change = Change(self.revision + 1, time, self.author, command, arguments)
             yield change

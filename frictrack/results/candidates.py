@@ -13,6 +13,8 @@ from typing import Any
 
 from frictrack.base.number_format import format_change, format_number, format_quantity, join_words
 
+MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
+
 MIN_P = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 STANDINGS = {  # the words of every kind of candidate, for all that people read
     "named": "found",
@@ -166,15 +168,18 @@ def passes(candidate: Mapping[str, Any]) -> bool:
     Parameters
     ----------
     candidate : mapping
-        A candidate of a diagnosis.
+        A candidate of a diagnosis: `passes`; in results of older versions `p`, `delta_bic` and, where it is not
+        plausible, `implausible`.
 
     Examples
     --------
-    >>> passes({"effect": "patch", "p": 0.001, "delta_bic": 40.0, "passes": True})
-    True
+    >>> passes({"p": 0.001, "delta_bic": 40.0}), passes({"p": 0.2, "delta_bic": 40.0})
+    (True, False)
 
     """
-    return bool(candidate["passes"])
+    if "passes" in candidate:
+        return bool(candidate["passes"])
+    return bool(candidate["p"] < MAX_P and candidate["delta_bic"] > 0 and not candidate.get("implausible"))
 
 
 _OTHER_KINDS = ("weaker", "fails", "implausible")
