@@ -13,7 +13,6 @@ from typing import Any
 
 from frictrack.base.number_format import format_change, format_number, format_quantity, join_words
 
-
 MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
 MIN_P = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 STANDINGS = {  # the words of every kind of candidate, for all that people read
