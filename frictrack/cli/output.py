@@ -343,6 +343,7 @@ def explain(out: Console, result: dict[str, Any]) -> None:
         also = f" ({', '.join(others)})" if others else ""
         out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
     described_effects(out, result)
+    tables.lines(out, (f"the same: `frictrack effects {e['name']}`" for e in result["effects"]))
 
 
 def described_effects(out: Console, result: dict[str, Any]) -> None:

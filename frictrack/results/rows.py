@@ -37,7 +37,6 @@ class ErrorRow(NamedTuple):
 
 
 MIN_P_STATED = 1e-6
-FILTERED = {"relative force error": "filtered force error"}  # noise that passes the filter is in it
 _KINDS = (
     ("rms_displacement_um", "displacement, rms", "µm", "x", 1.0),
     ("rms_N", "friction force, rms", "N", "F", 1.0),
@@ -70,7 +69,7 @@ def error_rows(models: Iterable[Mapping[str, Any]]) -> list[ErrorRow]:
 
     """
     found = list(models)
-    names = FILTERED if any(e.get("rms_displacement_um") is not None for e in found) else {}
+    names = {"relative force error": "filtered force error"} if any(e.get("rms_displacement_um") for e in found) else {}
     return [
         ErrorRow(names.get(name, name), unit, short, tuple(e.get(key) and factor * e[key] for e in found))
         for key, name, unit, short, factor in _KINDS
