@@ -417,6 +417,16 @@ def test_a_film_goes_through_its_stages_once(film_study: Path, made: list[str]) 
     assert made == ["block recording", "block track"]
 
 
+def test_nothing_is_said_of_runs_that_are_measured_already(study_file: Path) -> None:
+    told: list[str] = []
+    at_it = Session(open_study(study_file), lambda done, total, what: told.append(what))
+    at_it.bring_up_to("friction")
+    assert "runs" in told
+    told.clear()
+    at_it.bring_up_to("friction")
+    assert told == []
+
+
 @pytest.mark.usefixtures("few_evaluations")
 def test_a_global_search_tells_its_progress_generation_by_generation(study_file: Path) -> None:
     told: list[tuple[int, int, str]] = []

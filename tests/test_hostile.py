@@ -125,7 +125,7 @@ def test_links_among_the_results_are_not_followed(tmp_path: Path) -> None:
     victim = outside / "victim"
     victim.write_text("mine")
     (output / ".frictrack").mkdir()
-    for name in ("log.jsonl", ".frictrack/lock", "parameters.csv", "study.xlsx"):
+    for name in (".frictrack/log.jsonl", ".frictrack/lock", "parameters.csv", "study.xlsx"):
         (output / name).symlink_to(victim)
     (output / "csv").symlink_to(outside)
     results = Results("a", tmp_path / "study.toml", output, "0", runs=(), models=())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from frictrack.cli.common import after_fit
+from frictrack.cli.common import after_diagnosis, after_fit
 
 
 @pytest.mark.parametrize(("chi2", "said"), [(563.0, "misses the data by 23.7 times"), (1.03, "as large as the noise")])
@@ -12,3 +12,12 @@ def test_a_fit_is_judged_by_what_it_leaves(chi2, said):
 
 def test_fits_of_groups_are_not_judged_as_one():
     assert "by group" in after_fit({"groups": {}}, "study.toml")
+
+
+def test_leads_are_not_proposed_as_causes():
+    formula = {"formula": "0.1 N tanh(x)", "toml": "[[effect]]", "share": 0.999, "delta_bic": 4000.0}
+    found = {"verdict": "unexplained", "missing": [], "leads": ["patch"], "unexplained": {"formulas": [formula]}}
+    assert "add study.toml formula:1 adds the force 0.1 N tanh(x) (99.9 % of the misfit" in after_diagnosis(
+        found, "study.toml"
+    )
+    assert "patch" not in after_diagnosis(found | {"unexplained": None}, "study.toml")

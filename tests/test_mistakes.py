@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
@@ -16,9 +17,11 @@ import numpy as np
 import pytest
 import tifffile
 from film import block_film
+from rich import progress as bars
+from rich.console import Console
 
 from frictrack.cli import main, study_commands, utility_commands  # noqa: F401 - registers the commands
-from frictrack.cli.common import BatchPrinter, ProgressDisplay, app
+from frictrack.cli.common import BatchPrinter, ProgressBars, ProgressDisplay, app
 from frictrack.flow import stages
 from frictrack.flow.batch import BatchState
 from frictrack.study import read_table
@@ -330,6 +333,15 @@ def test_no_line_of_progress_is_missing_where_stderr_is_a_file(
     progress(11, 200, "frames")
     progress(99, 200, "frames")
     assert capsys.readouterr().err == "tracking\nframes: 11 of 200\n"
+
+
+def test_a_bar_of_unknown_length_has_not_that_of_the_step_before() -> None:
+    drawn = bars.Progress(console=Console(file=io.StringIO()))
+    progress = ProgressBars(drawn)
+    progress(150, 200, "fast: follow")
+    progress(0, 0, "fitting tustin")
+    progress.clear()
+    assert [(task.description, task.total) for task in drawn.tasks] == [("fitting tustin", None)]
 
 
 def test_a_batch_tells_what_it_works_on_where_stderr_is_a_file(

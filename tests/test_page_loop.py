@@ -94,6 +94,9 @@ def test_from_films_to_the_named_effect_and_the_falling_error(films: Server, tab
     act.fill("Mass", "0.35 kg")
     act.fill("Frame rate", "4000")
     act.fill("Scale", "0.5 mm/px")
+    assert (
+        page.page.get_by_label("Mass", exact=True).input_value() == "0.35 kg"
+    )  # until the server tells that it is written
     act.click("Per run")
     act.fill("Mass of double_mass", "0.7 kg")
     page.picture("4_ready")
@@ -151,6 +154,14 @@ def test_a_link_of_nonsense_opens_the_page_and_starts_nothing(films: Server, tab
 def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Open) -> None:
     page = tab()
     page.page.set_viewport_size({"width": 1440, "height": 900})
+    page.page.add_init_script(
+        """const text = CanvasRenderingContext2D.prototype.fillText;
+        window.labelled = new Set();
+        CanvasRenderingContext2D.prototype.fillText = function (words, ...at) {
+            if (words.startsWith("Held-out error")) labelled.add(this.canvas);
+            text.call(this, words, ...at);
+        };"""
+    )
     page.open(films).to("History")
     page.click(re.compile(r"^Use 1\. Tustin$")).hears("is the current model")
     page.to("Compare")
@@ -166,6 +177,8 @@ def test_a_candidate_draws_its_curve_and_prints_its_error(films: Server, tab: Op
     assert box is not None
     assert box["y"] + box["height"] <= 900  # the plot in which it differs most is on the screen
     page.page.get_by_role("button", name="candidate, with patch").wait_for()  # in the legend
+    page.until(lambda: page.page.evaluate("labelled.size") > 0)
+    assert page.page.evaluate("labelled.size") == 1  # the label would not fit into the small plots
     page.picture("8_tried")
     page.click("Undo").hears("Undone")
 

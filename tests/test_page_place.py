@@ -9,6 +9,7 @@ import pytest
 from browser import CHROMIUM, Open, Server
 from test_plots import results
 
+from frictrack.present.report.texts import study_verdict
 from frictrack.results import OutdatedPart
 from frictrack.workbench.job_process import ProgressFile
 from frictrack.workbench.jobs import Job
@@ -50,6 +51,13 @@ def test_an_old_model_is_not_drawn_over_runs_that_were_measured_again():
     np.testing.assert_array_equal(after["F"], before["F"])
     only_model = replace(study, outdated_parts=old[:1])  # a bound was changed: nothing was measured again
     np.testing.assert_array_equal(comparison_plots(only_model, study.current).columns["F_model"], before["F_model"])
+
+
+def test_errors_of_an_old_measurement_are_not_compared_with_new_ones():
+    study = results()
+    assert "held-out error falls" in " ".join(study_verdict(study).sentences)
+    old = OutdatedPart("model", study.models[0].name, "v1 was measured again", "fit")
+    assert "held-out error" not in " ".join(study_verdict(replace(study, outdated_parts=(old,))).sentences)
 
 
 def test_every_model_has_its_own_verdict():

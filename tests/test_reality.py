@@ -16,6 +16,7 @@ from test_series import given, swing, tustin_force
 from frictrack import effects
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.model_selection import physical_objection
+from frictrack.diagnose.residual_curves import residual_series
 from frictrack.diagnose.search import subsample
 from frictrack.effects import LIBRARY, Span, models
 from frictrack.fit import fit, restore, state
@@ -23,7 +24,7 @@ from frictrack.fit.observations.measured_friction import friction_noise, strokes
 from frictrack.measure.friction import join_swings, moving_sections
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run
-from frictrack.results.verdicts import describe_verdict
+from frictrack.results.verdicts import certain_effects, describe_verdict, indistinguishable_effects
 from frictrack.sampling import screened
 
 TUSTIN = ["coulomb", "stribeck", "viscous"]
@@ -98,6 +99,40 @@ def test_what_differs_from_stroke_to_stroke_is_noise():
     assert noise.stroke_count >= 20
     assert noise.rms == pytest.approx(np.std(drift), rel=0.5)  # not 0.35, which the shape alone leaves
     assert noise.correlation_frames > 100
+
+
+def reciprocating(stroke, rate, seconds, seed, ripple=0.112):
+    """A slide to and fro over a ripple of 6 mm, with a Stribeck law; noise 0.03 N."""
+    t = np.arange(round(seconds * CELL_FPS)) / CELL_FPS
+    x, v = stroke * np.sin(2 * np.pi * rate * t), 2 * np.pi * rate * stroke * np.cos(2 * np.pi * rate * t)
+    law = 2.8 + 1.15 * np.exp(-np.abs(v) / 0.25) + 0.35 * np.abs(v) + ripple * np.sin(2 * np.pi * x / 0.006 + 0.7)
+    noise = 0.03 * np.random.default_rng(seed).standard_normal(len(t))
+    return given(t, x, v, np.sign(v) * law + noise, name=f"{rate:g} Hz")
+
+
+def test_a_force_that_two_strokes_repeat_at_their_places_is_no_noise():
+    noise = friction_noise(fit(["coulomb", "viscous"], [reciprocating(0.03, 0.5, 4.0, 1)]).solution)
+    assert noise.rms == pytest.approx(0.03, rel=0.05)  # 0.1 if strokes over the same speeds were compared
+    assert noise.correlation_frames == 1.0
+
+
+def test_the_force_drawn_for_an_effect_is_what_the_model_lacked():
+    run = reciprocating(0.03, 1.5, 2.0, 2, ripple=0.0)
+    poor, better = (fit(["coulomb", "viscous", *more], [run]) for more in ([], ["stribeck"]))
+    drawn = residual_series(poor.solution, better.solution, ["stribeck"])
+    law = 2.8 + 1.15 * np.exp(-drawn["v"] / 0.25) + 0.35 * drawn["v"]
+    had = poor.parameters["coulomb.F_c"].value + poor.parameters["viscous.F_v"].value * drawn["v"]
+    assert np.sqrt(np.mean((drawn["F"] - (law - had)) ** 2)) < 0.01  # N; Stribeck's own force is up to 1.15 N
+
+
+@pytest.mark.slow
+def test_a_law_and_a_ripple_are_both_found_in_records_of_a_load_cell():
+    runs = [reciprocating(0.03, 0.5, 4.0, 1), reciprocating(0.03, 1.5, 2.0, 2), reciprocating(0.02, 4.0, 2.0, 3)]
+    found = diagnose(fit(["coulomb", "viscous", "spring"], runs), quick=True).summary()
+    assert len(found["missing"]) == 2  # and no third one, which explains only how blocks of frames were averaged
+    assert "texture" in certain_effects(found)
+    assert "stribeck" in indistinguishable_effects(found)  # flash weakening falls with the speed alike: BIC 0.5 apart
+    assert describe_verdict(found, "The model").startswith("The model lacks texture, and ")
 
 
 def test_strokes_are_told_from_the_noise_of_a_coordinate():

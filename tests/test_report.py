@@ -228,7 +228,7 @@ def test_errors_of_every_model_stand_in_the_unit_of_their_column():
         replace(last, summary=last.summary | {"errors": errors}),
     ]
     made = tables.history_table(tried)
-    units = ("displacement, rms / µm", "free run, relative / %", "relative force error / %")
+    units = ("displacement, rms / µm", "free run, relative / %", "filtered force error / %")
     assert made.heads == ("model", *units, "verdict")
     assert made.rows == (
         ("1. Coulomb", "20.0", "–", "–", ""),

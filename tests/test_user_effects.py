@@ -193,6 +193,31 @@ def test_a_formula_that_makes_no_law_is_told_why(text, keys, said):
     assert said in str(caught.value)
 
 
+def test_a_comparison_is_answered_with_how_a_step_is_written():
+    with pytest.raises(FrictrackError, match=r"write a step as \(1 \+ tanh"):
+        formula("mine", "F * s * (x > x_c)", units={"x_c": "m"})
+
+
+@pytest.mark.usefixtures("_undeclared")
+def test_a_place_of_which_a_force_has_no_slope_is_said_to_need_one():
+    @effects.effect(F="N", x_c=("m", 0.05, 0.25))
+    def kerb(path, x_c):
+        """A step of the friction at one place."""
+        return path.s * (path.x > x_c)
+
+    t = np.arange(0, 0.1, 1 / 2000)  # two speeds, decelerated by 4 m/s^2 before 0.12 m and by 5 behind it
+    runs = []
+    for v in (2.0, 3.0):
+        reached = (v - np.sqrt(v**2 - 2 * 4.0 * 0.12)) / 4.0
+        u = np.maximum(t - reached, 0.0)
+        x = v * t - 2.0 * t**2 - 0.5 * u**2
+        seen = x + 2e-6 * np.random.default_rng(0).standard_normal(len(t))
+        runs.append(ft.Run.from_arrays(t, seen, mass=0.5, name=f"{v:g} m/s"))
+    found = ft.fit(["coulomb", kerb], runs)
+    assert found.parameters["kerb.F"].value == pytest.approx(0.5, abs=0.02)
+    assert "no slope" in found.parameters["kerb.x_c"].reason  # and not: up to its bound the misfit rises by nothing
+
+
 @pytest.mark.parametrize("unit", ["9**9**9**9**9", "m^9999999999", "1" * 5000, "__import__('os')", "m; s", "m*" * 3000])
 def test_a_hostile_unit_or_tie_is_refused_at_once(unit):
     began = time.process_time()

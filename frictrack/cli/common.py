@@ -192,13 +192,12 @@ class ProgressBars(ProgressDisplay):
         """Draw the bar of a step; one of unknown length moves to and fro."""
         self._drawn.start()
         bar = what if what in OWN_BAR else "now"
+        if not total and bar in self._tasks:  # a bar that is reset keeps the length of the step before
+            self._drawn.remove_task(self._tasks.pop(bar))
         if bar not in self._tasks:
             self._tasks[bar] = self._drawn.add_task(what, total=total or None)
-        now = self._tasks[bar]
-        if total == 0:
-            self._drawn.reset(now, total=None, description=what)
         visible = done < total or not total
-        self._drawn.update(now, description=what, completed=done, total=total or None, visible=visible)
+        self._drawn.update(self._tasks[bar], description=what, completed=done, total=total or None, visible=visible)
         return True
 
 
@@ -309,11 +308,14 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:
     """Return what to look at first after a diagnosis, and what to do then; it depends on the verdict."""
-    from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.verdicts import CHECK_NEXT, formula_evidence  # noqa: PLC0415 - `--help` does without it
 
     if diagnosis.get("warnings"):
         return f"{first} {CHECK_NEXT}"
-    study = shlex.quote(str(study))
-    if named := [*diagnosis["missing"], *diagnosis.get("leads", [])]:
-        return f"{first} Then: frictrack add {study} {named[0]} shows by how much the error falls"
+    study, formulas = shlex.quote(str(study)), (diagnosis.get("unexplained") or {}).get("formulas") or [{}]
+    if diagnosis["verdict"] == "unexplained" and formulas[0].get("toml"):  # a lead would be no cause
+        force = f"the force {formulas[0]['formula']} ({formula_evidence(formulas[0])})"
+        return f"{first} Then: frictrack add {study} formula:1 adds {force}, or write an effect of your own"
+    if diagnosis["missing"]:
+        return f"{first} Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
     return f"{first} Then: frictrack plan {study} lists which runs would tell more"

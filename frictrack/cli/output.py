@@ -71,6 +71,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
 
 def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     """Print what follows from the verdict: where the model fails, how much each effect explains, what to film next."""
+    result = result.get("diagnose", result)  # of `frictrack run`
     for one in result.get("evidence") or []:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
     for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
@@ -165,11 +166,6 @@ def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
     tables.fit(out, result["fit"], motion=False)
     verdict(out, result["diagnose"])
-
-
-def run_rest(out: Console, result: dict[str, Any]) -> None:
-    """Print what follows from a verdict that was printed before."""
-    diagnosis_rest(out, result["diagnose"])
 
 
 def run_brief(out: Console, result: dict[str, Any]) -> None:
@@ -281,10 +277,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     out.print(rows)
     differ = [one for group in result["groups"] for one in group["differences"][:MAX_DIFFERENCES]]
     places = [(f"{one['file']}:/{one['group']} {one['value']}".rstrip(), one) for one in differ]
-    versions = [(one["name"], one) for one in result["versions"]]
+    places += [(one["name"], one) for one in result["versions"]]
     tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
     tables.lines(out, result["altered"], "altered since the crate was written: ")
-    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in versions))
     if not result["equal"]:
         same = "are the same" if result["same_conclusions"] else "differ, too"
         out.print(f"models, verdicts, parameters and errors {same}")
@@ -297,8 +292,8 @@ def init(out: Console, result: dict[str, Any]) -> None:
     out.print(tables.table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
     if skipped := result["skipped"]:
         out.print(tables.table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
-    path = result["study"]
     needed = f"fill in {', '.join(result['fill_in'])} (marked FILL IN)" if result["fill_in"] else "look it over"
+    path = result["study"]
     out.print(f"next: open {path}, {needed}, then `frictrack run {shlex.quote(path)}`", markup=False)
 
 
@@ -306,7 +301,7 @@ def prior(out: Console, result: dict[str, Any]) -> None:
     """Print the parameters of a prior file, and what was left out."""
     rows = tables.table("parameter", "value", "unit", "scales with")
     for name, one in result["parameters"].items():
-        scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
+        scales = one["scales_with"].replace("nothing", "")
         rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
     out.print(rows)
     for name, reason in result["left_out"].items():
@@ -348,8 +343,7 @@ def explain(out: Console, result: dict[str, Any]) -> None:
         also = f" ({', '.join(others)})" if others else ""
         out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
     described_effects(out, result)
-    for e in result["effects"]:
-        out.print(f"the same: `frictrack effects {e['name']}`; all effects: `frictrack effects`", markup=False)
+    tables.lines(out, (f"the same: `frictrack effects {e['name']}`" for e in result["effects"]))
 
 
 def described_effects(out: Console, result: dict[str, Any]) -> None:

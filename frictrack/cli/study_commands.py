@@ -81,7 +81,7 @@ def run(  # noqa: PLR0913, PLR0917 - one argument per option
 
     """
     path = _study_of(paths or [Path("study.toml")], {"mass": mass, "fps": fps, "scale": scale, "model": model})
-    parts = ["run_verdict", "run_rest"] if details else ["run_brief"]
+    parts = ["run_verdict", "diagnosis_rest"] if details else ["run_brief"]
     with open_session(path, workers) as session:
         result = session.run(seed, on_verdict=print_first(session, as_json, parts))
     first = "the first screen of the report; --details prints more here."

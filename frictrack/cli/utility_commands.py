@@ -51,7 +51,7 @@ def effects(
 
 @command()
 def explain(
-    word: Annotated[str, typer.Argument(metavar="WORD", help='a word that frictrack prints, such as "held out"')],
+    words: Annotated[list[str], typer.Argument(metavar="WORD", help="words that frictrack prints, such as: held out")],
     as_json: Json = False,
 ) -> None:
     """Explain a word that frictrack prints; an effect is described as by `frictrack effects`.
@@ -60,14 +60,14 @@ def explain(
 
     Examples
     --------
-    frictrack explain "held out"
+    frictrack explain held out
     frictrack explain patch
 
     """
     from frictrack.base.glossary import find_terms, near_words  # noqa: PLC0415
     from frictrack.effects import catalogue  # noqa: PLC0415
 
-    library = catalogue()
+    library, word = catalogue(), " ".join(words)
     found = [{"words": list(term.words), "meaning": term.meaning} for term in find_terms(word)]
     same = [e for e in library if e["name"].replace("_", " ") == word.strip().lower().replace("_", " ")]
     if not found and not same:

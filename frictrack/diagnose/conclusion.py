@@ -216,7 +216,7 @@ class Conclusion:
             unexplained=None if keeps_unexplained or formulas is None else formulas.summary,
             detection_limits=limits,
             undetermined=list(grounds.gaps) if verdict == "undetermined" else [],
-            alternatives=list(search.alternatives) if self._named else [],
+            alternatives=self._alternatives if self._named else [],
             remarks=remarks,
             figures=dict(curves),
             complete=False,
@@ -261,7 +261,7 @@ class Conclusion:
             n_found=len(found),
             misfit_left=search.last.leaves_misfit,
             has_objection=any(t.objection for t in found),
-            has_rivals=any(t.indistinguishable_from for t in found) or bool(search.alternatives and found),
+            has_rivals=any(t.indistinguishable_from for t in found[: self._n_worth_adding]) or bool(self._alternatives),
             error_ratio=after / before,
             reduced_chi2=self._noise[1],
             gaps=find_undetermined(self.fit, search.first, self._limits[1], found[-1].law if found else None),
@@ -280,11 +280,17 @@ class Conclusion:
     def _n_worth_adding(self) -> int:
         """How many effects are worth adding: up to the last that does not raise the error of what was held out."""
         lowest, last = 1.0, 0
-        for i, t in enumerate(self._named, start=1):
+        for i, t in enumerate(self.search.found, start=1):
             bare, error, _ = self._heldout(t.law)
             if error < MAX_ERROR_RATIO * lowest * bare:
                 lowest, last = min(error / bare, lowest), i
         return last
+
+    @property
+    def _alternatives(self) -> list[dict[str, Any]]:
+        """Other sets that explain as much; one with all effects worth adding stands in place of none of them."""
+        worth_adding = {t.effect.title for t in self.search.found[: self._n_worth_adding]}
+        return [one for one in self.search.alternatives if not worth_adding <= set(one["effects"])]
 
     @property
     def _plausible_names(self) -> list[str]:

@@ -267,6 +267,8 @@ def residual_series(before: Solution, after: Solution | None, effects: Sequence[
         direction = joined(lambda r: np.where(position_and_velocity(r)[1] < 0, -1.0, 1.0), after)
         fitted = [FittedEffect(name, after) for name in effects]
         forces = [np.concatenate([b[kept] for b in one.blocks]) for one in fitted if one.effect.acts_on == "force"]
+        if not after.problem.simulates:  # of a load cell: an effect also takes over what others had imitated
+            forces = [out["before"] - out["after"]]
         out["F"] = direction * np.sum(forces, axis=0) if forces else np.zeros_like(direction)
     return out
 

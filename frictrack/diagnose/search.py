@@ -209,8 +209,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
             break
     if 0 < len(best.effects) < MAX_SIZE and not last.something_is_missing:
         pair = space.pair_instead(best, last)
-        if pair is not best:
-            best, last = take(pair)
+        if pair is not best and _is_more(taken := take(pair), (best, last)):
+            best, last = taken
     misfit = baseline_misfit(first.draws.law)
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
@@ -221,6 +221,12 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
     return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, is_beaten=beaten)
+
+
+def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:
+    """Whether one effect more beside all of a set still explains more with a load cell's frames averaged about it."""
+    (more, its), (less, last) = taken, before
+    return not less.names <= more.names or information_criterion(its.solution) < information_criterion(last.solution)
 
 
 def _tried(one: Explanation, first: Examination, empty: Explanation, misfit: float) -> RefinedCandidate:

@@ -166,7 +166,8 @@ def _read(name: str, text: str) -> ast.expr:
         _refuse(name, f"expected a formula of 1 to {LONGEST} characters but got {len(text)}")
     if not ALLOWED.fullmatch(text):
         odd = next(c for c in text if not ALLOWED.fullmatch(c))
-        _refuse(name, f'expected a formula of numbers, names, + - * / ^ and brackets but got "{odd}" in "{text}"')
+        step = "; write a step as (1 + tanh((x - c)/w))/2, or step(x - c) where c is known" if odd in "<>=" else ""
+        _refuse(name, f'expected a formula of numbers, names, + - * / ^ and brackets but got "{odd}" in "{text}"{step}')
     try:
         tree = _tree(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError):

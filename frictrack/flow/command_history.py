@@ -114,9 +114,8 @@ class CommandHistory:
 
     @property
     def path(self) -> Path:
-        """The log; that of earlier versions lies among the results, until the next change moves it."""
-        path, former = self.folder / INTERNAL_FOLDER / FILE_NAME, self.folder / FILE_NAME
-        return former if former.exists() and not path.exists() else path
+        """The log."""
+        return self.folder / INTERNAL_FOLDER / FILE_NAME
 
     @property
     def changes(self) -> list[Change]:
@@ -165,22 +164,13 @@ class CommandHistory:
         """Lock the study, yield a change to be completed, and write it to the log if the block succeeds."""
         with lock_folder(self.folder):
             self.check_revision()
-            path = self._move_former_log()
+            if self.path.is_symlink():
+                raise FrictrackError(f"expected the log {self.path} but it is a link to another place; remove the link")
             time = datetime.now().astimezone().isoformat(timespec="seconds")
             change = Change(self.revision + 1, time, self.author, command, arguments)
             yield change
-            append_line(path, change.to_json())
+            append_line(self.path, change.to_json())
             self.expected_revision = None if self.expected_revision is None else change.revision
-
-    def _move_former_log(self) -> Path:
-        """Move the log of an earlier version to its place; return the place."""
-        path, former = self.folder / INTERNAL_FOLDER / FILE_NAME, self.folder / FILE_NAME
-        for place in (path, former):
-            if place.is_symlink():
-                raise FrictrackError(f"expected the log in {place} but it is a link to another place; remove the link")
-        if former.exists() and not path.exists():
-            former.replace(path)
-        return path
 
 
 Row = TypeVar("Row")
@@ -271,8 +261,7 @@ def named_effects(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the effects of which a diagnosis says that they are significant, and those of its formulas."""
     level = diagnosis.get("alpha", ALPHA_FIRST) / 2  # earlier versions had this level alone
     names = [one["effect"] for one in diagnosis["candidates"] if one["p"] is not None and one["p"] < level]
-    formulas = (diagnosis.get("unexplained") or {}).get("formulas", [])
-    defined = ["unexplained"] if formulas else []
+    defined = ["unexplained"] if (diagnosis.get("unexplained") or {}).get("formulas") else []
     return tuple(dict.fromkeys([*diagnosis["missing"], *diagnosis.get("leads", []), *names, *defined]))
 
 

@@ -163,9 +163,10 @@ class MeasuredRuns:
 
     def _update(self, stage: str, pipelines: list[RunPipeline]) -> None:
         missing = [p for p in pipelines if stage in p.stages and not p.is_current(stage)]
-        if missing:
-            count = "1 run" if len(missing) == 1 else f"{len(missing)} runs"
-            self._progress(0, 0, f"measuring {count} up to {stage}")
+        if not missing:  # nothing is said of work that is not done
+            return
+        count = "1 run" if len(missing) == 1 else f"{len(missing)} runs"
+        self._progress(0, 0, f"measuring {count} up to {stage}")
         for i, pipeline in enumerate(pipelines):
             self._progress(i, len(pipelines), "runs")
             if stage in pipeline.stages:

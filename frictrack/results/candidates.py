@@ -110,9 +110,8 @@ class CandidateRow:
     @property
     def held_out(self) -> str:
         """Held-out error without and with it; "" if nothing was held out."""
-        if self.before is None or self.after is None:
-            return ""
-        return f"{format_number(self.before)} to {format_number(self.after)} {self.unit}"
+        both = f"{format_number(self.before)} to {format_number(self.after)} {self.unit}"
+        return "" if self.before is None or self.after is None else both
 
 
 def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:

@@ -64,11 +64,14 @@ def error_rows(models: Iterable[Mapping[str, Any]]) -> list[ErrorRow]:
     --------
     >>> error_rows([{"relative_force_error": 0.02}])
     [ErrorRow(name='relative force error', unit='%', short='force', values=(2.0,))]
+    >>> error_rows([{"rms_displacement_um": 1.0, "relative_force_error": 0.02}])[1].name
+    'filtered force error'
 
     """
     found = list(models)
+    names = {"relative force error": "filtered force error"} if any(e.get("rms_displacement_um") for e in found) else {}
     return [
-        ErrorRow(name, unit, short, tuple(None if e.get(key) is None else factor * e[key] for e in found))
+        ErrorRow(names.get(name, name), unit, short, tuple(e.get(key) and factor * e[key] for e in found))
         for key, name, unit, short, factor in _KINDS
         if any(e.get(key) is not None for e in found)
     ]
@@ -83,9 +86,8 @@ def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
     (0.02, 'N')
 
     """
-    if errors.get("heldout_rms_um") is not None:
-        return errors["heldout_rms_um"], "µm"
-    return errors.get("heldout_rms_N"), "N"
+    micrometres, newtons = errors.get("heldout_rms_um"), errors.get("heldout_rms_N")
+    return (newtons, "N") if micrometres is None else (micrometres, "µm")
 
 
 FAILING_HEADS = ("t / ms", "x / m", "v / (m/s)", "share of the misfit", "p")  # after the run

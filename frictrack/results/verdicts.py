@@ -81,7 +81,7 @@ def describe_leads(diagnosis: Mapping[str, Any]) -> list[str]:
     """
     leads = diagnosis.get("leads") or []
     verb, kind = ("explains", "a lead, no cause") if len(leads) == 1 else ("explain", "leads, no causes")
-    return [f"{' and '.join(leads)} {verb} a part of it: {kind}"] if leads else []
+    return [f"{join_words(leads)} {verb} a part of it: {kind}"] if leads else []
 
 
 def certain_effects(diagnosis: Mapping[str, Any]) -> list[str]:

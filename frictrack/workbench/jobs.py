@@ -265,9 +265,8 @@ def list_jobs(output: Path) -> list[Job]:
         The jobs, oldest first.
 
     """
-    homes = (output / "jobs", output / files.INTERNAL_FOLDER / "jobs")  # the first: of earlier versions
-    folders = (one for home in homes for one in sorted(home.glob("[0-9]*")) if one.name.isdecimal())
-    return [Job(one) for one in folders if (one / "spec.json").exists()]
+    folders = sorted((output / files.INTERNAL_FOLDER / "jobs").glob("[0-9]*"))
+    return [Job(one) for one in folders if one.name.isdecimal() and (one / "spec.json").exists()]
 
 
 def running_job(output: Path) -> Job | None:

@@ -110,10 +110,9 @@ def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
     """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
     piece, residual = response.piece, response.r * response.piece.sigma
     x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    for coordinate in (x, v):
-        if groups := list(_comparable_strokes(strokes(coordinate), coordinate, v)):
-            yield from ((_unrepeated_residual(group, coordinate, residual), len(group)) for group in groups)
-            return
+    coordinate = x if len(strokes(x)) > 1 else v  # where the motion reverses, strokes of speed differ in place
+    for group in _comparable_strokes(strokes(coordinate), coordinate, v):
+        yield _unrepeated_residual(group, coordinate, residual), len(group)
 
 
 def strokes(coordinate: Array) -> list[Rows]:

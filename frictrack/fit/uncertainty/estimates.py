@@ -62,7 +62,7 @@ from frictrack.fit.smooth_functions import (
     matern_root,
     most_likely_process,
 )
-from frictrack.fit.uncertainty.profile_likelihood import PROBE_MIN_FALL, ProfileSearch
+from frictrack.fit.uncertainty.profile_likelihood import NO_RESPONSE, PROBE_MIN_FALL, ProfileSearch
 from frictrack.fit.uncertainty.reported import (
     correlated_noise_remark,
     deciding_experiment,
@@ -259,7 +259,7 @@ def _confused_with(solution: Solution, i: int) -> str:
     layout, jac = solution.problem.layout, solution.few_rows
     norm = np.linalg.norm(jac, axis=0)
     if norm[i] == 0:
-        return "the runs do not respond to it"
+        return NO_RESPONSE
     norm[norm == 0] = 1.0
     _, s, vt = np.linalg.svd(jac / norm, full_matrices=False)
     weight = np.max(np.abs(vt[s <= MIN_SINGULAR_VALUE * s[0]]), axis=0, initial=0.0)

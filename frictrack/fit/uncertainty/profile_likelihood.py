@@ -46,6 +46,7 @@ MIN_BETTER_CHI2 = 0.1  # fall of chi-squared from which another optimum counts a
 PROBE_MIN_FALL = 0.05  # of chi-squared: fits that only test whether a profile has an end stop where a step gains less
 PROBE_STD = 4.0  # standard deviations at which a bounded profile has passed the quantile
 SAME_VALUE_STD = 1e-3  # standard deviations; closer values count as equal
+NO_RESPONSE = "small changes of it change nothing in these runs; a force that jumps has no slope: take tanh for it"
 UNLIMITED_RATIO = 1e6  # times the larger of value and standard deviation: unbounded
 MAX_NEWTON_STEPS = 12  # for the pivot; one suffices where the quantity is linear in it
 MIN_DERIVATIVE_SHARE = 1e-7  # share of the largest; smaller derivatives are rounding errors
@@ -375,6 +376,8 @@ class ProfileSearch:
 
     def _reason_open(self, reached: ProfilePoint, bound: float, failed_at: float) -> str:
         """Why the profile has no end on this side."""
+        if self.scale > UNLIMITED_RATIO**2:  # of a variance over that of white noise: the derivatives do not see it
+            return NO_RESPONSE
         at_bound = abs(reached.c - bound) < SAME_VALUE_STD * self.std
         reach = f"{bound if at_bound else reached.c:.4g} {self.quantity.unit}".removesuffix(" 1")
         rise = f"the misfit rises by {reached.z**2:.2g} only"

@@ -150,7 +150,8 @@ def error_words(model: ModelResults) -> str:
     errors = model.summary["errors"]
     rms, force = errors.get("rms_displacement_um"), errors.get("relative_force_error")
     parts = [] if rms is None else [f"residual {format_number(rms)} µm{_noise_words(noise_um(model), 'µm')}"]
-    parts += [] if force is None else [f"force error {format_number(100 * force, 2)} %"]
+    kind = "force error" if rms is None else "filtered force error"
+    parts += [] if force is None else [f"{kind} {format_number(100 * force, 2)} %"]
     return ", ".join(parts)
 
 

@@ -171,7 +171,7 @@ def run_table(model: ModelResults) -> TextTable:
         own = (values.get(row["run"], DASH) for values in per_run.values())
         role = "" if row["role"] == "fit" else "predicted, not fitted"
         rows.append((row["run"], role, *map(format_number, numbers), str(row["segments"]), *own))
-    errors = ("residual / µm", "free run / µm", "force error / %")
+    errors = ("residual / µm", "free run / µm", "filtered force error / %")
     heads = ("run", "", "friction level", "noise / µm", *errors, "segments", *per_run)
     return make_table(heads, rows, range(2, len(heads)))
 

@@ -68,7 +68,8 @@ def study_verdict(results: Results) -> VerdictText:
     if model is None:
         return VerdictText("Measured, not yet fitted", (Markup("No model has been fitted to these runs."),), "")
     kind = diagnosis["verdict"] if diagnosis else ""
-    paragraph = [*_added_effects(results.models)]
+    outdated = {part.name for part in results.outdated_parts if part.what == "model"}
+    paragraph = [*_added_effects([one for one in results.models if one.name not in outdated])]
     if diagnosis:
         rows = {row.effect: row for row in candidate_rows(diagnosis)}
         rivals = verdicts.indistinguishable_effects(diagnosis) if kind == "ambiguous" else []

@@ -92,8 +92,7 @@ export async function runAll() {
   const { ready, exists } = store.study || {};
   if (!exists || !ready.can_run) {
     say(exists ? ready.words : "Choose recordings or open the sample study first.", "warn");
-    const missing = document.querySelector('.ui-field[data-missing="true"] input');
-    if (missing) missing.focus();
+    document.querySelector(exists ? '.ui-field[data-missing="true"] input' : ".ui-folder > button")?.focus();
     return;
   }
   update({ tab: "compare", tried: "", shown: "", perRun: false });
@@ -124,13 +123,20 @@ export const removeEffect = (effect) => start("remove_and_diagnose", { effect },
 const TABLE_OF = { mass: "study", fps: "camera", scale: "camera" };
 const NOTHING = { mass: "", fps: "", scale: "" };
 
-/** Write what was typed before there was a study, as soon as there is one. */
+/** Write what was typed before there was a study, as soon as there is one; it is shown until the study has it. */
 watch(() => {
-  const typed = Object.entries(store.draft).filter(([, text]) => text);
-  if (!typed.length || !store.study?.exists || store.busy.has("takeIn")) return;
-  store.draft = NOTHING;
-  for (const [key, text] of typed) edit(TABLE_OF[key], key, valueOf(text));
+  if (!store.study?.exists || store.busy.has("takeIn")) return;
+  for (const [key, text] of Object.entries(store.draft)) {
+    if (text && !store.busy.has(`draft.${key}`)) writeDraft(key, text);
+  }
 });
+
+async function writeDraft(key, text) {
+  mark(`draft.${key}`, true);
+  if (await edit(TABLE_OF[key], key, valueOf(text))) await until(() => store.study?.fields?.[key]?.text);
+  update({ draft: { ...store.draft, [key]: "" } });
+  mark(`draft.${key}`, false);
+}
 
 /** Make a study of some recordings, or take them into the study. */
 export function takeIn(recordings) {

@@ -8,10 +8,10 @@ import { say, useStore } from "./store.js";
 const RETRY_MS = 250; // while the server is fitting the candidate
 
 /**
- * Draw the curve of the candidate in `store.tried`; returns null, {name, pending: true} or {name, errors}.
+ * Draw the curve of the candidate in `store.tried`, with its label in the plot of this title; returns null, {name, pending: true} or {name, errors}.
  * Curves are kept for one state of the study.
  */
-export function useCandidateCurve(parts) {
+export function useCandidateCurve(parts, plot) {
   const [name, key] = [useStore((s) => s.tried), useStore((s) => `${s.study?.model?.group} ${s.study?.revision}`)];
   const [shown, setShown] = useState(null);
   const [kept] = useState(() => new Map());
@@ -23,7 +23,7 @@ export function useCandidateCurve(parts) {
     }
     const abort = new AbortController();
     const draw = (found) => {
-      parts.view.setCandidate(found.columns, { name, label: found.scene.errors?.words || `with ${name}` });
+      parts.view.setCandidate(found.columns, { name, plot, label: found.scene.errors?.words || `with ${name}` });
       setShown({ name, errors: found.scene.errors });
     };
     const read = async () => {
@@ -45,6 +45,6 @@ export function useCandidateCurve(parts) {
       say(error.message, "warn");
     });
     return () => abort.abort();
-  }, [parts, name, key]);
+  }, [parts, name, key, plot]);
   return shown;
 }

@@ -90,7 +90,7 @@ export function Candidates({ curve }) {
   const passing = all.filter((one) => one.passes), weak = all.filter((one) => !one.passes);
   const shown = [...passing, ...(more ? weak : weak.slice(0, passing.length ? 0 : MAX_WEAK))];
   return html`
-    <${Panel} title="Candidates" className=${`ui-candidates ${stale ? "stale" : ""}`} aside=${html`<span class="ui-aside">${all.length} with evidence${complete ? "" : ", estimating"}</span>`}>
+    <${Panel} title="Candidates" className=${`ui-candidates ${stale ? "stale" : ""}`} aside=${html`<span class="ui-aside">${all.length} with some evidence${complete ? "" : ", estimating"}</span>`}>
       <ol>${shown.map((one) => html`<${Candidate} key=${one.name} candidate=${one} best=${one === passing[0]} curve=${curve} />`)}</ol>
       ${shown.length < all.length || more
         ? html`<button type="button" class="ui-link" aria-expanded=${String(more)} onClick=${() => setMore(!more)}>${more ? "Hide those that do not pass" : `Show ${all.length - shown.length} more that do not pass`}</button>`

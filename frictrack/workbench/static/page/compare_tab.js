@@ -79,7 +79,7 @@ export function CompareTab() {
     useStore(backgroundModel),
   ];
   const stale = useStore((s) => outdatedWords(s, "model", "motion", "track"));
-  const candidate = useCandidateCurve(parts), other = useStore(otherModel), current = useStore((s) => s.study?.model?.label);
+  const candidate = useCandidateCurve(parts, large), other = useStore(otherModel), current = useStore((s) => s.study?.model?.label);
   const path = fitted ? address("/api/plots", { view: "compare", model: shown, background }) : null;
   return html`
     <div class=${`ui-compare ${fitted ? "" : "unfitted"}`}>

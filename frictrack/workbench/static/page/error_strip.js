@@ -25,7 +25,8 @@ function series(models) {
 }
 
 export function ErrorStrip() {
-  const models = useStore((s) => s.study?.models || []);
+  // errors of other measurements compare nothing: only models that are as new as the current one
+  const models = useStore((s) => (s.study?.models || []).filter((one, k, all) => !one.outdated === !all.find((m) => m.current)?.outdated));
   const { name, rows, value, unit } = series(models);
   if (rows.length < 2) return null;
   const values = rows.map(value), at = heights(values);

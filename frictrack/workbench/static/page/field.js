@@ -6,6 +6,7 @@ import { spaced } from "./format.js";
 import { Icon, Spinner } from "./icons.js";
 
 const CHECK_MS = 120; // after the last key
+const STATE_MS = 3000; // within which the server tells of what was written
 
 /** Ask the server how a text is read; nothing is written. The answer is given with its text: the box may hold a newer one already. */
 function useCheck(name, text, run) {
@@ -33,8 +34,9 @@ export function Field({ name, label, field, placeholder, run, onCommit, action, 
   const id = useId(name), box = useRef(), sent = useRef(null);
   const [text, setText] = useState(null); // null: as it is in the study
   const [saving, setSaving] = useState(false);
-  const readingOf = useCheck(name, text, run);
-  const shown = (text !== null && readingOf(text)) || field || {};
+  const typed = text ?? field?.draft ?? null;
+  const readingOf = useCheck(name, typed, run);
+  const shown = (typed !== null && readingOf(typed)) || field || {};
   useEffect(() => {
     sent.current = null;
     if (document.activeElement !== box.current) setText(null);
@@ -50,7 +52,7 @@ export function Field({ name, label, field, placeholder, run, onCommit, action, 
     const written = await onCommit(wanted);
     setSaving(false);
     if (!written) sent.current = null;
-    if (written) setTimeout(() => document.activeElement !== box.current && setText(null), 400);
+    if (written) setTimeout(() => document.activeElement !== box.current && setText(null), STATE_MS);
   };
   const takeBack = () => {
     box.current.value = field?.text || ""; // at once: the lost focus may come before the next drawing

@@ -71,7 +71,7 @@ export function SetupBar() {
   const [several, tool] = [useStore((s) => (s.study?.runs?.length || 0) > 0), useStore((s) => s.tool)];
   const own = useStore((s) => (s.study?.runs || []).filter((run) => Object.values(run.fields || {}).some((f) => f.source === "run")).length);
   const open = useStore((s) => s.perRun);
-  const shown = (name) => (exists === false ? { ...fields?.[name], text: draft[name] } : fields?.[name]);
+  const shown = (name) => (exists === false || draft[name] ? { ...fields?.[name], text: draft[name], draft: draft[name] || null } : fields?.[name]);
   const ruler = html`<${Button} small icon="ruler" iconOnly label="Draw a ruler on the film (R)" kind=${tool === "ruler" ? "on" : ""}
     onClick=${() => draw("ruler")} why=${several ? null : "Use a recording first."} />`;
   return html`
