@@ -141,13 +141,13 @@ class Bristle:
     def acceleration(self, t, v, w):
         return (4.0 * np.sin(2 * np.pi * 20 * t) - 2.0 * w - v) / MASS + self.push(t)
 
-    def along(self, motion):
+    def accelerations(self, motion):
         x, v = np.append(motion.x_edge[0], motion.x), np.append(motion.v_edge[0], motion.v)
         t = np.append(self.panels.edges[0], self.panels.t)
         return self.acceleration(t, v, self.bending(t, x, v))[1:]
 
     def linearised(self, motion):
-        return self.along(motion), response_with_memory(self, motion)
+        return self.accelerations(motion), response_with_memory(self, motion)
 
     def states(self, motion):
         pairs = (self.panels.t, self.panels.edges), (motion.x, motion.x_edge), (motion.v, motion.v_edge)

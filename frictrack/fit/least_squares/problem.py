@@ -146,14 +146,14 @@ class JoinedLaw:
         """Return the acceleration for a motion at the nodes, (3 p,) each, under a model without memory."""
         return np.asarray(self.joined.known - self._force(x, v) / self.joined.mass)
 
-    def along(self, motion: CollocationSolution) -> Array:
+    def accelerations(self, motion: CollocationSolution) -> Array:
         """Return the acceleration at the nodes (3 p,) along a motion."""
         return np.asarray(self.joined.known - self._force(*self._samples.of(motion)) / self.joined.mass)
 
     def linearised(self, motion: CollocationSolution) -> tuple[Array, LinearResponse]:
         """Return the same, and the linear response of that motion."""
         if self.remembers:
-            return self.along(motion), response_with_memory(self, motion)
+            return self.accelerations(motion), response_with_memory(self, motion)
         (ex, ev), mass, x, v = difference_steps(motion), self.joined.mass, motion.x, motion.v
         force, onward = self._force(x, v), self._force(x, v + ev)
         by_x, by_v, by_turn = (force - self._force(x + ex, v)) / (ex * mass), (force - onward) / (ev * mass), None

@@ -39,7 +39,7 @@ class Law(Protocol):
     def tolerance(self) -> float:
         """Newton step at which a motion has converged, m; relative beyond 1 m."""
 
-    def along(self, motion: CollocationSolution) -> Array:
+    def accelerations(self, motion: CollocationSolution) -> Array:
         """Acceleration at the nodes (3 p,), m/s^2, along a motion, which need not satisfy the law."""
 
     def linearised(self, motion: CollocationSolution) -> tuple[Array, LinearResponse]:
@@ -53,7 +53,7 @@ class LocalLaw:
     acceleration: Acceleration
     tolerance: float = TOLERANCE_M
 
-    def along(self, motion: CollocationSolution) -> Array:
+    def accelerations(self, motion: CollocationSolution) -> Array:
         """Acceleration at the nodes of a motion."""
         return self.acceleration(motion.x, motion.v, motion.panels.t)
 
@@ -197,7 +197,7 @@ def _newton(
         motion = integrated(panels, a, start)
         kept = size <= JACOBIAN_REUSE_M  # near the solution the derivatives no longer change
         if kept:
-            f = law.along(motion)
+            f = law.accelerations(motion)
         else:
             f, response = law.linearised(motion)
         step, edges = response.newton_step(f - a)
