@@ -24,7 +24,7 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions, mean_directions
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
@@ -206,7 +206,7 @@ class Piece:
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the frames for a motion x, v (n,) there, its load times the friction `level`."""
-        s = self.direction_at(v) if self.turns else np.full_like(x, self.path.s[0])
+        s = self.mean_direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(self._nodes_to_frames) | {"angle": self.angle}
         return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
 
@@ -228,6 +228,10 @@ class Piece:
         if not self.turns:
             return self.path.s
         return directions(self.panels, v) if self.gain and not self.slack else self.direction_at(v)
+
+    def mean_direction(self, v: Array) -> Array:
+        """Direction of motion (n,) of a piece that turns, at its frames; of a swing its mean about each frame."""
+        return mean_directions(v) if self.gain else self.direction_at(v)
 
     def direction_at(self, v: Array) -> Array:
         """Direction of motion (n,) of a piece that turns, at any points.
@@ -509,7 +513,8 @@ class JoinedPieces:
                 if piece.gain and not sharp:
                     at = np.flatnonzero(samples.is_node[own]) + own.start
                     s[at] = piece.direction(heading[at])
-        load = self.spread([float(p.path.load) * level for p, level in zip(self.pieces, levels, strict=True)])
+        loads = [p.path.load * level for p, level in zip(self.pieces, levels, strict=True)]
+        load = loads[0] if len(loads) == 1 else self.spread([float(own) for own in loads])
         if same:
             return replace(base, x=x, v=v, s=s, load=load)
         known: dict[str, Any] = {

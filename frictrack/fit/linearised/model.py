@@ -329,7 +329,7 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
     piece, motion = response.piece, response.motion
     step = slice(None, None, piece.per_frame)
     x, v, t = motion.x_edge[step], motion.v_edge[step], motion.panels.edges[step]
-    s = piece.direction_at(v) if piece.turns else np.full_like(x, piece.path.s[0])
+    s = piece.mean_direction(v) if piece.turns else np.full_like(x, piece.path.s[0])
     series = {name: getattr(piece.path, name) for name in ("drive", "lift", "angle")}
     read: dict[str, Any] = {
         k: make_interp_spline(piece.panels.t, q, k=1)(t) for k, q in series.items() if q is not None

@@ -19,7 +19,7 @@ from frictrack.simulate.dynamics.collocation import (
     Start,
     response_with_memory,
 )
-from frictrack.simulate.dynamics.reversals import directions
+from frictrack.simulate.dynamics.reversals import directions, mean_directions
 from frictrack.simulate.dynamics.solver import (
     MEMORY_TOLERANCE_M,
     NOT_INTEGRATED,

@@ -43,6 +43,19 @@ def directions(panels: Panels, v: Array) -> Array:
     return nodes.ravel()
 
 
+def mean_directions(v: Array) -> Array:
+    """Direction of motion (n,), for velocities at equal steps, as its mean over half a step on either side of each."""
+    between = (v[1:] + v[:-1]) / 2
+    before, after = np.append(v[:1], between), np.append(between, v[-1:])
+    return np.asarray((_mean_sign(before, v) + _mean_sign(v, after)) / 2)
+
+
+def _mean_sign(a: Array, b: Array) -> Array:
+    """Mean of the sign of a velocity that changes linearly from a to b."""
+    gained = b - a
+    return np.where(gained == 0, np.sign(a), (np.abs(b) - np.abs(a)) / np.where(gained == 0, 1.0, gained))
+
+
 def _projected(y: Array) -> Array:
     """Projection (N, 3), at the nodes, of a jump from -1 to 1 at places y (N,) of a panel, from -1 to 1."""
     p2, p3 = (3 * y**2 - 1) / 2, (5 * y**3 - 3 * y) / 2
