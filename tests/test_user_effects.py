@@ -370,6 +370,8 @@ def test_a_declaration_that_does_not_go_together_is_told_why():
         ft.effect(x_c="m")(none)
     with pytest.raises(FrictrackError, match='none: about: unknown field "keeps"; known are '):
         ft.effect(F="N", x_c="m", about={"keeps": "its place"})(none)
+    with pytest.raises(FrictrackError, match='none: about: expected a "state" beside "memory"'):
+        ft.effect(F="N", x_c="m", about={"memory": True})(none)
     with pytest.raises(FrictrackError, match=r'none: expected bounds of x_c, as in x_c=\("1", 0.0, 1.0\)'):
         ft.effect(F="N", x_c="1")(none)
     with pytest.raises(
