@@ -443,8 +443,8 @@ def _checked_fields(name: str, about: Mapping[str, Any]) -> Mapping[str, Any]:
         raise UsageError(f'{name}: about: unknown field "{unknown[0]}"; known are {", ".join(sorted(allowed))}')
     if about.get("memory") and about.get("state") is None:
         raise UsageError(
-            f'{name}: about: expected a "state" beside "memory", a function of the path and the parameters by name that '
-            "returns what the effect remembers at every sample, (n, k), from path.begin (P, k) at each of path.starts on"
+            f'{name}: about: expected a "state" beside "memory": a function of path and values that gives '
+            "what the effect remembers at every sample, (n, k), from path.begin (P, k) at each of path.starts on"
         )
     return about
 
