@@ -301,7 +301,7 @@ def prior(out: Console, result: dict[str, Any]) -> None:
     """Print the parameters of a prior file, and what was left out."""
     rows = tables.table("parameter", "value", "unit", "scales with")
     for name, one in result["parameters"].items():
-        scales = one["scales_with"].replace("nothing", "")
+        scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
         rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
     out.print(rows)
     for name, reason in result["left_out"].items():

@@ -48,7 +48,9 @@ def cell(value: Any) -> str:
     """Format a value of a dictionary for a table."""
     if isinstance(value, float):
         return format_plain(value)
-    return escape(", ".join(map(str, value)) if isinstance(value, list) else str("" if value is None else value))
+    if isinstance(value, list):
+        return escape(", ".join(map(str, value)))
+    return "" if value is None else escape(str(value))
 
 
 def lines(out: Console, texts: Iterable[str], indent: str = "") -> None:

@@ -220,7 +220,7 @@ class SimulationState:
         if self.model.memory:
             path = self.path(x, v, t, s)
             force = self.model.force(path, self.values)[::4]
-            self.states = {name: own[-1:] for name, own in self.model.states(path, self.values).items()}
+            self._remember(path)
         self.history.add(t[::4], x[::4], v[::4], s, force)
         self.heading = float(np.sign(v[-1])) or self.heading or s
 
@@ -229,8 +229,12 @@ class SimulationState:
         if self.model.memory and self.heading:
             times, still = np.append(t, until), np.append(x, x[-1])
             path = self.path(still, np.zeros_like(still), times, self.heading)
-            self.states = {name: own[-1:] for name, own in self.model.states(path, self.values).items()}
+            self._remember(path)
         self.history.add(t, x, np.zeros_like(t), 0.0)
+
+    def _remember(self, path: Path) -> None:
+        """Keep what the effects remember at the end of a path."""
+        self.states = {name: own[-1:] for name, own in self.model.states(path, self.values).items()}
 
     def driving_force(self, t: Array) -> Array:
         """Drive and the component of gravity along the course at times t (n,), N."""
@@ -513,7 +517,7 @@ def _slide_until_stop(
 
     A smooth law is followed through its reversals.
     """
-    motion = _solve_window(state, Panels(ahead), start, s)
+    motion = _solve_window(state, Panels(ahead), start, s, state.tolerance)
     edges, x, v = motion.panels.edges, motion.x_edge, motion.v_edge
     stops = [] if state.smooth else np.flatnonzero(s * v[1:] <= 0).tolist()
     last = stops[0] if stops else len(edges) - 1  # edge before the stop
@@ -523,17 +527,19 @@ def _slide_until_stop(
     return _locate_stop(state, s, edges[last : last + 2], (x[last], v[last]), motion.a[3 * last : 3 * last + 3])
 
 
-def _solve_window(state: SimulationState, panels: Panels, start: tuple[float, float], s: float) -> CollocationSolution:
+def _solve_window(
+    state: SimulationState, panels: Panels, start: tuple[float, float], s: float, tolerance: float | None
+) -> CollocationSolution:
     """Solve the motion on the panels, or on as many of the first as converge: far beyond a stop none may."""
     guess, count = _predict_accelerations(state, panels, start, s), len(panels.h)
     while count:
         some, first = Panels(panels.edges[: count + 1]), guess[: 3 * count]
-        if state.tolerance is None and not state.model.memory:
+        if tolerance is None and not state.model.memory:
             solved = result_or_none(solve_motion, state.acceleration(s), some, start, first)
             motion = None if solved is None else solved[0]
         else:
-            law, tolerance = state.acceleration_at_nodes(some, s), state.tolerance or MEMORY_TOLERANCE_M
-            motion = solve_simplified_newton(law, some, start, first, tolerance)
+            law = state.acceleration_at_nodes(some, s)
+            motion = solve_simplified_newton(law, some, start, first, tolerance or MEMORY_TOLERANCE_M)
         if motion is not None:
             return motion
         count //= 2
@@ -567,7 +573,7 @@ def _locate_stop(
     for _ in range(4):  # the polynomial gives a first guess; the law itself gives the time
         piece = Panels(np.array([begin, begin + tau]))
         start = float(first[0]), float(first[1])
-        motion = _solve_window(state, piece, start, s)
+        motion = _solve_window(state, piece, start, s, None)
         x, v, t = (interleave(*pair) for pair in (nodes_and_edges(motion)[k] for k in (1, 2, 0)))
         braking = float(law(x, v, t)[-1])
         late = float(motion.v_edge[-1]) / braking if braking else 0.0
