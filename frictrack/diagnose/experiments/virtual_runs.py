@@ -18,7 +18,7 @@ from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayou
 from frictrack.fit.pieces import Piece, spans_of
 from frictrack.records import GRAVITY, Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs, RunSettings
-from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, linearise_acceleration
+from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 PLANNED_RUN_NAME = "next run"
 MIN_VISIBLE_SPEED = 0.01  # m/s; a slower mass counts as stopped
@@ -306,11 +306,11 @@ class LinearisedRun(LeastSquaresProblem):
         begin = self.first_start * np.array([1.0, self.pieces[0].clock / piece.clock])
         edges = piece.panels.integrate(piece.a_hat, *begin)[2:]
         motion = CollocationSolution(piece.panels, piece.x_hat, piece.v_hat, piece.a_hat, *edges)
-        acceleration = self.acceleration(piece, p)
+        law = self.law(piece, p)
         if self._linear is None:
-            own, self._linear = linearise_acceleration(acceleration, piece.panels, (motion.x, motion.v))
+            own, self._linear = law.linearised(motion)
         else:
-            own = acceleration(motion.x, motion.v, piece.panels.t)
+            own = law.accelerations(motion)
         moved = self._linear.respond((own - motion.a)[:, None], (starts[0] - begin)[:, None])[1]
         x = motion.x_edge[piece.at] + moved[piece.at, 0, 0]
         response = self.linearised_response(piece, p, (motion, self._linear), x)

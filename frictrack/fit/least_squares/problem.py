@@ -5,7 +5,7 @@ A model along pieces that are laid end to end: its acceleration, and the sensiti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -141,10 +141,6 @@ class JoinedLaw:
     def _samples(self) -> Samples:
         """Where the model is evaluated along a motion."""
         return self.joined.since_start if self.remembers else self.joined.at_nodes
-
-    def acceleration(self, x: Array, v: Array, t: Array) -> Array:
-        """Return the acceleration for a motion at the nodes, (3 p,) each, under a model without memory."""
-        return np.asarray(self.joined.known - self._force(x, v) / self.joined.mass)
 
     def accelerations(self, motion: CollocationSolution) -> Array:
         """Return the acceleration at the nodes (3 p,) along a motion."""
@@ -539,7 +535,7 @@ class LeastSquaresProblem:
 
         """
         sensitivities = self.motion_sensitivities(piece, p, *about)[:, 0]
-        return self._linearised_response(piece, self._law(JoinedPieces((piece,)), p), about, (x, sensitivities))
+        return self._linearised_response(piece, self.law(piece, p), about, (x, sensitivities))
 
     def _linearised_response(
         self,
@@ -574,13 +570,9 @@ class LeastSquaresProblem:
             r_full=residual,
         )
 
-    def acceleration(self, piece: Piece, p: Array) -> Callable[[Array, Array, Array], Array]:
-        """Return the model's acceleration along one piece as a function of x, v and t."""
-        return self._law(JoinedPieces((piece,)), p).acceleration
-
-    def linear_response(self, piece: Piece, p: Array, motion: CollocationSolution) -> LinearResponse:
-        """Return the linear response of one piece along any motion."""
-        return self._law(JoinedPieces((piece,)), p).linearised(motion)[1]
+    def law(self, piece: Piece, p: Array) -> JoinedLaw:
+        """Return the model with unknowns p (P,) along one piece."""
+        return self._law(JoinedPieces((piece,)), p)
 
     def motion_sensitivities(
         self, piece: Piece, p: Array, motion: CollocationSolution, linear: LinearResponse
@@ -591,7 +583,7 @@ class LeastSquaresProblem:
 
     def acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution) -> Array:
         """Acceleration at the nodes of one piece per unit of every active unknown, (3 p, A)."""
-        g = self._law(JoinedPieces((piece,)), p).sensitivities(motion)
+        g = self.law(piece, p).sensitivities(motion)
         return g[self._columns_of(piece.run)].T
 
     def _simulate(

@@ -41,7 +41,7 @@ from frictrack.fit.penalties import JacobianBasis
 from frictrack.fit.pieces import Piece, consecutive_slices
 from frictrack.fit.separable.model import DataBlock, path_at_compared, repeat_values, rows_at_compared, tiled_path
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, LinearResponse, linearise_acceleration
+from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, LinearResponse
 
 # smoothing parameters; bandwidths from a tenth of the frame rate downwards
 SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
@@ -89,11 +89,11 @@ def _response_about_measurement(problem: LeastSquaresProblem, p: Array, response
     correction = CubicSpline(t, smoothed)
     nodes, edges = piece.panels.t, piece.panels.edges
     x, v = motion.x + correction(nodes), motion.v + correction(nodes, 1)
-    own, linear = linearise_acceleration(problem.acceleration(piece, p), piece.panels, (x, v))
     acceleration = motion.a + correction(nodes, 2)
     about = CollocationSolution(
         piece.panels, x, v, acceleration, motion.x_edge + correction(edges), motion.v_edge + correction(edges, 1)
     )
+    own, linear = problem.law(piece, p).linearised(about)
     start_correction = np.array([[-float(correction(edges[0]))], [-float(correction(edges[0], 1))]])
     _, moved = linear.respond((own - acceleration)[:, None], start_correction)
     return problem.linearised_response(
@@ -321,7 +321,7 @@ def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> 
     nodes = piece.panels.t
     x, v = (CubicSpline(motion.panels.edges, q)(nodes) for q in (motion.x_edge, motion.v_edge))
     edges = (q[:: response.piece.per_frame] for q in (motion.x_edge, motion.v_edge))
-    return problem.linear_response(piece, p, CollocationSolution(piece.panels, x, v, np.zeros_like(x), *edges))
+    return problem.law(piece, p).linearised(CollocationSolution(piece.panels, x, v, np.zeros_like(x), *edges))[1]
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:

@@ -92,9 +92,10 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
 
     """
     pieces = [p.with_clock(1.0) for p in pieces]  # pieces drawn from a fit may have its clock rate
-    if any(p.turns for p in pieces):
-        return _through_reversals(model, pieces, names, fps)
     of = pieces, names, fps
+    LeastSquaresProblem.of(model, *of)  # raises where the runs lack what an effect needs
+    if any(p.turns for p in pieces):
+        return _through_reversals(model, *of)
     found: list[Solution] = []
     reached = False
     for tied in (model, *reversed_ties(model)):
@@ -105,9 +106,11 @@ def fit_displacement(model: Model, pieces: list[Piece], names: tuple[str, ...], 
     *rest, last = model.effects
     if rest and not reached and not _is_found_in_simulation(last) and all(ties_are_resolved(e, rest) for e in rest):
         with suppress(FrictrackError):  # the last may find what all together miss
-            apart = _added(_by_variable_projection(Model(tuple(rest)), *of), [last])
-            if all(apart.objective < s.objective for s in found):
-                found = [refine_to_end(reorder_effects(apart, model))]
+            linearised, trial = _tried(_by_variable_projection(Model(tuple(rest)), *of), _alone(last))
+            if all(trial.misfit < s.objective for s in found):
+                apart = simulate_trial(linearised, trial)
+                if all(apart.objective < s.objective for s in found):
+                    found = [refine_to_end(reorder_effects(apart, model))]
     return refit_until_stop(min(found, key=lambda s: s.objective) if found else _by_growth(model, *of))
 
 
@@ -220,9 +223,14 @@ def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solutio
 
 def _added(solution: Solution, later: list[Effect]) -> Solution:
     """Add effects to a fit, each refined as far as a trial needs."""
-    for effect in later:  # also with one that it would replace: the model names both
-        solution = add_effect(solution, replace(effect, replaces=frozenset()))
+    for effect in later:
+        solution = add_effect(solution, _alone(effect))
     return solution
+
+
+def _alone(effect: Effect) -> Effect:
+    """An effect that replaces no other: the model names both."""
+    return replace(effect, replaces=frozenset())
 
 
 def refit_until_stop(solution: Solution, free: Mask | None = None) -> Solution:
@@ -441,13 +449,18 @@ def add_effect(solution: Solution, effect: Effect) -> Solution:
 
 def _add_effect(solution: Solution, effect: Effect) -> Solution:
     """Add an effect where it explains most along the measured motion, and refine as far as a trial needs."""
+    return simulate_trial(*_tried(solution, effect))
+
+
+def _tried(solution: Solution, effect: Effect) -> tuple[LinearisedModel, CandidateTrial]:
+    """A fitted model, and an effect on trial where it explains most along the measured motion."""
     linearised = linearise(solution)
     series = measured_series(linearised)
     scans = scan_effect(linearised, effect, series)
     if not scans:
         raise FrictrackError(effect.lacks([p.path for p in solution.problem.pieces]))
     trial = try_effect(linearised, effect, scans, series.coordinates[:, 0])
-    return simulate_trial(linearised, deepen_trials(linearised, [trial])[0])
+    return linearised, deepen_trials(linearised, [trial])[0]
 
 
 def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Solution:

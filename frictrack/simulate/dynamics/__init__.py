@@ -25,7 +25,6 @@ from frictrack.simulate.dynamics.solver import (
     NOT_INTEGRATED,
     TOLERANCE_M,
     difference_steps,
-    linearise_acceleration,
     solve_motion,
     solve_simplified_newton,
 )

@@ -164,30 +164,6 @@ def solve_simplified_newton(
     return None
 
 
-def linearise_acceleration(
-    acceleration: Acceleration, panels: Panels, motion: tuple[Array, Array]
-) -> tuple[Array, LinearResponse]:
-    """Linearise a law without memory along any motion, which need not satisfy it.
-
-    Parameters
-    ----------
-    acceleration
-        As in `solve_motion`.
-    panels
-        Time axis of p panels.
-    motion
-        Position (m) and velocity (m/s) at the nodes, each (3 p,).
-
-    Returns
-    -------
-    tuple
-        Acceleration at the nodes, m/s^2, (3 p,), and the response by its derivatives there.
-
-    """
-    x, v = motion
-    return LocalLaw(acceleration).linearised(CollocationSolution(panels, x, v, x, x, v))
-
-
 def _newton(
     law: Law, panels: Panels, start: tuple[Start, Start], a: Array
 ) -> tuple[CollocationSolution, LinearResponse] | None:
