@@ -9,14 +9,15 @@ import pytest
 from runs import BASE, FPS, MASS, Spec, measured, study
 
 from frictrack import effects, samples
-from frictrack.diagnose.compare import failing_spans, find_local_forces, start_search
-from frictrack.diagnose.compare.local_forces import GlobalSignificance, _bumps_in_time, bump_columns, curve_length
+from frictrack.diagnose.compare import failing_spans, find_local_forces
+from frictrack.diagnose.compare.local_forces import GlobalSignificance
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.diagnose.repeatability import AxisRepeatability, WaveScan, assess_repeatability, describe_axes
 from frictrack.diagnose.residual_curves import deconvolve_force, find_failure_pattern, mean_curve, residual_figures
 from frictrack.effects import models
 from frictrack.fit import add_effect, fit
 from frictrack.fit.linearised import linearise
+from frictrack.fit.separable.varpro import ScanGains, ScanGrid
 from frictrack.fit.smooth_functions import linear_interpolation_matrix, matern_covariance
 from frictrack.present import plots
 from frictrack.present.plots import style
@@ -79,24 +80,18 @@ def on_patch(run):
     return np.abs(run.motion.x - PATCH["x_c"]) <= 2 * PATCH["w"]
 
 
-def test_a_curve_of_looks_has_the_length_of_its_angle():
-    turn = np.linspace(0, 1.2, 300)
-    traces = 3 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    assert curve_length([(traces, 1.0)], np.full(300, 3.0)) == pytest.approx(1.2, rel=1e-3)
-    assert curve_length([(np.eye(2), 1.0)], np.array([1.0, 0.0])) == 0.0
-
-
 def test_the_bound_on_chance_is_one_and_a_close_one():
     """Noise seen through a sliding Gaussian window: how often its highest look passes a level, against the bound."""
     rng, n, width = np.random.default_rng(3), 400, 6.0
     looks = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / width) ** 2) / 2)
-    norm = np.linalg.norm(looks, axis=0)
-    chance = GlobalSignificance(curve_length([(looks.T, 1.0)], norm), 1, 1e6)
-    highest = np.max(np.abs(looks.T @ rng.standard_normal((n, 4000))) / norm[:, None], axis=0)
+    z = looks.T @ rng.standard_normal((n, 4000)) / np.linalg.norm(looks, axis=0)[:, None]
+    grid = ScanGrid(("centre", "width"), (np.arange(n), np.ones(1)))
+    scans = [ScanGains(grid, own**2) for own in z.T[:200]]
     for level in (3.0, 3.5, 4.0):
-        seen = np.mean(highest > level)
-        assert seen < 1.1 * chance(level) + 2 * np.sqrt(seen / 4000)
-        assert chance(level) < 2 * seen + 0.002
+        seen = np.mean(np.max(np.abs(z), axis=0) > level)
+        chance = np.mean([GlobalSignificance.of_scans([scan], 1e6)(level) for scan in scans])
+        assert seen < 1.1 * chance + 2 * np.sqrt(seen / 4000)
+        assert chance < 2 * seen + 0.002
 
 
 def test_an_estimated_noise_makes_a_high_look_less_sure():
@@ -110,20 +105,6 @@ def test_a_place_that_rubs_is_named_in_every_run_from_the_bare_law_alone(patched
     assert {s["run"] for s in spans} == {r.name for r in runs if np.sum(on_patch(r)) > 5}
     assert all(s["p"] < 0.01 for s in spans)
     assert 0.8 < sum(s["share_of_error"] for s in spans) <= 1.0 + 1e-3
-
-
-def test_norms_beside_a_growing_model_are_those_of_the_projected_traces(patched):
-    search = start_search(patched[1])
-    law = search.law
-    for grown in (law, law.with_columns(bump_columns(search, search.grids[-1].bumps[30:32])[:, :, 0])):
-        for grid in search.grids:
-            traces = np.zeros((len(grown.u), len(grid.bumps)))  # with the penalty rows of the model
-            for rows, own in grid.traces:
-                traces[rows] = own.T
-            left, norms = np.linalg.norm(traces - grown.u @ (grown.u.T @ traces), axis=0), grid.norms(grown)
-            shown = norms > 0
-            np.testing.assert_allclose(norms[shown], left[shown], rtol=1e-6)
-            assert shown.sum() > 0.9 * len(norms)
 
 
 def test_one_common_place_is_found_and_not_a_moment_of_each_run(patched):
@@ -326,13 +307,11 @@ def test_a_piece_of_a_few_frames_has_one_look():
     slides = (Spec(3.0, 1, 0.06), Spec(4.0, 1, 9 / FPS))
     runs, _ = study(models.of(LAW.split(",")), DRY, specs=slides, sigma=1e-5, rng=np.random.default_rng(2))
     solution = fit(LAW, runs).solution
-    shortest = min(solution.responses, key=lambda r: len(r.piece.t))
-    assert len(_bumps_in_time(1, shortest.piece.t)) >= 1
     assert find_local_forces(solution).bumps == []
 
 
 def test_a_blow_in_a_piece_too_short_for_another_width_is_found():
-    """Twelve frames leave no range between the narrowest and the widest bump: the width stays, the rest is refined."""
+    """Twelve frames leave no range between the narrowest and the widest bump of the scan."""
     long, when = Spec(3.0, 1, 0.06), 5 / FPS
     plain = lacking("collision", {"J": 0.0, "time": when, "width": 4e-4}, specs=(long,), sigma=1e-6)[0]
     struck = lacking("collision", {"J": 0.05, "time": when, "width": 4e-4}, specs=(Spec(4.0, 1, 11 / FPS),), sigma=1e-6)
@@ -340,9 +319,8 @@ def test_a_blow_in_a_piece_too_short_for_another_width_is_found():
     solution = fit(LAW, runs).solution
     found = find_local_forces(solution)
     assert "struck" in {s["run"] for s in failing_spans(solution, runs)}
-    (blow,) = (b for b in found.bumps if b.piece is not None)
-    assert solution.responses[blow.piece].piece.run == 1
-    assert blow.width == pytest.approx(2 / FPS)
+    (blow,) = found.bumps
+    assert blow.run == 1
     assert blow.centre == pytest.approx(when, abs=1 / FPS)
     assert blow.size > 0
 

@@ -35,6 +35,7 @@ from frictrack.diagnose.repeatability import (
 )
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, refine
+from frictrack.fit.linearised import linearise
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.records import Array
 from frictrack.results.names import AXES
@@ -98,7 +99,7 @@ def deconvolve_force(
     covariance = np.linalg.pinv(traces.T @ traces + np.diag(precision), hermitian=True)
     sizes, curves = covariance @ (traces.T @ compressed.residual), separate_curves(compressed, traces)
     means, variances = [], []
-    for i, (response, along) in enumerate(zip(found.law.responses, found.model.pieces, strict=True)):
+    for i, (response, along) in enumerate(zip(found.solution.responses, found.model.pieces, strict=True)):
         piece = response.piece
         form = columns(i, piece.at_frames(*position_and_velocity(response), along.path_level))
         mean, variance = curves.at(piece.run, piece.t)
@@ -106,7 +107,7 @@ def deconvolve_force(
         variances.append(variance + np.einsum("nk,kl,nl->n", form, covariance, form))
     if wave is None:
         means = _least_absolute(means, found.model.solution)
-    pieces = zip(found.law.responses, means, variances, strict=True)
+    pieces = zip(found.solution.responses, means, variances, strict=True)
     return [_deconvolved_piece(response, mean, variance) for response, mean, variance in pieces], line
 
 
@@ -124,7 +125,7 @@ def _wave_columns(found: LocalForces, waves: WaveScan, line: SpectralLine | None
         frequency = float(in_place.f[in_place.best])
         return lambda _, path: place_wave(path, frequency)
     if line is not None and in_time is not None and in_time.p < ALPHA and gain_in_time > found.explained:
-        runs, of = list(line.amplitudes), [r.piece.run for r in found.law.responses]
+        runs, of = list(line.amplitudes), [r.piece.run for r in found.solution.responses]
         return lambda i, path: np.kron(np.eye(len(runs))[runs.index(of[i])], sine_cosine(line.frequency * path.t))
     return None
 
@@ -135,7 +136,7 @@ def _bump_columns(found: LocalForces) -> _Columns:
     def columns(i: int, path: Path) -> Array:
         out = np.zeros((len(found.bumps), 3, len(path.t)))
         for k, bump in enumerate(found.bumps):
-            if bump.acts_in(i):
+            if bump.acts_in(found.solution.responses[i].piece.run):
                 out[k] = bump.derivatives(path) * np.array([[1.0], [bump.size], [bump.size]])
         return out.reshape(-1, len(path.t)).T
 
@@ -197,7 +198,7 @@ class FailurePattern:
     def local(self) -> LocalForces:
         """The local forces in the residual of the fit, or of the model with the parameters of `explained`."""
         known = None if self.explained is None else _with_parameters_of(self.explained, self.fit)
-        return find_local_forces(self.fit) if known is None else continue_search(start_search(known))
+        return find_local_forces(self.fit) if known is None else continue_search(start_search(linearise(known)))
 
     @cached_property
     def repeats(self) -> Repeatability:

@@ -1,316 +1,79 @@
 """Find local forces that a fitted model lacks: their place or time, width, size and significance.
 
-A local force is a Gaussian bump at one time of one run, or at one place of the course with one size for all runs.
-The search is a sliding Frank-Wolfe algorithm on the model linearised about the measured motion, where a misfit of any
-size leaves places and times as they are. It adds the most significant bump, refines centres and widths of all bumps
-together, and continues in the residual. It works on the displacement, where the noise is white.
+A local force is a Gaussian bump: at one place of the course, of one size for all runs, or at one moment of one run.
+Bumps are effects like any other, added to the model along the measured motion, where a misfit of any size leaves places
+and times as they are: the most significant one is scanned, all are refined together, and so on in what they leave.
 
-Tests along a continuous setting, such as the place of a bump, form a smooth random process. The probability that it
-exceeds a level u is at most the probability that it starts above u, plus the expected number of upcrossings. The latter
-is the Gaussian tail factor of u times the length of the curve that the normalised traces draw on the unit sphere, over
-pi. Bumps of one width are one such curve; curves add up (Bonferroni). An estimated noise level makes the tail that of
-Student's t.
+The size z(c) of a bump at c, in standard deviations, is a smooth random process. The probability that |z| exceeds a
+level u somewhere is at most that of beginning above u, plus the expected number of upcrossings: the Gaussian tail
+factor of u times the length of the curve that the normalised columns draw on the unit sphere, over pi. That length is
+the variation of z from one c to the next, over its mean in noise (Davies). Bumps of one width are one such curve;
+curves add up (Bonferroni). An estimated noise level makes the tail that of Student's t.
 
 References
 ----------
+Davies (1987), Biometrika 74, 33-43.
 Denoyelle, Duval, Peyre & Soubies (2020), Inverse Problems 36, 014001.
-Kaufman (1975), BIT 15, 49-57 (variable projection).
-Hotelling (1939), Am. J. Math. 61, 440-460.
-Knowles & Siegmund (1989), Int. Statist. Rev. 57, 205-220.
 
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from frictrack.base.distributions import student_sf
 from frictrack.base.errors import FrictrackError
-from frictrack.effects import Path
-from frictrack.fit.least_squares import (
-    ModelProjection,
-    Solution,
-    fit_with_scatter,
-    hold,
-    model_projection,
-    position_and_velocity,
-)
-from frictrack.fit.linearised import LinearisedModel, LinearisedPiece, linearise
+from frictrack.effects import LIBRARY, Effect, Nonlinear, Path, Span
+from frictrack.effects.models import Model
+from frictrack.fit.least_squares import Solution, fit_with_scatter, hold
+from frictrack.fit.linearised import LinearisedModel, linearise
+from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Piece
+from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
+from frictrack.fit.separable.varpro import ScanGains, ScanItem, VariableProjection
+from frictrack.fit.stepwise import TiedSeparableModel
 from frictrack.measure.motion import CORRELATION_COST
 from frictrack.records import Array
 
 ALPHA = 0.01  # significance level of the whole search
 MAX_ROUNDS = 4  # of adding bumps
-MAX_STEPS = 6  # of refining bumps
-MIN_CHI2_FALL = 0.1  # of a step of refining them
+MAX_STEPS, MIN_FALL = 6, 1e-4  # of refining them: steps, and the predicted fall of one as a share of the misfit
 MIN_REDUCED_CHI2_FAR = 1.5  # above it the friction levels, and the model's other parameters, may absorb misfit
 MIN_SHARE_LOCAL = 0.5  # of the misfit that bumps explain together, above which the model is refitted with them
 MAX_REFIT_STEPS = 6
 MIN_LEVEL_SCATTER = 1e-3  # relative; with less, all runs have one friction level
 MIN_SHARE_PER_BUMP = 0.02  # of the chi-squared that all bumps explain
 MIN_CHI2_GAIN_PLACE = 10.0  # by which one place must gain more than a bump in time of one run
-MIN_CHI2_GAIN_LONGER = 6.6  # by which a longer bump must gain more than a shorter one
-
-
-@dataclass(frozen=True, eq=False)
-class LocalForces:
-    """State of a search for local forces: the bumps found, and the model with and without them."""
-
-    bumps: list[Bump]  # found so far
-    law: ModelProjection  # residual and directions of the model without the bumps, about the measured motion
-    residual: ModelProjection  # the same with the bumps
-    solution: Solution  # the fit, or the model refitted together with the bumps, without them
-    model: LinearisedModel  # its linearisation, with maps from forces along the measured motion to traces
-    grids: list[BumpGrid]  # bumps that may be added: in time of every piece, and in place
-    p_remaining: float = 1.0  # of the most significant bump that remains
-
-    @cached_property
-    def significance(self) -> GlobalSignificance:
-        """Significance of the whole search."""
-        parts = [grid.significance for grid in self.grids]
-        return GlobalSignificance(sum(p.length for p in parts), sum(p.families for p in parts), parts[-1].dof)
-
-    def p(self, bump: Bump) -> float:
-        """p-value of a bump in the whole search."""
-        return self.significance(bump.z)
-
-    @property
-    def complete(self) -> bool:
-        """Whether no significant bump remains."""
-        return self.p_remaining >= ALPHA
-
-    @property
-    def explained(self) -> float:
-        """Chi-squared that the bumps explain."""
-        return float(self.law.r @ self.law.r - self.residual.r @ self.residual.r)
-
-
-def start_search(solution: Solution, kept: Sequence[int] | None = None) -> LocalForces:
-    """Prepare a search for local forces in the residual of a fit, with all of its unknowns or those `kept`."""
-    model = linearise(solution)
-    law = model_projection(model.solution, kept)
-    return LocalForces([], law, law, solution, model, bump_grids(law, model.pieces))
-
-
-def find_local_forces(solution: Solution) -> LocalForces:
-    """Find the local forces in the residual of a fit.
-
-    Friction levels absorb misfit too: without a strong effect, a run may seem to have a twentieth of the friction. A
-    large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
-    model and the scatter of the levels are refitted together with them. If significant forces remain, the misfit is not
-    local, and the search starts at the scatter of the fit.
-    """
-    start = start_search(solution)
-    if start.law.r @ start.law.r <= MIN_REDUCED_CHI2_FAR * len(start.law.r):
-        return continue_search(start)
-    found = continue_search(_with_scatter(start, MIN_LEVEL_SCATTER) if solution.levels_are_random else start)
-    if found.bumps and found.explained > MIN_SHARE_LOCAL * float(found.law.r @ found.law.r):
-        found = continue_search(_refitted(found))
-    return found if found.complete or not solution.levels_are_random else continue_search(start)
-
-
-def _with_scatter(start: LocalForces, tau: float) -> LocalForces:
-    """The same start of a search at another scatter of the friction levels."""
-    model = replace(start.model, solution=start.model.solution.with_scatter(tau))
-    law = model_projection(model.solution)
-    grids = [replace(grid, model=law) for grid in start.grids]
-    return LocalForces([], law, law, start.solution.with_scatter(tau), model, grids)
-
-
-def _refitted(found: LocalForces) -> LocalForces:
-    """The search in the model refitted together with the bumps; the same where no motion can be integrated."""
-    solution = found.solution
-    if not all(type(p) is Piece for p in solution.problem.pieces):
-        return found
-    pieces = []
-    for i, (piece, along) in enumerate(zip(solution.problem.pieces, found.model.pieces, strict=True)):
-        force = sum((b.size * b.derivatives(along.path)[0] for b in found.bumps if b.acts_in(i)), 0.0 * along.path.t)
-        known = piece.known - np.interp(piece.panels.t, along.path.t, force) / piece.mass
-        pieces.append(replace(piece, known=known))
-    bare = solution.problem
-    try:
-        fit = fit_with_scatter(
-            bare.rebuild(bare.layout, pieces), solution.p, solution.starts, solution.tau, max_steps=MAX_REFIT_STEPS
-        )
-        start = start_search(hold(bare, fit.p, fit.starts, max(fit.tau, MIN_LEVEL_SCATTER)))
-    except FrictrackError:
-        return found
-    return _prune(_fit_bumps(replace(start, bumps=found.bumps)))
-
-
-def continue_search(found: LocalForces) -> LocalForces:
-    """Add bumps while significant ones remain."""
-    for _ in range(MAX_ROUNDS):
-        starts, p_remaining = _strongest_bumps(found)
-        found = replace(found, p_remaining=p_remaining)
-        if not starts:
-            return found
-        tried = [_fit_bumps(replace(found, bumps=[*found.bumps, *more])) for more in starts]
-        found = _prune(max(tried, key=lambda f: f.explained))
-    return replace(found, p_remaining=_strongest_bumps(found)[1])
-
-
-def _strongest_bumps(found: LocalForces) -> tuple[list[list[Bump]], float]:
-    """Return the most significant bumps as sets to start from, and the p-value of the most significant one.
-
-    The sets hold one place for all runs, at the best centre of every width, or bumps in time, at most one per piece.
-    Bumps in time are added one by one, because the model's error in one run affects all runs.
-    """
-    places = [] if len(found.law.rows) < 2 else _strongest_places(found)
-    moments, p_remaining = list[Bump](), 1.0
-    while True:
-        moment = _strongest_moment(found, {b.piece for b in moments})
-        best = max(places, key=lambda b: b.z, default=moment)
-        if places and found.p(best) < ALPHA and best.z**2 > moment.z**2 + MIN_CHI2_GAIN_PLACE:
-            return [[b] for b in places if found.p(b) < ALPHA], found.p(best)
-        p_remaining = min(p_remaining, found.p(moment))
-        if found.p(moment) >= ALPHA:
-            return [moments] if moments else [], p_remaining
-        moments.append(moment)
-        columns = bump_columns(found, [moment], derivatives=False)[:, :, 0]
-        found = replace(found, residual=found.residual.with_columns(columns), bumps=[*found.bumps, moment])
-        places = []
-
-
-def _strongest_moment(found: LocalForces, done: set[int | None]) -> Bump:
-    """The most significant bump in time over the pieces not yet done; the shortest of about equal ones."""
-    best = [Bump(0, 0.0, 1.0)]
-    for i, grid in enumerate(found.grids[:-1]):
-        if i not in done:
-            z = np.abs(grid.significances(found.residual))
-            k = int(np.argmax(z**2 >= np.max(z) ** 2 - MIN_CHI2_GAIN_LONGER))
-            best.append(replace(grid.bumps[k], z=float(z[k])))
-    return max(best, key=lambda b: b.z)
-
-
-def _strongest_places(found: LocalForces) -> list[Bump]:
-    """The most significant place for every width."""
-    grid = found.grids[-1]
-    z = np.abs(grid.significances(found.residual))
-    best = [s.start + int(np.argmax(z[s])) for s in grid.families]
-    return [replace(grid.bumps[k], z=float(z[k])) for k in best]
-
-
-def bump_columns(found: LocalForces, bumps: Sequence[Bump], *, derivatives: bool = True) -> Array:
-    """Traces of K bumps per unit of size over all frames, with derivatives by centre and log width, (N + m, K, 3)."""
-    count = 3 if derivatives else 1
-    out = np.zeros((len(found.law.r), len(bumps), count))
-    for i, (rows, piece) in enumerate(zip(found.law.rows, found.model.pieces, strict=True)):
-        acting = [k for k, b in enumerate(bumps) if b.acts_in(i)]
-        if acting:
-            forces = np.concatenate([bumps[k].derivatives(piece.path)[:count] for k in acting])
-            out[rows, acting] = piece.data_of(forces, is_measurement=False).T.reshape(-1, len(acting), count)
-    return out
-
-
-def _fit_bumps(found: LocalForces) -> LocalForces:
-    """Refine centres and widths of all bumps; sizes and model are solved for each (variable projection)."""
-    law, bumps, k = found.law, found.bumps, len(found.bumps)
-    narrowest, widest = np.array([width_limits(law, b) for b in bumps]).T
-    first = np.array([b.width for b in bumps])
-    varies = narrowest < widest
-    limits = np.log([narrowest[varies], widest[varies]])
-    computed: dict[bytes, tuple[Array, Array]] = {}
-
-    def moved(theta: Array) -> list[Bump]:  # centres in first widths, then log widths
-        widths = first.copy()
-        widths[varies] = np.exp(theta[k:])
-        pairs = zip(bumps, theta[:k] * first, widths, strict=True)
-        return [replace(b, centre=b.centre + float(shift), width=float(width)) for b, shift, width in pairs]
-
-    def traces(theta: Array) -> tuple[Array, Array]:
-        if theta.tobytes() not in computed:
-            columns = bump_columns(found, moved(theta))
-            columns = without_model(law, columns.reshape(len(columns), -1)).reshape(columns.shape)
-            computed[theta.tobytes()] = columns, solve_sizes(law, columns[:, :, 0])
-        return computed[theta.tobytes()]
-
-    def residual(theta: Array) -> Array:
-        columns, sizes = traces(theta)
-        return law.r - columns[:, :, 0] @ sizes
-
-    def jacobian(theta: Array) -> Array:
-        columns, sizes = traces(theta)
-        q, _ = np.linalg.qr(columns[:, :, 0])
-        slopes = np.concatenate([columns[:, :, 1] * sizes * first, (columns[:, :, 2] * sizes)[:, varies]], axis=1)
-        return np.asarray(q @ (q.T @ slopes) - slopes)
-
-    start = np.concatenate([np.zeros(k), np.clip(np.log(first[varies]), *limits)])
-    free = np.full(k, np.inf)
-    bounds = np.concatenate([-free, limits[0]]), np.concatenate([free, limits[1]])
-    theta = least_squares(
-        residual, start, jacobian, bounds, ftol=MIN_CHI2_FALL / float(law.r @ law.r), xtol=None, gtol=None,
-        max_nfev=MAX_STEPS + 1,
-    ).x  # fmt: skip
-    columns, sizes = traces(theta)
-    z = joint_significance(law, columns[:, :, 0])
-    fitted = [replace(b, size=float(s), z=float(q)) for b, s, q in zip(moved(theta), sizes, z, strict=True)]
-    return replace(found, bumps=fitted, residual=law.with_columns(columns[:, :, 0]))
-
-
-def solve_sizes(law: ModelProjection, columns: Array) -> Array:
-    """Fit sizes (K,) of columns (N + m, K) together with the model."""
-    return np.asarray(np.linalg.lstsq(without_model(law, columns), law.r, rcond=1e-10)[0], dtype=np.float64)
-
-
-def joint_significance(law: ModelProjection, columns: Array) -> Array:
-    """Significance of each column (N + m, k) with model and other columns free, in standard deviations.
-
-    It is 0 for a column that the runs do not see.
-    """
-    clean = without_model(law, columns)
-    inverse = np.linalg.pinv(clean.T @ clean, hermitian=True)
-    deviation = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return np.divide(inverse @ (clean.T @ law.r), deviation, out=np.zeros(len(inverse)), where=deviation > 0)
-
-
-def without_model(law: ModelProjection, columns: Array) -> Array:
-    """Project the model out of columns (N + m, k)."""
-    return np.asarray(columns - law.u @ (law.u.T @ columns))
-
-
-def _prune(found: LocalForces) -> LocalForces:
-    """Remove bumps that are no longer significant, or that carry almost none of the misfit."""
-    kept = [b for b in found.bumps if found.p(b) < ALPHA and b.z**2 > MIN_SHARE_PER_BUMP * found.explained]
-    if len(kept) == len(found.bumps) or not kept:
-        return found
-    return _prune(_fit_bumps(replace(found, bumps=kept)))
-
-
 MIN_WIDTH_FRAMES = 2.0  # frames; a narrower bump leaves the same trace
-MAX_WIDTH_DURATION_SHARE = 1 / 12  # of a piece's duration; a wider bump is no local force
+MAX_WIDTH_DURATION_SHARE = 1 / 12  # of a run's duration; a wider bump is no local force
 MIN_WIDTH_COURSE_SHARE, MAX_WIDTH_COURSE_SHARE = 1 / 120, 1 / 8  # of the course, for bumps in place
 WIDTH_RATIO = 2.5  # between two widths of the search
-MAX_CENTRES = 250  # along a piece or along the course
+MAX_CENTRES = 120  # along a run or along the course
 MIN_SPACING_FRAMES = 4.0  # frames between two centres; a displacement has no sharper bend
-MIN_VISIBLE_SHARE = 1e-3  # of a trace's square that must remain outside the model
 
 
 @dataclass(frozen=True)
 class Bump:
-    """A Gaussian force in time or in place."""
+    """A Gaussian force: at a place of the course, or at a moment of one run."""
 
-    piece: int | None  # index of its piece for a bump in time; None for a bump at a place, common to all runs
-    centre: float  # s since release, or m
+    run: int | None  # None at a place, common to all runs
+    centre: float  # m, or s since release
     width: float  # standard deviation
-    size: float = 0.0  # peak force, N; for a place at the reference load
-    z: float = 0.0  # size in units of its standard deviation
+    size: float  # peak force, N; for a place at the reference load
+    z: float  # the same over its standard deviation
 
     @property
     def at_place(self) -> bool:
         """Whether it is a bump at a place of the course."""
-        return self.piece is None
+        return self.run is None
 
-    def acts_in(self, piece: int) -> bool:
-        """Whether it acts in a piece."""
-        return self.piece in (None, piece)
+    def acts_in(self, run: int) -> bool:
+        """Whether it acts in a run."""
+        return self.run in (None, run)
 
     def derivatives(self, path: Path) -> Array:
         """Force of a bump of size one along a path, and its derivatives by centre and by log width, (3, m)."""
@@ -331,7 +94,7 @@ class GlobalSignificance:
 
     """
 
-    length: float  # of all curves that the normalised traces of a family draw on the unit sphere
+    length: float  # of all curves that the normalised columns of a family draw on the unit sphere
     families: int
     dof: float  # degrees of freedom of the noise estimate
 
@@ -341,128 +104,247 @@ class GlobalSignificance:
         begun = 2 * self.families * float(student_sf(abs(z), self.dof))
         return float(min(1.0, max(rising + begun, np.finfo(float).tiny)))
 
+    @classmethod
+    def of_scans(cls, scans: Sequence[ScanGains], dof: float) -> GlobalSignificance:
+        """The significance of some scans over centre and width."""
+        sizes = [np.sqrt(np.maximum(scan.gains.reshape(scan.grid.shape), 0.0)) for scan in scans]
+        variation = sum(float(np.sum(np.abs(np.diff(z, axis=0)))) for z in sizes)
+        return cls(variation * np.sqrt(np.pi / 2), sum(z.shape[1] for z in sizes), dof)
+
 
 @dataclass(frozen=True, eq=False)
-class BumpGrid:
-    """Bumps at all times of one piece, or at all places of the course, with their traces, a model projected out."""
+class LocalForces:
+    """State of a search for local forces: the model along the measured motion, with the bumps found so far."""
 
-    bumps: list[Bump]  # one width after the other
-    traces: list[tuple[slice, Array]]  # by piece in which they act: its rows, and the traces (K, n) there
-    model: ModelProjection
-
-    def products(self, columns: Array) -> Array:
-        """Inner products (K, c) of the traces with columns (N + m, c)."""
-        return np.asarray(np.sum([traces @ columns[rows] for rows, traces in self.traces], axis=0))
-
-    @cached_property
-    def _on_model(self) -> Array:
-        return self.products(self.model.u)
-
-    @cached_property
-    def _squares(self) -> Array:
-        return np.asarray(np.sum([np.einsum("kn,kn->k", traces, traces) for _, traces in self.traces], axis=0))
-
-    def norms(self, law: ModelProjection) -> Array:
-        """Norms (K,) of the traces outside a model with further columns, `law`; 0 where little is left of a trace."""
-        further = self.products(law.u[:, self.model.u.shape[1] :])
-        left = self._squares - np.sum(self._on_model**2, axis=1) - np.sum(further**2, axis=1)
-        return np.where(left > MIN_VISIBLE_SHARE * self._squares, np.sqrt(np.maximum(left, 0.0)), 0.0)
-
-    def significances(self, law: ModelProjection) -> Array:
-        """Sizes (K,) of all bumps added to a model, each alone, in standard deviations."""
-        norms = self.norms(law)
-        dots = self.products(law.r[:, None])[:, 0]
-        return np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0)
+    model: LinearisedModel
+    search: VariableProjection  # of the model with bumps that may be added
+    bare: SeparableSolution  # without bumps
+    state: SeparableSolution
+    items: tuple[ScanItem, ...] = ()  # the bumps in it
 
     @property
-    def families(self) -> list[slice]:
-        """Slices of consecutive bumps of equal width."""
-        cuts = [k for k in range(1, len(self.bumps)) if self.bumps[k].width != self.bumps[k - 1].width]
-        return [slice(a, b) for a, b in itertools.pairwise([0, *cuts, len(self.bumps)])]
+    def problem(self) -> ProjectedProblem:
+        """What is fitted."""
+        return self.search.problem(self.search.separable.data)
+
+    @property
+    def solution(self) -> Solution:
+        """The fit, or the model refitted together with the bumps, without them."""
+        return self.model.solution
+
+    @cached_property
+    def bumps(self) -> list[Bump]:
+        """The bumps found so far."""
+        return [self._bump(item) for item in self.items]
+
+    def _bump(self, item: ScanItem) -> Bump:
+        (size,) = self.state.coefficients[item.coefficients].tolist()
+        centre, width = (float(self.state.nonlinear_values[slots[0]]) for slots in item.slots)
+        rise = self.problem.without(self.state, item.coefficients).misfit - self.state.misfit
+        return Bump(item.run, centre, width, size, float(np.sqrt(max(rise, 0.0))))
+
+    def gains(self, item: ScanItem) -> ScanGains:
+        """What one more bump like an item gains, wherever it is."""
+        return self.search.one_more(self.problem, self.state, item)
 
     @cached_property
     def significance(self) -> GlobalSignificance:
-        """Significance of a search over these bumps."""
-        norms = self.norms(self.model)
-        parts = [(traces, 1.0) for _, traces in self.traces] + [(self._on_model, -1.0)]
-        length = sum(curve_length([(p[s], sign) for p, sign in parts], norms[s]) for s in self.families)
-        frames = float(np.mean([rows.stop - rows.start for rows in self.model.rows]))
-        return GlobalSignificance(length, len(self.families), max(frames / CORRELATION_COST, 3.0))
+        """Significance of the whole search."""
+        frames = self.search.separable.size / len(self.search.separable.blocks)
+        kinds = {item.kind: item for item in self.search.items}
+        return GlobalSignificance.of_scans([self.gains(i) for i in kinds.values()], max(frames / CORRELATION_COST, 3.0))
+
+    def p(self, bump: Bump) -> float:
+        """p-value of a bump in the whole search."""
+        return self.significance(bump.z)
+
+    def p_of_gain(self, gain: float) -> float:
+        """p-value of the largest gain of a bump more."""
+        return self.significance(float(np.sqrt(max(gain, 0.0))))
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether no significant bump remains."""
+        return all(self.p_of_gain(self.gains(item).largest) >= ALPHA for item in self.free_items())
+
+    @property
+    def explained(self) -> float:
+        """Chi-squared that the bumps explain."""
+        return self.bare.misfit - self.state.misfit
+
+    def free_items(self) -> list[ScanItem]:
+        """One bump of every kind that can be added."""
+        return list({i.kind: i for i in reversed(self.search.items) if i not in self.items}.values())
+
+    def with_bumps(self, values: Mapping[ScanItem, Array]) -> LocalForces:
+        """The same with more bumps, centre and width (2,) each."""
+        state = self.search.with_items_at(self.problem, self.state, values)
+        return replace(self, state=state, items=(*self.items, *values))
+
+    def refined(self, below: float = np.inf) -> LocalForces:
+        """The same with centres and widths of all bumps refined, and the model with them, if it may fall `below`."""
+        groups = self.search.groups_without(self.search.items) | {i.g for i in self.items}
+        state = self.problem.refine(self.state, groups, steps=MAX_STEPS, enough=MIN_FALL, below=below)
+        return replace(self, state=state)
 
 
-def curve_length(parts: Sequence[tuple[Array, float]], norms: Array) -> float:
-    """Length of the curve that normalised traces draw on the unit sphere: the sum of angles between neighbours, rad.
-
-    The traces consist of blocks (k, n_i), each with the sign with which it enters the inner products; those of norm 0
-    are left out.
-
-    Examples
-    --------
-    >>> round(curve_length([(np.eye(2), 1.0)], np.ones(2)), 4)
-    1.5708
-
-    """
-    kept = np.flatnonzero(norms > 0)
-    inner = sum(sign * np.einsum("kn,kn->k", rows[kept[1:]], rows[kept[:-1]]) for rows, sign in parts)
-    return float(np.sum(np.arccos(np.clip(inner / (norms[kept[1:]] * norms[kept[:-1]]), -1.0, 1.0))))
+def _pulse(path: Path, nonlinear: Nonlinear) -> Array:
+    """Pulse of size one at `time`, standard deviation `width`, shape (n, 1)."""
+    return np.asarray(np.exp(-(((path.t - nonlinear["time"]) / nonlinear["width"]) ** 2) / 2)[:, None])
 
 
-def bump_grid(law: ModelProjection, pieces: Sequence[LinearisedPiece], bumps: list[Bump]) -> BumpGrid:
-    """Trace bumps of one kind, in time of one piece or in place."""
-    traces, place = [], bumps[0].at_place
-    centre, width = np.array([[b.centre, b.width] for b in bumps]).T[:, :, None]
-    for i, (rows, piece) in enumerate(zip(law.rows, pieces, strict=True)):
-        if bumps[0].acts_in(i):
-            shapes = np.exp(-((((piece.path.x if place else piece.path.t) - centre) / width) ** 2) / 2)
-            traces.append(
-                (
-                    rows,
-                    piece.data_of(shapes * (piece.path.load * piece.path.s) if place else shapes, is_measurement=False),
-                )
-            )
-    return BumpGrid(bumps, traces, law)
+def _widths(narrowest: float, widest: float) -> Array:
+    count = 1 + int(np.floor(np.log(max(widest / narrowest, 1.0)) / np.log(WIDTH_RATIO)))
+    return np.asarray(narrowest * WIDTH_RATIO ** np.arange(count))
 
 
-def bump_grids(law: ModelProjection, pieces: Sequence[LinearisedPiece]) -> list[BumpGrid]:
-    """Make the grids of bumps at all times of every piece, and after them that of bumps at all places."""
-    in_time = [_bumps_in_time(i, piece.response.piece.t) for i, piece in enumerate(pieces)]
-    return [bump_grid(law, pieces, bumps) for bumps in (*in_time, _bumps_in_place(*course_ends(law)))]
+def _moments(span: Span) -> Array:
+    """Centres in time of a run, s."""
+    edge = min(MIN_SPACING_FRAMES / span.fps, span.duration / 2)
+    apart = max(MIN_SPACING_FRAMES / span.fps, span.duration / MAX_CENTRES)
+    return np.linspace(edge, span.duration - edge, max(2, round(span.duration / apart)))
 
 
-def _widths(narrowest: float, widest: float) -> list[float]:
-    count = max(1, 1 + int(np.floor(np.log(max(widest / narrowest, 1.0)) / np.log(WIDTH_RATIO))))
-    return [narrowest * WIDTH_RATIO**k for k in range(count)]
+def _durations(span: Span) -> Array:
+    """Widths in time, s."""
+    return _widths(MIN_WIDTH_FRAMES / span.fps, MAX_WIDTH_DURATION_SHARE * span.duration)
 
 
-def _bumps_in_time(i: int, t: Array) -> list[Bump]:
-    """Bumps at all times of a piece of frames at t (n,), at several widths."""
-    step, length = float(np.median(np.diff(t))), float(t[-1] - t[0])
+def _places(span: Span) -> Array:
+    """Centres on the course, m."""
+    return np.linspace(span.x_min, span.x_max, MAX_CENTRES)
+
+
+def _lengths(span: Span) -> Array:
+    """Widths on the course, m."""
+    course = span.x_max - span.x_min
+    return _widths(MIN_WIDTH_COURSE_SHARE * course, MAX_WIDTH_COURSE_SHARE * course)
+
+
+BUMPS = {  # an effect, and how its centre and its width are scanned
+    "place": (LIBRARY["patch"], _places, _lengths),
+    "moment": (replace(LIBRARY["collision"], columns=_pulse), _moments, _durations),
+}
+
+
+def _bump_effects(layout: ParameterLayout) -> list[Effect]:
+    """Effects for all bumps that may be added to a model."""
     out = []
-    for width in _widths(MIN_WIDTH_FRAMES * step, MAX_WIDTH_DURATION_SHARE * length):
-        apart = max(width, MIN_SPACING_FRAMES * step, length / MAX_CENTRES)
-        inside = t[0] + MIN_SPACING_FRAMES * step, t[-1] - MIN_SPACING_FRAMES * step
-        out += [Bump(i, float(c), width) for c in np.arange(*inside, apart)]
-    return out or [Bump(i, float(t[0] + t[-1]) / 2, MIN_WIDTH_FRAMES * step)]  # a piece of a few frames
+    for kind, (effect, *scans) in BUMPS.items():
+        parameters = [replace(p, per_run=effect.single) for p in effect.linear]
+        for p, scan in zip(effect.nonlinear, scans, strict=True):
+            ends = np.concatenate([scan(span) for span in (layout.span, *layout.spans)])
+            bounds = float(ends.min()), float(ends.max())
+            parameters.append(replace(p, per_run=effect.single, scan=scan, bounds=bounds))
+        for k in range(MAX_ROUNDS):
+            out.append(replace(effect, name=f"{kind}:{k + 1}", replaces=frozenset(), parameters=tuple(parameters)))
+    return out
 
 
-def _bumps_in_place(low: float, high: float) -> list[Bump]:
-    """Bumps at all places of the course, at several widths."""
-    widths = _widths(MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low))
-    spacing = (high - low) / MAX_CENTRES
-    return [Bump(None, float(c), width) for width in widths for c in np.arange(low, high, max(width, spacing))]
+def start_search(model: LinearisedModel, without: str = "", tau: float | None = None) -> LocalForces:
+    """Prepare a search for local forces in the residual of a fit, without one of its effects if that is named.
+
+    `tau`: scatter of the friction levels; default that of the fit.
+    """
+    solution, old = model.solution, model.solution.problem.layout
+    kept = tuple(e for e in old.model.effects if e.name != without)
+    bumps = _bump_effects(old)
+    absent = frozenset(pair for pair in old.absent if pair[0] != without)
+    layout = replace(old, model=Model((*kept, *bumps)), absent=absent)
+    search = VariableProjection(TiedSeparableModel(layout, model.blocks), tau or solution.tau or 0.03)
+    names = {e.name for e in bumps}
+    search.items = [i for i in search.items if i.effect.name in names]
+    problem = search.problem(search.separable.data)
+    for item in search.items:  # a bump stays within its run
+        for slots, axis in zip(item.slots, item.grid.axes, strict=True):
+            problem.low[slots], problem.high[slots] = axis[0], axis[-1]
+    groups = search.groups_without(search.items)
+    p = layout.unknowns(old.by_address(solution.p), search.start_values())
+    state = problem.refine(problem.at(p, groups=groups), groups, steps=MAX_STEPS, enough=MIN_FALL)
+    return LocalForces(model, search, state, state)
 
 
-def course_ends(law: ModelProjection) -> tuple[float, float]:
-    """Smallest and largest position of all runs, m."""
-    x = np.concatenate([position_and_velocity(r)[0] for r in law.responses])
-    return float(x.min()), float(x.max())
+def find_local_forces(solution: Solution) -> LocalForces:
+    """Find the local forces in the residual of a fit.
+
+    Friction levels absorb misfit too: without a strong effect, a run may seem to have a twentieth of the friction. A
+    large misfit is therefore first searched where all runs have one level. If the forces found explain most of it, the
+    model and the scatter of the levels are refitted together with them. If significant forces remain, the misfit is not
+    local, and the search starts at the scatter of the fit.
+    """
+    model = linearise(solution)
+    start = start_search(model)
+    if start.bare.misfit <= MIN_REDUCED_CHI2_FAR * start.search.separable.size:
+        return continue_search(start)
+    random = solution.levels_are_random
+    found = continue_search(start_search(model, tau=MIN_LEVEL_SCATTER) if random else start)
+    if found.items and found.explained > MIN_SHARE_LOCAL * found.bare.misfit:
+        found = continue_search(_refitted(found))
+    return found if found.complete or not random else continue_search(start)
 
 
-def width_limits(law: ModelProjection, bump: Bump) -> tuple[float, float]:
-    """Smallest and largest width to which a bump may be refined; the same in a piece of few frames."""
-    if bump.piece is None:
-        low, high = course_ends(law)
-        return MIN_WIDTH_COURSE_SHARE * (high - low), MAX_WIDTH_COURSE_SHARE * (high - low)
-    t = law.responses[bump.piece].piece.t
-    narrowest = MIN_WIDTH_FRAMES * float(np.median(np.diff(t)))
-    return narrowest, max(narrowest, 2 * MAX_WIDTH_DURATION_SHARE * float(t[-1] - t[0]))
+def _refitted(found: LocalForces) -> LocalForces:
+    """The search in the model refitted together with the bumps; the same where no motion can be integrated."""
+    solution, whole = found.solution, found.search.separable.layout
+    old, problem = solution.problem.layout, solution.problem
+    if not all(type(p) is Piece for p in problem.pieces):
+        return found
+    names = {i.effect.name for i in found.items}
+    used = [e for e in whole.model.effects if e.name in names]
+    absent = {(i.effect.name, i.run) for i in found.search.items if i.run is not None and i not in found.items}
+    absent = {pair for pair in absent if pair[0] in names}
+    layout = replace(old, model=Model((*old.model.effects, *used)), absent=old.absent | absent)
+    p = found.search.separable.law(found.state.nonlinear_values, found.state.coefficients)
+    p = layout.unknowns(whole.by_address(p))
+    try:
+        fit = fit_with_scatter(problem.rebuild(layout), p, solution.starts, solution.tau, max_steps=MAX_REFIT_STEPS)
+        bare = hold(problem, old.unknowns(layout.by_address(fit.p)), fit.starts, max(fit.tau, MIN_LEVEL_SCATTER))
+        start = start_search(linearise(bare))
+    except FrictrackError:
+        return found
+    values = start.search.separable.layout.unknowns(layout.by_address(fit.p), start.state.nonlinear_values)
+    pairs = {(i.effect.name, i.run): i for i in start.search.items}
+    again = [pairs[i.effect.name, i.run] for i in found.items]
+    return _prune(start.with_bumps({i: values[[s[0] for s in i.slots]] for i in again}).refined())
+
+
+def continue_search(found: LocalForces) -> LocalForces:
+    """Add bumps while significant ones remain."""
+    for _ in range(MAX_ROUNDS):
+        starts = _strongest_bumps(found)
+        if not starts:
+            break
+        tried = found.with_bumps(starts[0]).refined()
+        for more in starts[1:]:
+            other = found.with_bumps(more).refined(below=tried.state.misfit)
+            tried = min(tried, other, key=lambda f: f.state.misfit)
+        found = _prune(tried)
+    return found
+
+
+def _strongest_bumps(found: LocalForces) -> list[dict[ScanItem, Array]]:
+    """Return the most significant bumps as sets to start from, the best one first; none if none is significant.
+
+    The sets hold one place for all runs, at the best centre of every width, or a moment of every run that has one.
+    """
+    scans = {i: found.gains(i) for i in found.free_items()}
+    moments = {i: scan for i, scan in scans.items() if i.run is not None and found.p_of_gain(scan.largest) < ALPHA}
+    most = max((scan.largest for scan in moments.values()), default=0.0)
+    for place, scan in scans.items():
+        if place.run is None and scan.largest > most + MIN_CHI2_GAIN_PLACE:
+            heights = scan.gains.reshape(scan.grid.shape)
+            points = np.ravel_multi_index((np.argmax(heights, axis=0), np.arange(heights.shape[1])), heights.shape)
+            points = sorted(points.tolist(), key=lambda g: -scan.gains[g])
+            return [{place: scan.grid.values[g]} for g in points if found.p_of_gain(float(scan.gains[g])) < ALPHA]
+    return [{i: scan.grid.values[scan.best] for i, scan in moments.items()}] if moments else []
+
+
+def _prune(found: LocalForces) -> LocalForces:
+    """Remove bumps that are no longer significant, or that carry almost none of the misfit."""
+    pairs = zip(found.items, found.bumps, strict=True)
+    kept = [i for i, b in pairs if found.p(b) < ALPHA and b.z**2 > MIN_SHARE_PER_BUMP * found.explained]
+    if len(kept) == len(found.items) or not kept:
+        return found
+    removed = np.concatenate([i.coefficients for i in found.items if i not in kept])
+    state = found.problem.without(found.state, removed)
+    return _prune(replace(found, state=state, items=tuple(kept)).refined())

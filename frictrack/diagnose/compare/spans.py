@@ -14,26 +14,16 @@ from frictrack.diagnose.compare.local_forces import (
     ALPHA,
     Bump,
     LocalForces,
-    bump_columns,
-    bump_grid,
     continue_search,
     find_local_forces,
-    solve_sizes,
     start_search,
-    width_limits,
-    without_model,
 )
-from frictrack.effects import Effect, Path
-from frictrack.fit.least_squares import (
-    ModelProjection,
-    PieceResponse,
-    Solution,
-    displacement_response,
-    position_and_velocity,
-    white_noise_covariance,
-)
+from frictrack.effects import Effect
+from frictrack.fit.least_squares import PieceResponse, Solution, position_and_velocity, white_noise_covariance
+from frictrack.fit.linearised import linearise
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.pieces import Rows
+from frictrack.fit.separable.varpro import ScanGrid, ScanItem, ScanTable, SolutionScan
 from frictrack.records import Array, Mask, Run, stretches
 
 SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
@@ -106,28 +96,28 @@ def _failing_speeds(solution: Solution, runs: Sequence[Run]) -> Iterator[dict[st
 
 
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
-    """Extent of the bumps of a search in every piece."""
-    columns = bump_columns(found, found.bumps, derivatives=False)[:, :, 0]
-    sizes = solve_sizes(found.law, columns)
-    total, spans = excess_chi2(found.law), list[FailingSpan]()
-    for k, bump in enumerate(found.bumps):
-        others = np.delete(columns, k, axis=1)
-        width, is_short = _likely_width(found, bump, others)
+    """Extent of the bumps of a search in every piece; those of a piece share what its misfit falls by their traces."""
+    state, total, spans = found.state, excess_chi2(found), list[FailingSpan]()
+    squares = [(found.problem.without(state, i.coefficients).residual - state.residual) ** 2 for i in found.items]
+    fall, whole = found.bare.residual**2 - state.residual**2, np.maximum(np.sum(squares, axis=0), 1e-300)
+    for item, bump, square in zip(found.items, found.bumps, squares, strict=True):
+        width, is_short = _likely_width(found, item)
         likely, unresolved = replace(bump, width=width), is_short and not bump.at_place
-        for i, rows in enumerate(found.law.rows):
-            if bump.acts_in(i):
-                share = float(sizes[k] * (columns[rows, k] @ found.law.r[rows])) / total
-                if share < 0 and not bump.at_place:
-                    continue  # it only makes up for others
-                smear = _low_pass_half_width(runs, found.law.responses[i]) if unresolved else 0.0
-                spans.append(FailingSpan(i, np.flatnonzero(_inside(found, likely, i, smear)), share, found.p(bump)))
+        narrowest = float(item.grid.axes[1][0])
+        for i, (response, rows) in enumerate(zip(found.solution.responses, found.search.separable.slices, strict=True)):
+            if bump.acts_in(response.piece.run):
+                share = float(np.sum(fall[rows]) * np.sum(square[rows]) / np.sum(whole[rows])) / total
+                smear = _low_pass_half_width(runs, response) if unresolved else 0.0
+                own = replace(likely, width=narrowest) if smear else likely
+                spans.append(FailingSpan(i, np.flatnonzero(_inside(own, response, smear)), share, found.p(bump)))
     return _merge_overlapping(spans)
 
 
 def _spans_of_measured_friction(found: LocalForces) -> list[FailingSpan]:
     """Spans where the residual of a measured friction force itself is significant, if the model fails everywhere."""
-    spans, total = [], sum(float(r.r @ r.r) for r in found.law.responses)
-    for i, response in enumerate(found.law.responses):
+    spans, responses = [], found.solution.responses
+    total = sum(float(r.r @ r.r) for r in responses)
+    for i, response in enumerate(responses):
         size = np.abs(response.r)
         for s in stretches(_close_gaps(size > max(MIN_SIGMAS, MIN_SHARE_OF_PEAK * float(size.max())))):
             p = min(1.0, 2 * len(size) * float(normal_sf(size[s].max())))
@@ -148,20 +138,17 @@ def _merge_overlapping(spans: Sequence[FailingSpan]) -> list[FailingSpan]:
     return out
 
 
-def excess_chi2(law: ModelProjection) -> float:
-    """Chi-squared of the residual above its expectation, at least its standard deviation."""
-    dof = max(len(law.r) - law.u.shape[1], 1)
-    return max(float(law.r @ law.r) - dof, float(np.sqrt(2 * dof)))
+def excess_chi2(found: LocalForces) -> float:
+    """Chi-squared of the model without bumps above its expectation, at least its standard deviation."""
+    dof = max(found.search.separable.size - len(found.solution.p) - 2 * len(found.model.pieces), 1)
+    return max(found.bare.misfit - dof, float(np.sqrt(2 * dof)))
 
 
-def _inside(found: LocalForces, bump: Bump, i: int, half_width: float) -> Mask:
-    """Frames of a piece that lie within a bump."""
-    piece = found.law.responses[i].piece
-    if not bump.at_place:
-        reach = SPAN_HALF_WIDTHS * (width_limits(found.law, bump)[0] if half_width else bump.width)
-        return np.asarray(np.abs(piece.t - bump.centre) <= reach + half_width)
-    x, _ = position_and_velocity(found.law.responses[i])
-    return np.asarray(np.abs(x - bump.centre) <= SPAN_HALF_WIDTHS * bump.width)
+def _inside(bump: Bump, response: PieceResponse, half_width: float) -> Mask:
+    """Frames of a piece that lie within a bump, and a half width (s) on both sides."""
+    x, _ = position_and_velocity(response)
+    along = x if bump.at_place else response.piece.t
+    return np.asarray(np.abs(along - bump.centre) <= SPAN_HALF_WIDTHS * bump.width + half_width)
 
 
 def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
@@ -171,16 +158,17 @@ def _low_pass_half_width(runs: Sequence[Run], response: PieceResponse) -> float:
     return 0.5 / float(cutoff) if known else 0.0
 
 
-def _likely_width(found: LocalForces, bump: Bump, others: Array) -> tuple[float, bool]:
+def _likely_width(found: LocalForces, item: ScanItem) -> tuple[float, bool]:
     """Mean of the log width, weighted by the likelihood of the widths, and whether the shortest is as likely as any.
 
-    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary. `others`
-    (N + m, k) are the traces of the other bumps.
+    A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
     """
-    law = found.law.with_columns(others)
-    widths = np.geomspace(*width_limits(found.law, bump), N_WIDTHS)
-    tried = [replace(bump, width=width) for width in widths.tolist()]
-    gains = bump_grid(law, found.model.pieces, tried).significances(law) ** 2
+    centre, width = item.slots
+    widths = np.geomspace(found.problem.low[width[0]], found.problem.high[width[0]], N_WIDTHS)
+    grid = ScanGrid(item.grid.names[1:], (widths,))
+    narrow = replace(item, grid=grid, slots=[width], others=[*centre, *item.others])
+    table = ScanTable.of(found.search.separable, narrow, found.state.nonlinear_values)
+    gains = SolutionScan(found.problem, found.state).moved(narrow, table).gains
     behind = gains.max() - gains
     return float(np.exp(np.average(np.log(widths), weights=np.exp(-behind / 2)))), bool(behind[0] < MIN_CHI2_RESOLVED)
 
@@ -193,21 +181,15 @@ def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> l
     some run its fitted place may be wrong.
     """
     effect = next(e for e in solution.problem.model.effects if e.name == missing)
-    others = [i for i, slot in enumerate(solution.problem.layout.slots) if slot.effect != missing]
-    search = start_search(solution, others)
-    law = search.law
-    forces, trace = [], np.zeros_like(law.r)
-    for rows, response in zip(law.rows, solution.responses, strict=True):
-        nodes, path = _effect_force(solution, response, missing)
-        trace[rows] = displacement_response(response, nodes[:, None])[:, 0]
-        forces.append(np.interp(response.piece.t, path.t, nodes))
-    left = without_model(law, trace)
+    model = linearise(solution)
+    found = start_search(model, without=missing)
     if effect.acts_within is not None:
-        bare = replace(law, r=law.r + left)
-        found = continue_search(replace(search, law=bare, residual=bare))
-        if found.bumps:
-            return _spans_of_bumps(found, runs)
-    squares, spans = [float(left[rows] @ left[rows]) for rows in law.rows], list[FailingSpan]()
+        local = continue_search(found)
+        if local.items:
+            return _spans_of_bumps(local, runs)
+    left = found.bare.residual - start_search(model).bare.residual
+    squares, spans = [float(left[rows] @ left[rows]) for rows in found.search.separable.slices], list[FailingSpan]()
+    forces = [_effect_force(solution, r, missing) for r in solution.responses]
     for i, (force, peak) in enumerate(zip(forces, _expected_peaks(solution, effect, forces), strict=True)):
         share = squares[i] / max(sum(squares) * float(force @ force), 1e-300)
         p = _p_of_size(solution, effect, solution.responses[i].piece.run)
@@ -216,11 +198,12 @@ def _spans_of_effect(solution: Solution, runs: Sequence[Run], missing: str) -> l
     return spans
 
 
-def _effect_force(solution: Solution, response: PieceResponse, name: str) -> tuple[Array, Path]:
-    """Force of one effect of the model at the nodes of a piece, N, (m,), and the path there."""
+def _effect_force(solution: Solution, response: PieceResponse, name: str) -> Array:
+    """Force of one effect of the model at the frames of a piece, N, (n,)."""
     values, level = solution.problem.layout.values(solution.p, response.piece.run)
     path = response.piece.path_at_nodes(response.motion.x, response.motion.v, level)
-    return solution.problem.model.effect_contribution(name, path, values), path
+    force = solution.problem.model.effect_contribution(name, path, values)
+    return np.interp(response.piece.t, path.t, force)
 
 
 def _p_of_size(solution: Solution, effect: Effect, run: int) -> float:

@@ -306,7 +306,7 @@ class LinearisedRun(LeastSquaresProblem):
         begin = self.first_start * np.array([1.0, self.pieces[0].clock / piece.clock])
         edges = piece.panels.integrate(piece.a_hat, *begin)[2:]
         motion = CollocationSolution(piece.panels, piece.x_hat, piece.v_hat, piece.a_hat, *edges)
-        law = self.law(piece, p)
+        law = self.law_of(piece, p)
         if self._linear is None:
             own, self._linear = law.linearised(motion)
         else:

@@ -17,7 +17,6 @@ from frictrack.fit.least_squares.problem import LeastSquaresProblem, PieceRespon
 from frictrack.fit.least_squares.solution import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
-    ModelProjection,
     Solution,
     batch_count,
     clustered_covariance,

@@ -535,7 +535,7 @@ class LeastSquaresProblem:
 
         """
         sensitivities = self.motion_sensitivities(piece, p, *about)[:, 0]
-        return self._linearised_response(piece, self.law(piece, p), about, (x, sensitivities))
+        return self._linearised_response(piece, self.law_of(piece, p), about, (x, sensitivities))
 
     def _linearised_response(
         self,
@@ -570,7 +570,7 @@ class LeastSquaresProblem:
             r_full=residual,
         )
 
-    def law(self, piece: Piece, p: Array) -> JoinedLaw:
+    def law_of(self, piece: Piece, p: Array) -> JoinedLaw:
         """Return the model with unknowns p (P,) along one piece."""
         return self._law(JoinedPieces((piece,)), p)
 
@@ -583,7 +583,7 @@ class LeastSquaresProblem:
 
     def acceleration_sensitivities(self, piece: Piece, p: Array, motion: CollocationSolution) -> Array:
         """Acceleration at the nodes of one piece per unit of every active unknown, (3 p, A)."""
-        g = self.law(piece, p).sensitivities(motion)
+        g = self.law_of(piece, p).sensitivities(motion)
         return g[self._columns_of(piece.run)].T
 
     def _simulate(

@@ -45,7 +45,7 @@ from frictrack.fit.penalties import (
     prior_jacobian,
     prior_residual,
 )
-from frictrack.fit.pieces import Piece, column_norms, consecutive_slices
+from frictrack.fit.pieces import Piece, column_norms
 from frictrack.fit.smooth_functions import rms
 from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
 from frictrack.records import Array, Mask
@@ -268,69 +268,19 @@ def stacked_rows(blocks: Sequence[Array], active: Sequence[Sequence[int]], n_unk
     return out
 
 
-@dataclass(frozen=True)
-class ModelProjection:
-    """The linearised model over all N frames and m penalty rows, and the residual orthogonal to it.
+def model_projection(solution: Solution) -> tuple[Array, Array]:
+    """Compute an orthonormal basis u (N + m, P') of a fitted model, and what of the residual is orthogonal to it.
 
-    Attributes
-    ----------
-    solution : Solution
-        The fit.
-    rows : list of slice
-        Rows of every piece.
-    u : array of shape (N + m, P')
-        Orthonormal basis of the model.
-    r : array of shape (N + m,)
-        Whitened residual orthogonal to `u`.
-
+    The rows are those of all N frames, then those of the m penalties.
     """
-
-    solution: Solution
-    rows: list[slice]
-    u: Array
-    r: Array
-
-    @property
-    def responses(self) -> list[PieceResponse]:
-        """Responses of the pieces."""
-        return self.solution.responses
-
-    def with_columns(self, columns: Array) -> ModelProjection:
-        """Return the projection with further columns (N + m, k) in the model."""
-        left = columns - self.u @ (self.u.T @ columns)
-        left -= self.u @ (self.u.T @ left)
-        q, upper = np.linalg.qr(left)
-        q = q[:, np.abs(np.diag(upper)) > MIN_SINGULAR_VALUE_PROJECTED * np.linalg.norm(columns, axis=0)]
-        return ModelProjection(self.solution, self.rows, np.hstack([self.u, q]), self.r - q @ (q.T @ self.r))
-
-
-def model_projection(solution: Solution, kept: Sequence[int] | None = None) -> ModelProjection:
-    """Compute the projection of a fitted model, linearised where it converged.
-
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    kept : sequence of int, optional
-        Use only these unknowns.
-
-    Returns
-    -------
-    ModelProjection
-        Basis and residual.
-
-    """
-    layout = solution.problem.layout
-    tau = solution.tau_of_other_runs
     few, expanded = solution.rotated_jacobian()
-    law = np.vstack([few, penalty_jacobian(layout, tau, solution.p)])
-    law = law if kept is None else law[:, kept]
-    r = np.concatenate([solution.residual, -penalty_residual(layout, solution.p, tau)])
+    tau = solution.tau_of_other_runs
+    law = np.vstack([few, penalty_jacobian(solution.problem.layout, tau, solution.p)])
+    r = np.concatenate([solution.residual, -penalty_residual(solution.problem.layout, solution.p, tau)])
     u, s, _ = np.linalg.svd(law / column_norms(law), full_matrices=False)
     u = u[:, s > MIN_SINGULAR_VALUE_PROJECTED * s[0]] if len(s) else u
     u = np.concatenate([expanded(u[: len(few)]), u[len(few) :]])
-    rows = consecutive_slices(len(response.r) for response in solution.responses)
-    return ModelProjection(solution, rows, u, r - u @ (u.T @ r))
+    return u, r - u @ (u.T @ r)
 
 
 def displacement_response(response: PieceResponse, force: Array) -> Array:

@@ -93,7 +93,7 @@ def _response_about_measurement(problem: LeastSquaresProblem, p: Array, response
     about = CollocationSolution(
         piece.panels, x, v, acceleration, motion.x_edge + correction(edges), motion.v_edge + correction(edges, 1)
     )
-    own, linear = problem.law(piece, p).linearised(about)
+    own, linear = problem.law_of(piece, p).linearised(about)
     start_correction = np.array([[-float(correction(edges[0]))], [-float(correction(edges[0], 1))]])
     _, moved = linear.respond((own - acceleration)[:, None], start_correction)
     return problem.linearised_response(
@@ -321,7 +321,7 @@ def _linear(problem: LeastSquaresProblem, p: Array, response: PieceResponse) -> 
     nodes = piece.panels.t
     x, v = (CubicSpline(motion.panels.edges, q)(nodes) for q in (motion.x_edge, motion.v_edge))
     edges = (q[:: response.piece.per_frame] for q in (motion.x_edge, motion.v_edge))
-    return problem.law(piece, p).linearised(CollocationSolution(piece.panels, x, v, np.zeros_like(x), *edges))[1]
+    return problem.law_of(piece, p).linearised(CollocationSolution(piece.panels, x, v, np.zeros_like(x), *edges))[1]
 
 
 def _edge_path(response: PieceResponse, level: float) -> Path:

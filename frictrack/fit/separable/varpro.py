@@ -444,12 +444,12 @@ class VariableProjection:
         """Remove one effect, find it again run by run, largest gain first, and exchange positions."""
         items = [i for i in self.items if i.effect.name == effect]
         without_effect = problem.without(state, np.concatenate([i.coefficients for i in items]))
-        start = problem.refine(without_effect, self._groups_without(items), steps=ROUGH_STEPS)
+        start = problem.refine(without_effect, self.groups_without(items), steps=ROUGH_STEPS)
         return self.exchange_positions(problem, self._add_items(problem, start, items), effect)
 
     def misses_effect(self, problem: ProjectedProblem, state: SeparableSolution) -> bool:
         """Whether one more effect of any kind would gain far more than by chance, so that a position must be wrong."""
-        gains = (self._one_more(problem, state, i).largest for i in self.items)
+        gains = (self.one_more(problem, state, i).largest for i in self.items)
         return max(gains, default=0.0) > LARGE_GAIN_CHI2 * state.misfit / self.separable.size
 
     # --- scans
@@ -465,12 +465,12 @@ class VariableProjection:
             self._tables[item.kind] = others, ScanTable.of(self.separable, item, state.nonlinear_values)
         return self._last, self._tables[item.kind][1]
 
-    def _one_more(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
+    def one_more(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
         """The gain of every grid point of one more effect like an item."""
         scans, table = self._scan(problem, state, item)
         return scans.one_more(item, table)
 
-    def _moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
+    def moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
         """The gain of every grid point of an item that leaves its own position."""
         scans, table = self._scan(problem, state, item)
         return scans.moved(item, table)
@@ -483,21 +483,21 @@ class VariableProjection:
         """Add the effect that gains most, refine, and go on until none is missing; events in all runs at once."""
         remaining = list(items)
         while remaining:
-            scans = {i: self._one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
+            scans = {i: self.one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
             best = max(scans, key=lambda i: scans[i].largest)
             chosen = {i.run: i for i in sorted(scans, key=lambda i: scans[i].largest) if i.effect is best.effect}
             added = {i: scans[i].summit(scans[i].best) for i in chosen.values()}
             remaining = [i for i in remaining if i not in added]
-            state = self._with_items_at(problem, state, added)
+            state = self.with_items_at(problem, state, added)
             if remaining:
-                state = problem.refine(state, self._groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
+                state = problem.refine(state, self.groups_without(remaining), steps=ROUGH_STEPS, enough=1e-3)
         return problem.refine(state)
 
-    def _groups_without(self, remaining: Sequence[ScanItem]) -> set[int]:
+    def groups_without(self, remaining: Sequence[ScanItem]) -> set[int]:
         """Groups without those of the remaining items."""
         return set(range(len(self.separable.groups))) - {i.g for i in remaining}
 
-    def _with_items_at(
+    def with_items_at(
         self, problem: ProjectedProblem, state: SeparableSolution, values: Mapping[ScanItem, Array]
     ) -> SeparableSolution:
         """The solution with the scanned parameters of some items at some values (d,)."""
@@ -532,12 +532,12 @@ class VariableProjection:
         """The solution with one effect at another position that is worth a refinement, the most promising first."""
         places = []
         for item in items:
-            found = self._moved(problem, state, item)
+            found = self.moved(problem, state, item)
             for g in found.peaks(-self._max_lag(state, found.loss))[:MAX_PLACES].tolist():
                 if not item.is_at(state.nonlinear_values, g):
                     places.append((float(found.gains[g]), item, found.summit(g)))
         for _, item, values in sorted(places, key=lambda place: -place[0]):
-            yield self._with_items_at(problem, state, {item: values})
+            yield self.with_items_at(problem, state, {item: values})
 
     def _max_lag(self, state: SeparableSolution, loss: float) -> float:
         """By how much a grid point may be behind and still be refined, where an effect of some gain moves there."""
@@ -550,9 +550,9 @@ class VariableProjection:
         if len(items) < 2:
             return
         misses_effect = self.misses_effect(problem, state)
-        loss = {i: self._moved(problem, state, i).loss for i in items}
+        loss = {i: self.moved(problem, state, i).loss for i in items}
         for one, other in permutations(items, 2):
-            gain = self._one_more(problem, state, one).largest
+            gain = self.one_more(problem, state, one).largest
             is_pair = one.kind == other.kind and len(one.slots) == 1
             if is_pair and min(loss[one], loss[other]) < MAX_PAIR_GAIN_RATIO * gain:
                 yield self._with_line_split(problem, state, one, other)
@@ -565,7 +565,7 @@ class VariableProjection:
         """Two lines at the grid points on either side of one of them, which a single one hardly differs from."""
         axis, value = one.grid.axes[0], state.nonlinear_values[one.slots[0][0]]
         g = int(np.clip(np.searchsorted(axis, value), 1, len(axis) - 1))
-        return self._with_items_at(problem, state, {one: axis[[g - 1]], other: axis[[g]]})
+        return self.with_items_at(problem, state, {one: axis[[g - 1]], other: axis[[g]]})
 
     def _with_both_again(
         self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
@@ -573,6 +573,6 @@ class VariableProjection:
         """Both items removed, then `one` and after it `other` at their best positions."""
         state = problem.without(state, np.concatenate([one.coefficients, other.coefficients]))
         for item in (one, other):
-            found = self._one_more(problem, state, item)
-            state = self._with_items_at(problem, state, {item: found.summit(found.best)})
+            found = self.one_more(problem, state, item)
+            state = self.with_items_at(problem, state, {item: found.summit(found.best)})
         return state

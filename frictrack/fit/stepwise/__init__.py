@@ -13,6 +13,7 @@ from frictrack.fit.stepwise.growth import (
 from frictrack.fit.stepwise.trial import (
     EVENT_PARAMETERS,
     CandidateTrial,
+    TiedSeparableModel,
     baseline_misfit,
     bic_penalty,
     deepen_trials,

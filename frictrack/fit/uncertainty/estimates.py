@@ -45,7 +45,6 @@ from frictrack.effects import Effect
 from frictrack.fit.least_squares import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
-    ModelProjection,
     PieceResponse,
     Solution,
     covariance_of,
@@ -55,6 +54,7 @@ from frictrack.fit.least_squares import (
 )
 from frictrack.fit.parameters import LEVEL, MASS
 from frictrack.fit.penalties import prior_jacobian
+from frictrack.fit.pieces import consecutive_slices
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import (
     correlation_time_frames,
@@ -461,11 +461,11 @@ def misfit_of(solution: Solution) -> Misfit | None:
     """Find the most likely missing force of a model, and its effect on the unknowns; None for noise alone."""
     if len(solution.responses) * MIN_KNOTS > MAX_KNOTS:
         return None
-    law = model_projection(solution)
+    projection = model_projection(solution)
     inverse_hessian, _ = white_noise_covariance(solution)
     candidates = []
     for axis, forces, roots in _force_bases(solution):
-        gram, data, gradient = _trace_products(law, forces)
+        gram, data, gradient = _trace_products(solution, projection, forces)
         force = most_likely_process(gram, data, roots, MAX_TRACE)
         moved = inverse_hessian @ gradient @ force.prior
         candidates.append(Misfit(axis, force.gain, moved @ moved.T))
@@ -474,18 +474,19 @@ def misfit_of(solution: Solution) -> Misfit | None:
     return _widest_covariance(best, plausible) if best.evidence > MIN_MISFIT_EVIDENCE else None
 
 
-def _trace_products(law: ModelProjection, forces: _Forces) -> tuple[Array, Array, Array]:
+def _trace_products(solution: Solution, projection: tuple[Array, Array], forces: _Forces) -> tuple[Array, Array, Array]:
     """Inner products of the traces of K unit forces in the data."""
     # they are those of what the model cannot follow of them with itself (K, K), with the residual (K,), and those of
     # the whole traces with the Jacobian (P, K)
-    size = max(columns.stop for columns, _ in forces)
+    (u, r), size = projection, max(columns.stop for columns, _ in forces)
+    slices = consecutive_slices(len(response.r) for response in solution.responses)
     gram, data = np.zeros((size, size)), np.zeros(size)
-    on_model, gradient = np.zeros((law.u.shape[1], size)), np.zeros((len(law.solution.p), size))
-    for rows, response, (columns, values) in zip(law.rows, law.responses, forces, strict=True):
+    on_model, gradient = np.zeros((u.shape[1], size)), np.zeros((len(solution.p), size))
+    for rows, response, (columns, values) in zip(slices, solution.responses, forces, strict=True):
         trace = displacement_response(response, values)
         gram[columns, columns] += trace.T @ trace
-        data[columns] += law.r[rows] @ trace
-        on_model[:, columns] += law.u[rows].T @ trace
+        data[columns] += r[rows] @ trace
+        on_model[:, columns] += u[rows].T @ trace
         gradient[response.active, columns] += response.jac.T @ trace
     return gram - on_model.T @ on_model, data, gradient
 
