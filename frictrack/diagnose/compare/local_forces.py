@@ -334,8 +334,8 @@ def _strongest_bumps(found: LocalForces) -> list[dict[ScanItem, Array]]:
         if place.run is None and scan.largest > most + MIN_CHI2_GAIN_PLACE:
             heights = scan.gains.reshape(scan.grid.shape)
             points = np.ravel_multi_index((np.argmax(heights, axis=0), np.arange(heights.shape[1])), heights.shape)
-            points = sorted(points.tolist(), key=lambda g: -scan.gains[g])
-            return [{place: scan.grid.values[g]} for g in points if found.p_of_gain(float(scan.gains[g])) < ALPHA]
+            best_first = sorted(points.tolist(), key=lambda g: -scan.gains[g])
+            return [{place: scan.grid.values[g]} for g in best_first if found.p_of_gain(float(scan.gains[g])) < ALPHA]
     return [{i: scan.grid.values[scan.best] for i, scan in moments.items()}] if moments else []
 
 

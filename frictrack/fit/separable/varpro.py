@@ -298,7 +298,8 @@ class SolutionScan:
 
     def __init__(self, problem: ProjectedProblem, state: SeparableSolution) -> None:
         self.separable, self.state = problem.separable, state
-        tangent = problem.tangent(state, problem.separable.free)
+        groups = [self.separable.groups[g] for g in state.columns]
+        tangent = problem.tangent(state, sorted({i for group in groups for i in group.nonlinear_slots}))
         across = state.rows @ tangent.rows.T
         normal = np.block([[state.gram, across], [across.T, tangent.normal]])
         free = np.concatenate([state.unconstrained, tangent.is_inside]) & (normal.diagonal() > 0)
