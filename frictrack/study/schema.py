@@ -851,3 +851,15 @@ class EffectTable(Keys):
     formula: str | None = None
     units: dict[str, str] = {}
     acts_on: Literal["force", "measurement"] = "force"
+
+
+class StudyFile(Keys):
+    """The tables of a study file."""
+
+    study: StudyTable = StudyTable()
+    camera: CameraTable = CameraTable()
+    motion: MotionTable = MotionTable()
+    run: tuple[RunTable, ...] = ()
+    effect: tuple[EffectTable, ...] = ()
+    costs: CostsTable = CostsTable()
+    search: SearchTable | None = None
