@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from frictrack.base.errors import UsageError
+from frictrack.base.errors import UsageError, describe_fault
 from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
@@ -270,12 +270,8 @@ class _Reader:
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
             hint = f"it belongs in [{home}]" if home else schema.suggest(key, TABLES[table].model_fields)
-            return f'{where}: unknown key "{key}"; {hint}'
-        if fault["type"] == "value_error":
-            message = str(fault["ctx"]["error"])
-            return f"{where}: {message}" if key in message else f"{where}: {key}: {message}"
-        message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
-        return f"{where}: {key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
+            return f"{where}: {describe_fault(fault, key)}; {hint}"
+        return f"{where}: {describe_fault(fault, key)}"
 
     def _merged(self, index: int, run: schema.RunTable, file: schema.StudyFile) -> schema.RunTable:
         """Return a run with the keys that it inherits."""
