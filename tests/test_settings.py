@@ -506,7 +506,7 @@ def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
         (
             "prior = {F_v = [0.4, 0.001]}",
             "fix = {F_v = true}",
-            '[[effect]] "viscous", line 28: fix: expected {parameter',
+            '[[effect]] "viscous", line 28: fix: expected a valid number but got True',
         ),
         (
             "prior = {F_v = [0.4, 0.001]}",
