@@ -65,17 +65,13 @@ def read_crate(folder: Path) -> Crate:
     try:
         if path.stat().st_size > MAX_METADATA_BYTES:
             raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        return _crate(folder, {one["@id"]: one for one in json.loads(path.read_text(encoding="utf-8"))["@graph"]})
     except FrictrackError:
         raise
     except FileNotFoundError as e:
         raise UsageError(f"expected an RO-Crate but {folder} has no {METADATA}") from e
-    except (OSError, ValueError, RecursionError) as e:
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
-    try:
-        return _crate(folder, {one["@id"]: one for one in raw["@graph"]})
-    except FrictrackError:
-        raise
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as e:
         raise FrictrackError(
             f"expected a crate of `frictrack export --to crate` but {path} describes something else ({e!r})"
@@ -374,7 +370,10 @@ def reproduce_crate(
         does not list, or the study cannot be computed.
 
     """
-    _check_paths(path, out)
+    if not path.exists():
+        raise UsageError(f"expected a crate but there is no {path}; check the path")
+    if out.exists():
+        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
     began = time.monotonic()
     try:
         crate = _unpacked(path, out, progress)
@@ -453,14 +452,6 @@ def _stored_files(crate: Crate) -> dict[str, Path]:
     if STUDY_FILE not in found:
         raise FrictrackError(f"expected {STUDY_FILE} among the results of the crate but it lists none; export it again")
     return found
-
-
-def _check_paths(path: Path, out: Path) -> None:
-    """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
-    if not path.exists():
-        raise UsageError(f"expected a crate but there is no {path}; check the path")
-    if out.exists():
-        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
 
 
 def _made(folder: Path) -> Path:
