@@ -202,27 +202,20 @@ class Prior:
         """Return the text of a prior file, which `from_toml` reads."""
         import tomlkit  # noqa: PLC0415 - only to write
 
-        document, head, tables = tomlkit.document(), tomlkit.table(), tomlkit.aot()
-        for line in COMMENT.splitlines():
-            document.add(tomlkit.comment(line))
-        head["format"], head["study"], head["model"] = FORMAT, self.study, list(self.model)
-        if self.load is not None:
-            head["load"] = self.load
-        document["prior"] = head
-        for i, name in enumerate(self.names):
-            table = tomlkit.table()
-            table["name"], table["value"], table["std"] = name, self.values[i], self.std[i]
-            table["unit"], table["scales_with"] = self.units[i], SCALES[self.loaded[i]]
+        head: dict[str, Any] = {"format": FORMAT, "study": self.study, "model": list(self.model)}
+        head |= {} if self.load is None else {"load": self.load}
+        tables: list[dict[str, Any]] = []
+        for i, row in enumerate(zip(self.names, self.values, self.std, self.units, self.loaded, strict=True)):
+            name, value, std, unit, loaded = row
+            tables.append({"name": name, "value": value, "std": std, "unit": unit, "scales_with": SCALES[loaded]})
             pairs = zip(self.names[:i], self.correlation[i, :i], strict=True)
-            others = {other: float(r) for other, r in pairs if r != 0.0}
-            if others:
-                table["correlation"] = tomlkit.inline_table()
-                table["correlation"].update(others)
-            tables.append(table)
-        document["parameter"] = tables
-        for name, reason in self.left_out:
-            document.add(tomlkit.comment(f"left out: {name}, {reason}".replace("\n", " ")))
-        return tomlkit.dumps(document)
+            if others := {other: float(r) for other, r in pairs if r != 0.0}:
+                tables[-1]["correlation"] = tomlkit.inline_table()
+                tables[-1]["correlation"].update(others)
+        text = tomlkit.dumps({"prior": head, "parameter": tables})
+        left_out = [f"left out: {name}, {reason}".replace("\n", " ") for name, reason in self.left_out]
+        first, last = ("".join(f"# {line}\n" for line in lines) for lines in (COMMENT.splitlines(), left_out))
+        return f"{first}\n{text}{last}"
 
     def save(self, path: str | Path) -> Path:
         """Write the prior file and return its path."""
