@@ -74,7 +74,7 @@ def test_faults_of_the_table_are_said_at_load(tmp_path, line, sentence):
     path = tmp_path / "study.toml"
     path.write_text(f"[costs]\n{line}\n")
     with pytest.raises(FrictrackError) as e:
-        study.load(path, allow_no_runs=True)
+        study.load(path, allow_incomplete=True)
     assert sentence in str(e.value)
     assert "line 2" in str(e.value)
 
@@ -82,7 +82,7 @@ def test_faults_of_the_table_are_said_at_load(tmp_path, line, sentence):
 def test_the_table_is_read(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text('[costs]\nfilm = 5\ncamera = inf\nmasses = ["350 g", 0.7]\nframes = 1000\n')
-    costs = study.load(path, allow_no_runs=True).costs
+    costs = study.load(path, allow_incomplete=True).costs
     assert costs == Costs(film=5.0, camera=math.inf, masses=(0.35, 0.7), frames=1000.0)
 
 

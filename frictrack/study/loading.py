@@ -63,15 +63,13 @@ class Study:
         return self.path.parent
 
 
-def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
+def load(path: str | Path, *, allow_incomplete: bool = False) -> Study:
     """Read a study file.
 
     Parameters
     ----------
     path
         The file, or a folder with a ``study.toml``.
-    allow_no_runs
-        Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale.
 
@@ -83,10 +81,10 @@ def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: boo
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    return parse(path, _read(path), allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete)
+    return parse(path, _read(path), allow_incomplete=allow_incomplete)
 
 
-def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
+def parse(path: Path, text: str, *, allow_incomplete: bool = False) -> Study:
     """Read the text of a study file, which need not be on the disk.
 
     Parameters
@@ -95,8 +93,6 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
         Path of the study file; paths in the text are relative to its folder.
     text
         The text.
-    allow_no_runs
-        Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale; see `Study.incomplete`.
 
@@ -107,7 +103,7 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
 
     """
     raw = read_toml(path.name, text)
-    reader = _Reader(text, raw, allow_no_runs=allow_no_runs or allow_incomplete)
+    reader = _Reader(text, raw)
     study = reader.study(path)
     if not allow_incomplete:
         reader.faults += reader.lacks
@@ -200,10 +196,9 @@ def _read(path: Path) -> str:
 class _Reader:
     """Check the tables of a study file and collect their faults."""
 
-    def __init__(self, text: str, raw: dict[str, Any], *, allow_no_runs: bool = False) -> None:
+    def __init__(self, text: str, raw: dict[str, Any]) -> None:
         self.lines = _lines_of_keys(text)
         self.raw = raw
-        self.allow_no_runs = allow_no_runs
         self.faults: list[str] = []
         self.lacks: list[str] = []  # keys that a run needs before it can be measured
         self.faults_of_runs: dict[str, list[str]] = {}  # where, by fault: several runs often lack the same
@@ -218,8 +213,8 @@ class _Reader:
             return None
         where = f"[motion], {self._line('motion', 0, '')}"
         self.faults += [f"{where}: {fault}" for fault in file.motion.filter_choice.faults()]
-        if not file.run and not self.allow_no_runs:
-            self.faults.append(
+        if not file.run:
+            self.lacks.append(
                 "expected at least one [[run]] but got none; `frictrack init FOLDER` writes an example, and `frictrack "
                 "plan STUDY` lists which runs to film"
             )
