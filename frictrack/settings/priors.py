@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from frictrack.base.errors import FrictrackError, UsageError, describe_invalid
-from frictrack.base.files import replace_text
+from frictrack.base.files import read_small_text, replace_text
 from frictrack.records import Array
 
 FORMAT = 1  # version of the file format
@@ -237,19 +237,7 @@ class Prior:
             (usage) If the file cannot be read or is damaged.
 
         """
-        path = Path(path)
-        try:
-            if (size := path.stat().st_size) > MAX_PRIOR_BYTES:
-                raise UsageError(
-                    f"{path.name}: expected a prior file of at most {MAX_PRIOR_BYTES >> 10} kB but got "
-                    f"{size / 1e3:.0f} kB"
-                )
-            text = path.read_text(encoding="utf-8")
-        except UnicodeDecodeError as e:
-            raise UsageError(f"{path.name}: expected a text in UTF-8; export the law again") from e
-        except OSError as e:
-            raise UsageError(f"expected a prior file {path} but cannot read it") from e
-        return cls.from_toml(text, path.name)
+        return cls.from_toml(read_small_text(Path(path), MAX_PRIOR_BYTES, "a prior file"), Path(path).name)
 
     @classmethod
     def from_toml(cls, text: str, name: str = "prior") -> Prior:

@@ -15,7 +15,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from frictrack.base.errors import UsageError, describe_fault
-from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
+from frictrack.base.files import MAX_NAME_LENGTH, is_file_name, read_small_text
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
 from frictrack.study import schema
@@ -176,21 +176,14 @@ def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
         way = f"frictrack run {shlex.quote(path.name)} --mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise UsageError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one")
-    try:
-        if path.exists() and not path.is_file():
-            raise UsageError(f"expected a study file but {path} is none")
-        if (size := path.stat().st_size) > MAX_STUDY_BYTES:
-            most = f"expected a study file of at most {MAX_STUDY_BYTES >> 10} kB"
-            raise UsageError(f"{path.name}: {most} but got {size / 1e3:.0f} kB")
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as e:
-        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8") from e
-    except OSError as e:
+    if not path.exists():
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         new = f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
         hint = schema.suggest(path.name, there) if there else new
-        state = "cannot read it" if path.exists() else "there is none"
-        raise UsageError(f"expected a study file {path} but {state}; {hint}") from e
+        raise UsageError(f"expected a study file {path} but there is none; {hint}")
+    if not path.is_file():
+        raise UsageError(f"expected a study file but {path} is none")
+    return read_small_text(path, MAX_STUDY_BYTES, "a study file")
 
 
 class _Reader:
