@@ -10,7 +10,6 @@ import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -127,10 +126,6 @@ def _ids(values: Any) -> list[str]:
     return [one["@id"] for one in references]
 
 
-MAX_LISTED = 5  # files that a message names
-_listed = partial(first_words, most=MAX_LISTED)
-
-
 def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
     """Make a copy of the study in an empty folder; return its study file."""
     study = folder / crate.study.place
@@ -168,13 +163,15 @@ def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress |
     faults = []
     if missing:
         where = "in the crate" if recordings is None else f"in {recordings}"
-        faults.append(f"{_listed(missing)} {'is' if len(missing) == 1 else 'are'} not {where}")
+        faults.append(f"{first_words(missing)} {'is' if len(missing) == 1 else 'are'} not {where}")
     if changed:
-        faults.append(f"{_listed(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says")
+        faults.append(
+            f"{first_words(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says"
+        )
     if faults:
         advice = "give --recordings FOLDER with the original recordings"
         if addresses and progress is None:
-            advice += f", or --allow-addresses to fetch {_listed([*addresses.values()])}"
+            advice += f", or --allow-addresses to fetch {first_words([*addresses.values()])}"
         raise FrictrackError(f"expected the inputs of the study but {' and '.join(faults)}; {advice}")
     found.pop(crate.study.place)
     return found
