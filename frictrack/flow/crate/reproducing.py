@@ -141,8 +141,7 @@ def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path
 def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress | None) -> dict[str, Path]:
     """Return the inputs on this machine by their places; every one has the bytes that the crate says."""
     found: dict[str, Path] = {}
-    missing: list[str] = []
-    changed: list[str] = []
+    faults: list[str] = []
     candidates = _files_by_name(recordings)
     remote = {text: place for text, place in crate.moved.items() if is_address(text) and not text.startswith("file:")}
     addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
@@ -156,23 +155,16 @@ def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress |
         same = next((path for path in there if has_same_bytes(path, one)), None)
         if same is not None:
             found[one.place] = same.absolute()
-        elif one.is_included or not there:
-            (changed if there else missing).append(one.place)
+        elif there:
+            where = "" if one.is_included else f" (found as {there[0]})"
+            faults.append(f"{one.place}{where} has other bytes than the crate says")
         else:
-            changed.append(f"{one.place} (found as {there[0]})")
-    faults = []
-    if missing:
-        where = "in the crate" if recordings is None else f"in {recordings}"
-        faults.append(f"{first_words(missing)} {'is' if len(missing) == 1 else 'are'} not {where}")
-    if changed:
-        faults.append(
-            f"{first_words(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says"
-        )
+            faults.append(f"{one.place} is not in {'the crate' if recordings is None else recordings}")
     if faults:
         advice = "give --recordings FOLDER with the original recordings"
         if addresses and progress is None:
             advice += f", or --allow-addresses to fetch {first_words([*addresses.values()])}"
-        raise FrictrackError(f"expected the inputs of the study but {' and '.join(faults)}; {advice}")
+        raise FrictrackError(f"expected the inputs of the study but {first_words(faults)}; {advice}")
     found.pop(crate.study.place)
     return found
 
