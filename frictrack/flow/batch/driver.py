@@ -63,7 +63,7 @@ def find_trends(outcomes: Sequence[StudyOutcome]) -> list[dict[str, Any]]:
     noise = [_mean(_column(one.rows, "noise_um")) for one in outcomes]
     found.append(_trend("noise of the displacement", "µm", np.array(noise)))
     fitted = [row for one in outcomes for row in one.rows if row.get("role") == "fit"]
-    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), along="run"))
+    found.append(_trend("friction level of the run", "1", _column(fitted, "level"), axis="run"))
     known = [one for one in found if one is not None]
     return [one | {"p": (p := min(1.0, one["p"] * len(known))), "holds": p < ALPHA} for one in known]
 
@@ -74,7 +74,7 @@ def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
     return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
 
 
-def _trend(name: str, unit: str, y: Array, s: Array | None = None, along: str = "study") -> dict[str, Any] | None:
+def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> dict[str, Any] | None:
     """Return the trend of values y (n,) with standard deviations s (n,); None for too few values or a constant.
 
     Positions `at` in the series count from 1; `change` is that from the first to the last of them.
@@ -85,7 +85,7 @@ def _trend(name: str, unit: str, y: Array, s: Array | None = None, along: str = 
     s = np.full(len(y), np.nan) if s is None else s
     at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
     slope, slope_std, scatter, p = fit_slope(at, y, np.nan_to_num(s))
-    found = {"n": len(at), "name": name, "unit": unit, "along": along, "slope": slope, "slope_std": slope_std}
+    found = {"n": len(at), "name": name, "unit": unit, "along": axis, "slope": slope, "slope_std": slope_std}
     found |= {"change": slope * np.ptp(at), "change_std": slope_std * np.ptp(at), "scatter": scatter, "p": p}
     return found | {"at": at, "value": y, "std": s}
 

@@ -29,6 +29,7 @@ from urllib.parse import quote
 
 from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
+from frictrack.base.lazy import imported
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
     FRICTRACK,
@@ -38,7 +39,6 @@ from frictrack.flow.crate.payload import (
     list_payload,
     platform_versions,
 )
-from frictrack.present.export import summary_tables
 from frictrack.results import Results
 
 ORCID = "https://orcid.org/"
@@ -333,7 +333,8 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
     payload = list_payload(session, include_recordings=options.include_recordings)
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch)
-        for name, table in summary_tables(results).items():
+        tables = imported("frictrack.present.export.tables:summary_tables")(results)
+        for name, table in tables.items():
             table.to_csv(path := made / f"{name}.csv", index=False, lineterminator="\n")
             part = Part.read(path, f"{payload.results}/{TABLES}/{path.name}", "result")
             payload = replace(payload, parts=(*payload.parts, part))

@@ -11,4 +11,3 @@ A further format is one function and one line of the table.
 # ruff: noqa: F401 - the imports are the interface
 
 from frictrack.present.export.formats import FORMATS, ExportedFiles, ExportFormat, export_results, find_format, write
-from frictrack.present.export.tables import summary_tables
