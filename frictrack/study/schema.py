@@ -17,7 +17,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    StrictInt,
     StringConstraints,
     ValidationInfo,
     model_validator,
@@ -422,8 +421,9 @@ File = Annotated[Path, BeforeValidator(_path)]
 PriorFile = Annotated[Path, BeforeValidator(_prior)]
 Factor = Annotated[float, _number("1", above=0.0)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Fixed = Annotated[Number | Literal[False], Field(union_mode="left_to_right")]  # 0 is a number, although 0 == False
 Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=60)]
-Conditions = dict[Annotated[str, Field(pattern=NAME.pattern)], StrictInt | Number | Words]
+Conditions = dict[Annotated[str, Field(pattern=NAME.pattern)], Number | Words]
 Share = Annotated[float, BeforeValidator(_share)]
 Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
@@ -799,7 +799,7 @@ class EffectTable(Keys):
     """
 
     effect: str
-    fix: dict[str, Number | Literal[False]] = {}
+    fix: dict[str, Fixed] = {}
     bounds: dict[str, Pair] = {}
     prior: dict[str, Pair] = {}
     tie: dict[str, str] = {}
