@@ -289,12 +289,12 @@ def test_a_force_that_drifts_over_a_campaign_is_found() -> None:
         row = {"run": "a", "role": "fit", "verdict": "complete", "level": 1.0, "noise_um": 5.0 + rng.standard_normal()}
         row |= {"coulomb.F_c": force, "coulomb.F_c std": 0.02, "viscous.F_v": None, "viscous.F_v std": None}
         done.append(StudyOutcome(str(k), {}, [row], units={"coulomb.F_c": "N", "viscous.F_v": "N s/m"}))
-    found = {trend.name: trend for trend in find_trends(done)}
+    found = {trend["name"]: trend for trend in find_trends(done)}
     assert set(found) == {"coulomb.F_c", "noise of the displacement"}  # one is unknown, one is constant
-    assert found["coulomb.F_c"].holds
-    assert found["coulomb.F_c"].change == pytest.approx(1.9, abs=3 * found["coulomb.F_c"].change_std)
-    assert found["coulomb.F_c"].scatter == pytest.approx(0.1, rel=0.5)
-    assert not found["noise of the displacement"].holds
+    assert found["coulomb.F_c"]["holds"]
+    assert found["coulomb.F_c"]["change"] == pytest.approx(1.9, abs=3 * found["coulomb.F_c"]["change_std"])
+    assert found["coulomb.F_c"]["scatter"] == pytest.approx(0.1, rel=0.5)
+    assert not found["noise of the displacement"]["holds"]
 
 
 def test_the_p_value_of_a_trend_counts_all_trends_of_the_batch() -> None:
@@ -308,9 +308,9 @@ def test_the_p_value_of_a_trend_counts_all_trends_of_the_batch() -> None:
     found = find_trends(done)
     assert len(found) == 3
     for trend in found:
-        alone = stats.linregress(trend.at, trend.value).pvalue
-        assert trend.p == pytest.approx(min(1.0, 3 * alone), rel=1e-4)
-        assert trend.holds == (3 * alone < 0.01)
+        alone = stats.linregress(trend["at"], trend["value"]).pvalue
+        assert trend["p"] == pytest.approx(min(1.0, 3 * alone), rel=1e-4)
+        assert trend["holds"] == (3 * alone < 0.01)
 
 
 # --- who does it

@@ -5,18 +5,15 @@ from __future__ import annotations
 import json
 import operator
 import os
-import platform
 import signal
 import socket
 import subprocess
 import sys
-import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from campaigns import campaign, results
@@ -40,13 +37,6 @@ def die(session, seed=0, real=tasks.Session.run):
 
 tasks.Session.run = die
 """
-SMALL_FILES = """
-import resource, signal
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
-"""
-
-KILLERS = {0, 6}  # tasks
 
 
 class Cluster:
@@ -141,9 +131,8 @@ def test_a_scheduler_that_is_killed_and_started_again(tmp_path: Path, dask: Clus
     assert not list(there.rglob("*.part*"))
 
 
-def test_no_task_is_lost_at_any_moment(dask: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_task_is_lost_at_any_moment(dask: Cluster) -> None:
     """Tasks of no length: when the scheduler is killed, some have ended whose results are on the way."""
-    monkeypatch.setattr(cluster, "MAX_ATTEMPTS", 10)
     count, kill_at, running, found = 1500, [100, 400, 800], {}, {}
     todo = list(range(count))
     started = [dask.scheduler(), dask.worker(), dask.worker()]
@@ -153,7 +142,10 @@ def test_no_task_is_lost_at_any_moment(dask: Cluster, monkeypatch: pytest.Monkey
             for i in [todo.pop() for _ in range(min(len(todo), 5 * pool.capacity() - len(running)))]:
                 running[pool.submit(operator.mul, i, i)] = i
             done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
-            found |= {running.pop(future): future.result() for future in done}
+            for future in done:
+                i = running.pop(future)
+                todo += [i] if future.cancelled() else []
+                found |= {} if future.cancelled() else {i: future.result()}
             if kill_at and len(found) > kill_at[0]:
                 kill_at.pop(0)
                 kill(started[0])
@@ -189,63 +181,6 @@ def test_a_study_that_kills_its_workers(tmp_path: Path, dask: Cluster) -> None:
     found = batch([str(there)], there / "all", scheduler=dask.address)
     deaths = len((dask.folder / "deaths").read_text())
     assert [(Path(one["study"]).parent.name, one["run"]) for one in found["failed"]] == [("day_2", "")]
-    assert f"the workers that computed it died, {deaths} times" in found["failed"][0]["reason"]
+    assert deaths == 4
+    assert "all those workers died while running it" in found["failed"][0]["reason"]
     assert studies_in_journal(there) == {f"day_{k}": 1 for k in range(1, 7)}
-
-
-def kill_own_worker(number: int) -> int:
-    """A task that takes a moment; some of them end the process in which they run."""
-    time.sleep(0.1)
-    if number in KILLERS:
-        os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(2.0)
-    return number
-
-
-def test_only_tasks_that_kill_workers_are_given_up(dask: Cluster) -> None:
-    """Tasks run two at a time in one worker, so that innocent ones die with the others again and again."""
-    dask.scheduler()
-    dask.worker(threads=2)
-    dask.wait_for(1)
-    todo, running, killed, found = deque(range(12)), {}, set(), set()
-    with cluster.cluster_workers(dask.address) as pool:
-        while todo or running:
-            while todo and len(running) < pool.capacity():
-                number = todo.popleft()
-                running[pool.submit(kill_own_worker, number)] = number
-            for future in wait(running, timeout=0.5, return_when=FIRST_COMPLETED).done:
-                (killed if future.exception() else found).add(running.pop(future))
-    assert killed == KILLERS
-    assert found == set(range(12)) - KILLERS
-
-
-@pytest.mark.parametrize("has_other", [True, False])
-def test_a_worker_with_a_full_disk(
-    tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch, has_other: bool
-) -> None:
-    there = campaign(tmp_path / "there", 3)
-    full: list[str] = []
-
-    def others(pool: Any, worker: str, real: Any = cluster._ClusterPool._others) -> Any:
-        full.append(worker)
-        return real(pool, worker)
-
-    monkeypatch.setattr(cluster._ClusterPool, "_others", others)
-    dask.scheduler()
-    dask.worker(SMALL_FILES)
-    if has_other:
-        dask.worker()
-    dask.wait_for(1 + has_other)
-    found = batch([str(there)], there / "all", scheduler=dask.address)
-    assert not list(there.rglob("*.part*"))
-    assert len(set(full)) == 1
-    if has_other:
-        assert not found["failed"], found["failed"]
-        ours = campaign(tmp_path / "here", 3)
-        batch([str(ours)], ours / "all", workers=1)
-        assert results(there) == results(ours)
-        assert studies_in_journal(there) == {f"day_{k}": 1 for k in range(1, 4)}
-        return
-    reasons = [one["reason"] for one in found["failed"]]
-    assert len(reasons) == 3
-    assert all("File too large" in one and f"{platform.node()} has no space left" in one for one in reasons)

@@ -82,7 +82,7 @@ def refused(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str]
         ("--mass 350g --scale 0.5", '--scale 0.5 has no unit and was read as 0.5 m/px; if mm were meant give'),
         ("--mass 350g --scale 0.5mm/px --fps 4", "--fps 4 lies outside 5 to 1e+07 frames per second; if kHz"),
         ("--mass abc --scale 0.5mm/px", 'expected mass as a quantity in kg but got "abc"'),
-        ("--mass 0 --scale 0.5mm/px", "expected a mass above 0 kg but got 0"),
+        ("--mass 0 --scale 0.5mm/px", "expected mass above 0 kg but got '0'"),
         ("--mass 350g --scale 0", "expected a scale above 0 m/px but got 0 m/px"),
         ("--scale 0.5mm/px", "expected --mass together with recordings"),
         ("--mass 350g", "expected --scale together with recordings"),

@@ -255,7 +255,7 @@ def test_what_a_plan_needs_is_asked_for(tmp_path, text, says):
     path = tmp_path / "study.toml"
     path.write_text(text)
     with pytest.raises(FrictrackError) as raised:
-        plan_study(open_study(path, allow_no_runs=True))
+        plan_study(open_study(path, allow_incomplete=True))
     assert says in str(raised.value)
     assert raised.value.usage
 

@@ -121,7 +121,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_says_so(runs: list[ft.Run]) -> None:
 )
 def test_faults_of_the_table_are_said_clearly(table: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(FrictrackError, match=message):
-        parse(tmp_path / "study.toml", f"[search]\n{table}\n", allow_no_runs=True)
+        parse(tmp_path / "study.toml", f"[search]\n{table}\n", allow_incomplete=True)
 
 
 def with_search(study_file: Path, table: str) -> Session:

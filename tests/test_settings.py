@@ -461,6 +461,14 @@ def test_a_study_files_effects_are_fitted_kept_and_brought_back(study_of_its_own
     )
 
 
+@pytest.mark.parametrize(("written", "fixed"), [("0", 0.0), ("0.0", 0.0), ("1", 1.0), ("false", False)])
+def test_a_parameter_may_be_fixed_at_zero(study_file, written, fixed):
+    """Zero is a value and frees nothing, although it equals false in Python."""
+    study_file.write_text(f'{study_file.read_text()}\n[[effect]]\neffect = "viscous"\nfix = {{F_v = {written}}}\n')
+    found = open_study(study_file).effects[0].fix["F_v"]
+    assert (found, type(found)) == (fixed, type(fixed))
+
+
 def test_a_study_files_own_effects_are_listed_and_its_model_is_read_alone(study_of_its_own):
     listed = catalogue(user_effects(open_study(study_of_its_own).effects))
     entry = next(e for e in listed if e["name"] == "magnet")
@@ -506,7 +514,7 @@ def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
         (
             "prior = {F_v = [0.4, 0.001]}",
             "fix = {F_v = true}",
-            '[[effect]] "viscous", line 28: fix: expected {parameter',
+            '[[effect]] "viscous", line 28: fix: expected a valid number but got True',
         ),
         (
             "prior = {F_v = [0.4, 0.001]}",

@@ -205,7 +205,7 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
         (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", "role: expected 'fit' or 'validation' but got 'val'"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}columns = {{x = 'x'}}\n", "expected columns only with a table"),
         (f"[study]\nmass = 'fit'\n{CAMERA}{RUN}", 'expected a measured drive with mass = "fit" but got none'),
-        (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "expected the name of a model or a list of effects but got 3"),
+        (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "model: expected a valid string but got 3"),
         (f"[study]\nmass = 1\n[camera]\nscale = true\n{RUN}", '"0.5 mm/px" or {points'),
         (
             f"[study]\nmass = 1\n{CAMERA}[[run]]\nname = '../up'\nvideo = 'v3.avi'\n",

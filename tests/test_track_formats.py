@@ -19,7 +19,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.flow import hash_path, open_study, run_pipeline, survey_recording
 from frictrack.flow.new_study import expand_folders
 from frictrack.study import find_recordings, open_table, read_table
-from frictrack.study import table_layout as xml_limits
+from frictrack.study.track_formats import video_projects
 
 DATA = Path(__file__).parent / "data" / "tracks"
 N = np.arange(24)
@@ -213,8 +213,8 @@ def test_a_zipped_project_of_tracker_is_opened(tmp_path, monkeypatch) -> None:
         packed.writestr("videos/film.mp4", b"0")
         packed.writestr("run.trk", text)
     np.testing.assert_array_equal(read_table(tmp_path / "run.trz").x, read_table(tmp_path / "run.trk").x)
-    monkeypatch.setattr(xml_limits, "MAX_UNPACKED_BYTES", 1000)
-    assert "cannot read it (more than 0 MB)" in refused(tmp_path / "run.trz")
+    monkeypatch.setattr(video_projects, "MAX_UNPACKED_BYTES", 1000)
+    assert "cannot read it (unclosed token" in refused(tmp_path / "run.trz")
 
 
 @pytest.mark.parametrize(

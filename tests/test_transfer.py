@@ -90,17 +90,21 @@ def test_the_rule_takes_the_pair_and_leaves_the_set_up():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("format = 1", "format = 7", "expected format = 1"),
-        ("std = ", "std = -", "expected a std above 0"),
-        ('unit = "N"', "unit = 3", "expected a text as unit of coulomb.F_c but got 3"),
-        ('scales_with = "load"', 'scales_with = "moon"', 'expected "nothing" or "load" as scales_with of coulomb.F_c'),
-        ('"coulomb.F_c" = -0.9', '"coulomb.F_c" = -1.9', "expected correlations between -1 and 1"),
+        ("format = 1", "format = 7", "prior.format: expected 1 but got 7"),
+        ("std = ", "std = -", "std: expected greater than 0"),
+        ('unit = "N"', "unit = 3", "parameter.0.unit: expected a valid string but got 3"),
+        ('scales_with = "load"', 'scales_with = "moon"', "scales_with: expected 'nothing' or 'load' but got 'moon'"),
+        (
+            '"coulomb.F_c" = -0.9',
+            '"coulomb.F_c" = -1.9',
+            "coulomb.F_c: expected greater than or equal to -1",
+        ),
         ('"coulomb.F_c" = -0.9', '"coulomb.x" = -0.9', "expected correlations of viscous.F_v with parameters above it"),
         ('name = "viscous.F_v"', 'name = "coulomb.F_c"', "expected every parameter once"),
-        ('name = "viscous.F_v"', 'name = "../x"', "expected a name such as"),
-        ("load = ", "lode = ", 'unknown key "lode" in [prior]'),
+        ('name = "viscous.F_v"', 'name = "../x"', "parameter.1.name: string should match pattern"),
+        ("load = ", "lode = ", 'unknown key "prior.lode"'),
         ("[[parameter]]", "[[parameter", "is not valid TOML"),
-        ("value = ", "value = nan #", "expected a finite number value of coulomb.F_c"),
+        ("value = ", "value = nan #", "parameter.0.value: expected a finite number"),
     ],
 )
 def test_a_damaged_prior_file_is_refused_in_one_sentence(prior, tmp_path, old, new, said):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 MAX_MESSAGE_LENGTH = 8000  # characters
-FULL_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)  # no space, quota, limit of a file
 
 
 class FrictrackError(ValueError):
@@ -45,28 +43,6 @@ class UsageError(FrictrackError):
         super().__init__(message, usage=True)
 
 
-class DiskFullError(FrictrackError):
-    """A file cannot be written because the disk is full: another machine may have space."""
-
-    worker: str = ""  # address of the worker of a cluster on which it happened; empty elsewhere
-
-
-def is_disk_full(e: BaseException | None) -> bool:
-    """Return whether an error, or one that caused it, says that the disk, a quota or a limit of file size is full.
-
-    Examples
-    --------
-    >>> is_disk_full(OSError(errno.ENOSPC, "No space left on device")), is_disk_full(ValueError("no"))
-    (True, False)
-
-    """
-    while e is not None:
-        if isinstance(e, DiskFullError) or (isinstance(e, OSError) and e.errno in FULL_DISK):
-            return True
-        e = e.__cause__ or e.__context__
-    return False
-
-
 def _printable(message: str) -> str:
     """Return a message on one line, without control characters, of limited length."""
     if len(message) > MAX_MESSAGE_LENGTH:
@@ -94,6 +70,23 @@ def raise_faults(faults: list[str], what: str) -> None:
     """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
+
+
+def describe_fault(fault: Mapping[str, Any], key: str) -> str:
+    """Describe one fault of `pydantic.ValidationError.errors` in the value of a key, which the sentence names."""
+    if fault["type"] == "value_error":
+        message = str(fault["ctx"]["error"])
+        return message if key in message else f"{key}: {message}"
+    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f'unknown key "{key}"'
+    message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
+    return f"{key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
+
+
+def describe_invalid(error: Any) -> str:
+    """Describe the first fault of a `pydantic.ValidationError`, with its place in the tables."""
+    fault = error.errors(include_url=False)[0]
+    return describe_fault(fault, ".".join(map(str, fault["loc"])))
 
 
 def result_or_none(function: Callable[..., T], *arguments: Any, **keywords: Any) -> T | None:

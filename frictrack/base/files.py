@@ -24,7 +24,7 @@ import psutil
 from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
-from frictrack.base.errors import FrictrackError, os_errors_as
+from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 
 MAX_NAME_LENGTH = 100  # characters; a word and a suffix are appended
 _NAME = re.compile(r"[^\W_](?:[\w .,+=()#-]*[\w)+])?")
@@ -267,6 +267,19 @@ def append_line(path: Path, line: str) -> None:
         file.write(line.encode() + b"\n")
         file.flush()
         os.fsync(file.fileno())
+
+
+def read_small_text(path: Path, max_bytes: int, what: str) -> str:
+    """Return the text of a small file that a user named, `what` it should be; raise `UsageError` if it is no such."""
+    try:
+        if (size := path.stat().st_size) > max_bytes:
+            most = f"{path.name}: expected {what} of at most {max_bytes >> 10} kB"
+            raise UsageError(f"{most} but got {size / 1e3:.0f} kB")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as e:
+        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8") from e
+    except OSError as e:
+        raise UsageError(f"expected {what} {path} but cannot read it ({e.strerror})") from e
 
 
 def replace_text(path: Path, text: str) -> Path:

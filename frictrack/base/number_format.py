@@ -252,7 +252,7 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else "".join(words)
 
 
-def first_words(words: Sequence[str], most: int) -> str:
+def first_words(words: Sequence[str], most: int = 12) -> str:
     """List the first of many words, and how many others there are.
 
     Examples

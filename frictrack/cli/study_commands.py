@@ -388,7 +388,7 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 
     """
     with progress_bars() as progress:
-        result = flow.plan(flow.open_study(study, allow_no_runs=True), progress)
+        result = flow.plan(flow.open_study(study, allow_incomplete=True), progress)
     print_result(result, as_json, "plan", result["page"], look_at("plan"))
 
 

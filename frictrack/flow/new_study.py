@@ -11,8 +11,8 @@ from typing import Any
 from frictrack import measure, study
 from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
-from frictrack.base.number_format import first_words, format_plus_minus
-from frictrack.base.units import lacks_unit, parse_quantity
+from frictrack.base.number_format import first_words, format_number
+from frictrack.base.units import lacks_unit
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
@@ -306,17 +306,10 @@ def read_keys(keys: Mapping[str, Any]) -> measure.plausibility.EnteredValues:
     mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
     bare = frozenset(key for key in ("mass", "scale") if lacks_unit(keys.get(key)))
     try:
-        kilograms = None if mass in (None, "fit") else _kilograms(mass)[0]
+        kilograms = None if mass in (None, "fit") else study.to_si(mass, "kg", "mass", above=0.0)[0]
         return measure.plausibility.EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
-    except FrictrackError as e:
+    except ValueError as e:
         raise UsageError(str(e)) from e
-
-
-def _kilograms(mass: Any) -> tuple[float, float]:
-    value, std = parse_quantity(mass, "kg", "mass")
-    if not value > 0:
-        raise FrictrackError(f"expected a mass above 0 kg but got {mass}")
-    return value, std
 
 
 def describe_keys(keys: Mapping[str, Any]) -> str:
@@ -328,23 +321,10 @@ def describe_keys(keys: Mapping[str, Any]) -> str:
     'mass 0.350 kg, scale 0.500 mm/px, 4000 fps'
 
     """
-    mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
-    parts = []
-    if mass is not None and mass != "fit":
-        parts.append(f"mass {_number(*_kilograms(mass))} kg")
-    if scale is not None:
-        pitch, relative = measure.calibration.parse_scale(scale)
-        parts.append(f"scale {_number(1e3 * pitch, 1e3 * pitch * relative)} mm/px")
-    if fps is not None:
-        parts.append(f"{fps:g} fps")
-    return ", ".join(parts)
-
-
-def _number(value: float, std: float) -> str:
-    """Format a number with three digits or as many as it has, and its standard deviation if there is one."""
-    if std:
-        return format_plus_minus(value, std)
-    return max(f"{value:g}", f"{value:#.3g}".rstrip("."), key=len)
+    read = read_keys(keys)
+    numbers = (("mass {} kg", read.mass, 1.0), ("scale {} mm/px", read.pitch, 1e3))
+    said = [words.format(format_number(factor * value)) for words, value, factor in numbers if value is not None]
+    return ", ".join([*said, *([] if read.fps is None else [f"{read.fps:g} fps"])])
 
 
 def start_study(

@@ -22,15 +22,13 @@ _OF_A_RUN = re.compile(r'run ("[^"]*")(?:, \w+)?: (?:[^ :]+\.\w+: )?(.*)', re.DO
 STAGES_FROM_MOTION = ("motion", "events", "cutoff", "friction")
 
 
-def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
+def open_study(path: str | Path, *, allow_incomplete: bool = False) -> Study:
     """Read a study file and check it: keys, scales, model, effects.
 
     Parameters
     ----------
     path
         The study file, or a folder with a ``study.toml``.
-    allow_no_runs
-        Allow a study without runs.
     allow_incomplete
         Allow a study without runs, and runs without mass or scale. It can be edited, not computed.
 
@@ -40,7 +38,7 @@ def open_study(path: str | Path, *, allow_no_runs: bool = False, allow_incomplet
         (usage) With all faults.
 
     """
-    return check_study(load(path, allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete))
+    return check_study(load(path, allow_incomplete=allow_incomplete))
 
 
 def check_study(study: Study) -> Study:

@@ -39,8 +39,6 @@ from frictrack.study import Study
 PICTURE_STAGES = ("recording", "track", "tracks")  # whose results are the positions in the picture
 HEAD_BYTES = 2000  # of a report, in which its key stands
 REPORT_KEY = re.compile(r"[0-9a-f]{64} ([0-9a-f]{64}) ([^\"<>]+)")  # all inputs, the results, the current model
-MAX_NAMES = 3  # runs named in a reason
-_named = partial(first_words, most=MAX_NAMES)
 OPTIONAL_STAGES = ("cutoff", "friction", "events", "repaired")  # not needed by a fit, or not for what is shown
 
 
@@ -232,7 +230,7 @@ def _outdated_models(models: TriedModels, runs: Sequence[OutdatedPart]) -> Itera
     by_reason: dict[str, list[str]] = {}  # each changed key once, with the names of its runs
     for run in runs:
         by_reason.setdefault(run.reason, []).append(run.name)
-    changed_keys = [f"{reason} ({_named(names)})" for reason, names in by_reason.items()]
+    changed_keys = [f"{reason} ({first_words(names)})" for reason, names in by_reason.items()]
     current = models.current_group
     for group in models.groups:
         made = store.provenance(models.path, f"models/{group}") or Provenance()
@@ -256,13 +254,13 @@ def _changed_inputs(pipelines: Sequence[RunPipeline], inputs: Sequence[Sequence[
     now = {pipeline.path.name.removesuffix(".h5"): pipeline for pipeline in pipelines}
     added, removed = [name for name in now if name not in fitted], sorted(fitted - now.keys())
     if added:
-        yield f"it was fitted without {_named(added)}"
+        yield f"it was fitted without {first_words(added)}"
     if removed:
-        yield f"it was fitted with {_named(removed)}, which the study no longer has"
+        yield f"it was fitted with {first_words(removed)}, which the study no longer has"
     pairs = [(name, stage) for name in now if name in fitted for stage in ("friction", "motion")]
     different = [name for name, stage in pairs if then.get(f"{name}.h5:/{stage}") != now[name].key(stage)]
     if again := list(dict.fromkeys(different)):
-        yield f"{_named(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
+        yield f"{first_words(again)} {'was' if len(again) == 1 else 'were'} measured again since it was fitted"
 
 
 def _outdated_report(models: TriedModels, outdated: Sequence[OutdatedPart]) -> Iterator[OutdatedPart]:

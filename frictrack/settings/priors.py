@@ -8,29 +8,56 @@ file states; `Prior.at_load` converts them.
 from __future__ import annotations
 
 import math
-import re
 import tomllib
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.base.files import replace_text
+from frictrack.base.errors import FrictrackError, UsageError, describe_invalid
+from frictrack.base.files import read_small_text, replace_text
 from frictrack.records import Array
 
 FORMAT = 1  # version of the file format
 MAX_PRIOR_BYTES = 1 << 18  # a file of 30 parameters has 10 kB
 MAX_PARAMETERS = 60
 MIN_EIGENVALUE = 1e-12  # of a correlation matrix; smaller ones are not positive definite
-ADDRESS = re.compile(r"[A-Za-z]\w*(?::\d+)?\.[A-Za-z]\w*", re.ASCII)
-HEAD_KEYS = ("format", "study", "model", "load")
-PARAMETER_KEYS = ("name", "value", "std", "unit", "scales_with", "correlation")
 SCALES = ("nothing", "load")
 COMMENT = """A friction law as a prior for another set-up; written by `frictrack export STUDY --to prior`.
 Use it there with prior = "this file" in [study]. Values that scale with the load belong to the load below."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Head(_Table):
+    """The table ``[prior]``."""
+
+    format: Literal[1]
+    study: str = ""
+    model: list[str] = []
+    load: float | None = None
+
+
+class _Parameter(_Table):
+    """A table ``[[parameter]]``; it has its correlations with the parameters above it."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(:[0-9]+)?\.[A-Za-z][A-Za-z0-9_]*$")]
+    value: float
+    std: Annotated[float, Field(gt=0)]
+    unit: str
+    scales_with: Literal["nothing", "load"]
+    correlation: dict[str, Annotated[float, Field(ge=-1, le=1)]] = {}
+
+
+class _File(_Table):
+    """A prior file."""
+
+    prior: _Head
+    parameter: Annotated[list[_Parameter], Field(min_length=1, max_length=MAX_PARAMETERS)]
 
 
 @dataclass(frozen=True)
@@ -175,27 +202,20 @@ class Prior:
         """Return the text of a prior file, which `from_toml` reads."""
         import tomlkit  # noqa: PLC0415 - only to write
 
-        document, head, tables = tomlkit.document(), tomlkit.table(), tomlkit.aot()
-        for line in COMMENT.splitlines():
-            document.add(tomlkit.comment(line))
-        head["format"], head["study"], head["model"] = FORMAT, self.study, list(self.model)
-        if self.load is not None:
-            head["load"] = self.load
-        document["prior"] = head
-        for i, name in enumerate(self.names):
-            table = tomlkit.table()
-            table["name"], table["value"], table["std"] = name, self.values[i], self.std[i]
-            table["unit"], table["scales_with"] = self.units[i], SCALES[self.loaded[i]]
+        head: dict[str, Any] = {"format": FORMAT, "study": self.study, "model": list(self.model)}
+        head |= {} if self.load is None else {"load": self.load}
+        tables: list[dict[str, Any]] = []
+        for i, row in enumerate(zip(self.names, self.values, self.std, self.units, self.loaded, strict=True)):
+            name, value, std, unit, loaded = row
+            tables.append({"name": name, "value": value, "std": std, "unit": unit, "scales_with": SCALES[loaded]})
             pairs = zip(self.names[:i], self.correlation[i, :i], strict=True)
-            others = {other: float(r) for other, r in pairs if r != 0.0}
-            if others:
-                table["correlation"] = tomlkit.inline_table()
-                table["correlation"].update(others)
-            tables.append(table)
-        document["parameter"] = tables
-        for name, reason in self.left_out:
-            document.add(tomlkit.comment(f"left out: {name}, {reason}".replace("\n", " ")))
-        return tomlkit.dumps(document)
+            if others := {other: float(r) for other, r in pairs if r != 0.0}:
+                tables[-1]["correlation"] = tomlkit.inline_table()
+                tables[-1]["correlation"].update(others)
+        text = tomlkit.dumps({"prior": head, "parameter": tables})
+        left_out = [f"left out: {name}, {reason}".replace("\n", " ") for name, reason in self.left_out]
+        first, last = ("".join(f"# {line}\n" for line in lines) for lines in (COMMENT.splitlines(), left_out))
+        return f"{first}\n{text}{last}"
 
     def save(self, path: str | Path) -> Path:
         """Write the prior file and return its path."""
@@ -217,19 +237,7 @@ class Prior:
             (usage) If the file cannot be read or is damaged.
 
         """
-        path = Path(path)
-        try:
-            if (size := path.stat().st_size) > MAX_PRIOR_BYTES:
-                raise UsageError(
-                    f"{path.name}: expected a prior file of at most {MAX_PRIOR_BYTES >> 10} kB but got "
-                    f"{size / 1e3:.0f} kB"
-                )
-            text = path.read_text(encoding="utf-8")
-        except UnicodeDecodeError as e:
-            raise UsageError(f"{path.name}: expected a text in UTF-8; export the law again") from e
-        except OSError as e:
-            raise UsageError(f"expected a prior file {path} but cannot read it") from e
-        return cls.from_toml(text, path.name)
+        return cls.from_toml(read_small_text(Path(path), MAX_PRIOR_BYTES, "a prior file"), Path(path).name)
 
     @classmethod
     def from_toml(cls, text: str, name: str = "prior") -> Prior:
@@ -249,95 +257,36 @@ class Prior:
 
         """
         try:
-            return _read(tomllib.loads(text))
-        except (ValueError, RecursionError) as e:
-            raise UsageError(f"{name} is not valid TOML: {e}; export the law again") from e
+            return _prior(_File.model_validate(tomllib.loads(text)))
+        except ValidationError as e:
+            raise UsageError(f"{name}: {describe_invalid(e)}; `frictrack export STUDY --to prior` writes one") from e
         except FrictrackError as e:
             raise UsageError(f"{name}: {e}") from e
+        except (ValueError, RecursionError) as e:
+            raise UsageError(f"{name} is not valid TOML: {e}; export the law again") from e
 
 
-def _read(raw: Mapping[str, Any]) -> Prior:
+def _prior(file: _File) -> Prior:
     """Return the prior of the tables of a file."""
-    head, tables = raw.get("prior"), raw.get("parameter")
-    if not isinstance(head, Mapping) or not isinstance(tables, list) or raw.keys() - {"prior", "parameter"}:
-        _refuse("expected a table [prior] and tables [[parameter]]; `frictrack export STUDY --to prior` writes them")
-    _check_keys(head, HEAD_KEYS, "[prior]")
-    if head.get("format") != FORMAT:
-        _refuse(f"expected format = {FORMAT} in [prior] but got {head.get('format')!r}")
-    model = head.get("model", [])
-    if not isinstance(model, list) or not all(isinstance(one, str) for one in model):
-        _refuse(f"expected model as a list of effects in [prior] but got {model!r}")
-    if not 0 < len(tables) <= MAX_PARAMETERS:
-        _refuse(f"expected 1 to {MAX_PARAMETERS} tables [[parameter]] but got {len(tables)}")
-    names = [_name(table, i) for i, table in enumerate(tables)]
-    if twice := [name for name in names if names.count(name) > 1]:
-        _refuse(f"expected every parameter once but got {twice[0]} twice")
-    std = np.array([_number(t, "std", n) for t, n in zip(tables, names, strict=True)])
-    if np.any(std <= 0):
-        _refuse(f"expected a std above 0 of {names[int(np.argmax(std <= 0))]}")
-    load = None if "load" not in head else _number(head, "load", "[prior]")
+    names = [one.name for one in file.parameter]
+    matrix, std = np.eye(len(names)), np.array([one.std for one in file.parameter])
+    for i, one in enumerate(file.parameter):
+        if one.name in names[:i]:
+            raise UsageError(f"expected every parameter once but got {one.name} twice")
+        for other, r in one.correlation.items():
+            if other not in names[:i]:
+                raise UsageError(f'expected correlations of {one.name} with parameters above it but got "{other}"')
+            matrix[i, names.index(other)] = matrix[names.index(other), i] = r
     return Prior(
         names=tuple(names),
-        values=tuple(_number(t, "value", n) for t, n in zip(tables, names, strict=True)),
-        covariance=_rows(_correlation(tables, names) * std * std[:, None]),
-        units=tuple(str(_among(t, "unit", n, ())) for t, n in zip(tables, names, strict=True)),
-        loaded=tuple(_among(t, "scales_with", n, SCALES) == "load" for t, n in zip(tables, names, strict=True)),
-        load=load,
-        study=str(head.get("study", "")),
-        model=tuple(model),
+        values=tuple(one.value for one in file.parameter),
+        covariance=_rows(matrix * std * std[:, None]),
+        units=tuple(one.unit for one in file.parameter),
+        loaded=tuple(one.scales_with == "load" for one in file.parameter),
+        load=file.prior.load,
+        study=file.prior.study,
+        model=tuple(file.prior.model),
     )
-
-
-def _name(table: Any, number: int) -> str:
-    """Return the address of a parameter; its keys are checked."""
-    where = f"[[parameter]] number {number + 1}"
-    if not isinstance(table, Mapping):
-        _refuse(f"expected a table in {where} but got {table!r}")
-    _check_keys(table, PARAMETER_KEYS, where)
-    name = table.get("name")
-    if not isinstance(name, str) or not ADDRESS.fullmatch(name):
-        _refuse(f'expected a name such as "coulomb.F_c" in {where} but got {name!r}')
-    return str(name)
-
-
-def _correlation(tables: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Array:
-    """Return the correlation matrix (K, K)."""
-    matrix = np.eye(len(names))
-    for i, (table, name) in enumerate(zip(tables, names, strict=True)):
-        pairs = table.get("correlation", {})
-        if not isinstance(pairs, Mapping):
-            _refuse(f"expected correlation = {{other = number}} of {name} but got {pairs!r}")
-        for other in pairs:
-            if other not in names[:i]:
-                _refuse(f'expected correlations of {name} with parameters above it but got "{other}"')
-            matrix[i, names.index(other)] = matrix[names.index(other), i] = _number(pairs, other, name)
-    if np.any(np.abs(matrix) > 1):
-        _refuse("expected correlations between -1 and 1")
-    return matrix
-
-
-def _number(table: Mapping[str, Any], key: str, where: str) -> float:
-    value = table.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
-        _refuse(f"expected a finite number {key} of {where} but got {value!r}")
-    return float(value)
-
-
-def _among(table: Mapping[str, Any], key: str, where: str, known: Sequence[str]) -> str:
-    value = table.get(key)
-    if not isinstance(value, str) or (known and value not in known):
-        words = " or ".join(f'"{one}"' for one in known) or "a text"
-        _refuse(f"expected {words} as {key} of {where} but got {value!r}")
-    return str(value)
-
-
-def _check_keys(table: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    if unknown := [key for key in table if key not in known]:
-        _refuse(f'unknown key "{unknown[0]}" in {where}; known are {", ".join(known)}')
-
-
-def _refuse(what: str) -> NoReturn:
-    raise UsageError(what)
 
 
 def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:

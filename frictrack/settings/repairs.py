@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import Any, Literal, cast, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, describe_invalid
 from frictrack.base.polygons import Polygon, polygon
 from frictrack.records import INTERPOLATED
 
@@ -20,6 +21,16 @@ TRACKED_AGAIN, LEFT_OUT = 1, 3
 CODES: dict[str, int] = {"track": TRACKED_AGAIN, "interpolate": INTERPOLATED, "leave_out": LEFT_OUT}
 MEANINGS = {"track": "tracked again", "interpolate": "interpolated", "leave_out": "left out"}
 _EXAMPLE = 'repair = [{from = 120, to = 160, how = "track", target = [x, y, width, height]}]'
+
+
+def _read_target(raw: Any) -> tuple[float, ...] | Polygon:
+    """Read a rectangle, which stays four numbers, or an outline."""
+    corners = polygon(raw)
+    return tuple(float(v) for v in raw) if np.ndim(raw) == 1 else corners
+
+
+Frame = Annotated[int, Field(ge=0, strict=True)]  # number of a frame
+Target = Annotated[tuple[float, ...] | Polygon, BeforeValidator(_read_target)]
 
 
 @dataclass(frozen=True)
@@ -33,14 +44,15 @@ class Repair:
 
     """
 
-    first: int  # first, last: numbers of the first and the last frame
-    last: int
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid")
+    first: Annotated[Frame, Field(alias="from")]  # first, last: numbers of the first and the last frame
+    last: Annotated[Frame, Field(alias="to")]
     # "track": find the target again from `target`; "interpolate": bridge the frames by the smoothed motion;
     # "leave_out": treat them as lost
     how: How
-    frame: int | None = None  # frame in which `target` is given; by default the first one
+    frame: Frame | None = None  # frame in which `target` is given; by default the first one
     # corners [[x, y], ...] or rectangle [x, y, w, h], px, that tells where the target is; only for "track"
-    target: tuple[float, ...] | Polygon | None = None
+    target: Target | None = None
 
     @property
     def rows(self) -> slice:
@@ -71,6 +83,23 @@ class Repair:
         """The frames, as "frames 120 to 160"."""
         return f"frame {self.first}" if self.first == self.last else f"frames {self.first} to {self.last}"
 
+    @property
+    def fault(self) -> str:
+        """What is wrong with frames and target; empty if nothing is."""
+        first, last = self.first, self.last
+        if last < first:
+            return f"expected a repair whose last frame follows the first but got {first} to {last}"
+        if self.how != "track" and not (self.target is None and self.frame is None):
+            return f'expected target and frame only in a repair with how = "track" but got them with "{self.how}"'
+        if self.how == "track" and self.target is None:
+            return (
+                f'expected target = [x, y, width, height] in the repair of frames {first} to {last} with how = "track" '
+                "but got none; draw the target in one of these frames"
+            )
+        inside = first <= self.start_frame <= last
+        expected = f"expected the target of a repair in a frame from {first} to {last}"
+        return "" if inside else f"{expected} but got frame {self.frame}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the repair as the study file has it."""
         names = {"first": "from", "last": "to"}
@@ -97,7 +126,7 @@ class Repair:
             )
 
 
-_KEYS = ("from", "to", *(f.name for f in fields(Repair) if f.name not in ("first", "last")))
+_REPAIRS = TypeAdapter(list[Repair])
 
 
 def read_repairs(raw: Any) -> tuple[Repair, ...]:
@@ -112,9 +141,13 @@ def read_repairs(raw: Any) -> tuple[Repair, ...]:
     (Repair(first=20, last=24, how='leave_out', frame=None, target=None),)
 
     """
-    if isinstance(raw, str | Mapping) or not isinstance(raw, Sequence):
-        raise FrictrackError(f"expected {_EXAMPLE} but got {raw!r}")
-    found = sorted((one if isinstance(one, Repair) else _read_one(one) for one in raw), key=lambda one: one.first)
+    try:
+        found = sorted(_REPAIRS.validate_python(raw), key=lambda one: one.first)
+    except ValidationError as e:
+        raise FrictrackError(f"expected {_EXAMPLE}; in repair: {describe_invalid(e)}") from e
+    for one in found:
+        if fault := one.fault:
+            raise FrictrackError(fault)
     for one, other in pairwise(found):
         if other.first <= one.last:
             raise FrictrackError(
@@ -122,47 +155,6 @@ def read_repairs(raw: Any) -> tuple[Repair, ...]:
                 "common; shorten one of them"
             )
     return tuple(found)
-
-
-def _read_one(raw: Any) -> Repair:
-    """Read one repair from a table."""
-    if not isinstance(raw, Mapping):
-        raise FrictrackError(f"expected {_EXAMPLE} but got {raw!r}")
-    for key in raw:
-        if key not in _KEYS:
-            raise FrictrackError(f'expected the keys {", ".join(_KEYS)} in repair but got "{key}"')
-    first, last = (_frame_number(raw, key) for key in ("from", "to"))
-    frame = _frame_number(raw, "frame") if raw.get("frame") is not None else None
-    if last < first:
-        raise FrictrackError(f"expected a repair whose last frame follows the first but got {first} to {last}")
-    how, target = raw.get("how"), raw.get("target")
-    if how not in get_args(How):
-        known = ", ".join(f'"{name}"' for name in get_args(How))
-        raise FrictrackError(f"expected how as one of {known} in repair but got {how!r}")
-    if how != "track" and not (target is None and frame is None):
-        raise FrictrackError(f'expected target and frame only in a repair with how = "track" but got them with "{how}"')
-    if how == "track" and target is None:
-        raise FrictrackError(
-            f'expected target = [x, y, width, height] in the repair of frames {first} to {last} with how = "track" '
-            "but got none; draw the target in one of these frames"
-        )
-    if frame is not None and not first <= frame <= last:
-        raise FrictrackError(f"expected the target of a repair in a frame from {first} to {last} but got frame {frame}")
-    return Repair(first, last, cast("How", how), frame, None if target is None else _read_target(target))
-
-
-def _frame_number(raw: Mapping[str, Any], key: str) -> int:
-    """Read the number of a frame."""
-    value = raw.get(key)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise FrictrackError(f"expected {key} in repair as the number of a frame, from 0, but got {value!r}")
-    return value
-
-
-def _read_target(raw: Any) -> tuple[float, ...] | Polygon:
-    """Read a rectangle, which stays four numbers, or an outline."""
-    corners = polygon(raw)
-    return tuple(float(v) for v in raw) if np.ndim(raw) == 1 else corners
 
 
 def repair_codes(repairs: Sequence[Repair], n: int) -> NDArray[np.int8]:

@@ -10,25 +10,17 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from frictrack.base.errors import UsageError
-from frictrack.base.files import MAX_NAME_LENGTH, is_file_name
+from frictrack.base.errors import UsageError, describe_fault
+from frictrack.base.files import MAX_NAME_LENGTH, is_file_name, read_small_text
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
 from frictrack.study import schema
 
-TABLES: dict[str, type[schema.Keys]] = {
-    "study": schema.StudyTable,
-    "camera": schema.CameraTable,
-    "motion": schema.MotionTable,
-    "run": schema.RunTable,
-    "effect": schema.EffectTable,
-    "costs": schema.CostsTable,
-    "search": schema.SearchTable,
-}
+TABLES = {name: (get_args(f.annotation) or (f.annotation,))[0] for name, f in schema.StudyFile.model_fields.items()}
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 RESERVED_NAME = "study"  # name of the file with the results of all runs
@@ -71,15 +63,13 @@ class Study:
         return self.path.parent
 
 
-def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
+def load(path: str | Path, *, allow_incomplete: bool = False) -> Study:
     """Read a study file.
 
     Parameters
     ----------
     path
         The file, or a folder with a ``study.toml``.
-    allow_no_runs
-        Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale.
 
@@ -91,10 +81,10 @@ def load(path: str | Path, *, allow_no_runs: bool = False, allow_incomplete: boo
     """
     path = Path(path)
     path = path / "study.toml" if path.is_dir() else path
-    return parse(path, _read(path), allow_no_runs=allow_no_runs, allow_incomplete=allow_incomplete)
+    return parse(path, _read(path), allow_incomplete=allow_incomplete)
 
 
-def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplete: bool = False) -> Study:
+def parse(path: Path, text: str, *, allow_incomplete: bool = False) -> Study:
     """Read the text of a study file, which need not be on the disk.
 
     Parameters
@@ -103,8 +93,6 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
         Path of the study file; paths in the text are relative to its folder.
     text
         The text.
-    allow_no_runs
-        Accept a study without runs.
     allow_incomplete
         Accept a study without runs, and runs without mass or scale; see `Study.incomplete`.
 
@@ -115,8 +103,8 @@ def parse(path: Path, text: str, *, allow_no_runs: bool = False, allow_incomplet
 
     """
     raw = read_toml(path.name, text)
-    reader = _Reader(text, {"folder": path.parent}, allow_no_runs=allow_no_runs or allow_incomplete)
-    study = reader.study(path, raw)
+    reader = _Reader(text, raw)
+    study = reader.study(path)
     if not allow_incomplete:
         reader.faults += reader.lacks
     if reader.faults or study is None:
@@ -188,56 +176,45 @@ def _read(path: Path) -> str:
     if path.exists() and path.suffix != ".toml":
         way = f"frictrack run {shlex.quote(path.name)} --mass 0.35kg --scale 0.5mm/px --fps 4000"
         raise UsageError(f"expected a study file (.toml) but got {path.name}; `{way}` makes one")
-    try:
-        if path.exists() and not path.is_file():
-            raise UsageError(f"expected a study file but {path} is none")
-        if (size := path.stat().st_size) > MAX_STUDY_BYTES:
-            most = f"expected a study file of at most {MAX_STUDY_BYTES >> 10} kB"
-            raise UsageError(f"{path.name}: {most} but got {size / 1e3:.0f} kB")
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as e:
-        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {e.start}); save it as UTF-8") from e
-    except OSError as e:
+    if not path.exists():
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         new = f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
         hint = schema.suggest(path.name, there) if there else new
-        state = "cannot read it" if path.exists() else "there is none"
-        raise UsageError(f"expected a study file {path} but {state}; {hint}") from e
+        raise UsageError(f"expected a study file {path} but there is none; {hint}")
+    if not path.is_file():
+        raise UsageError(f"expected a study file but {path} is none")
+    return read_small_text(path, MAX_STUDY_BYTES, "a study file")
 
 
 class _Reader:
-    """Read the tables of a study file one after the other and collect their faults."""
+    """Check the tables of a study file and collect their faults."""
 
-    def __init__(self, text: str, context: dict[str, Any], *, allow_no_runs: bool = False) -> None:
+    def __init__(self, text: str, raw: dict[str, Any]) -> None:
         self.lines = _lines_of_keys(text)
-        self.context = context
-        self.allow_no_runs = allow_no_runs
+        self.raw = raw
         self.faults: list[str] = []
         self.lacks: list[str] = []  # keys that a run needs before it can be measured
         self.faults_of_runs: dict[str, list[str]] = {}  # where, by fault: several runs often lack the same
         self.lacks_of_runs: dict[str, list[str]] = {}
 
-    def study(self, path: Path, raw: dict[str, Any]) -> Study | None:
-        for name, value in raw.items():
-            if len(self.faults) < MAX_FAULTS:
-                self._check_table(name, value)
-        head, camera, motion = (self._table(name, 0, raw.get(name, {})) for name in ("study", "camera", "motion"))
-        if motion:
-            where = f"[motion], {self._line('motion', 0, '')}"
-            self.faults += [f"{where}: {fault}" for fault in motion.filter_choice.faults()]
-        runs = [self._table("run", i, table) for i, table in enumerate(_tables(raw, "run"))]
-        costs = self._table("costs", 0, raw.get("costs", {}))
-        search = self._table("search", 0, raw["search"]) if "search" in raw else None
-        effects = [self._table("effect", i, table) for i, table in enumerate(_tables(raw, "effect"))]
-        if not raw.get("run") and not self.allow_no_runs:
-            self.faults.append(
+    def study(self, path: Path) -> Study | None:
+        try:
+            file = schema.StudyFile.model_validate(self.raw, context={"folder": path.parent})
+        except ValidationError as e:
+            first = {fault["loc"][:3]: fault for fault in reversed(e.errors(include_url=False))}  # of each key
+            self.faults = [self._sentence(place, first[place]) for place in list(first)[: -MAX_FAULTS - 1 : -1]]
+            return None
+        where = f"[motion], {self._line('motion', 0, '')}"
+        self.faults += [f"{where}: {fault}" for fault in file.motion.filter_choice.faults()]
+        if not file.run:
+            self.lacks.append(
                 "expected at least one [[run]] but got none; `frictrack init FOLDER` writes an example, and `frictrack "
                 "plan STUDY` lists which runs to film"
             )
         if self.faults:
             return None
-        merged = tuple(self._merged(i, run, (head, camera, motion)) for i, run in enumerate(runs))
-        output = _output(path, head.output)
+        head, output = file.study, _output(path, file.study.output)
+        merged = tuple(self._merged(i, run, file) for i, run in enumerate(file.run))
         if not _is_allowed(output, path.parent):
             self.faults.append(
                 f"[study], {self._line('study', 0, 'output')}: expected an output inside the study's folder but got "
@@ -254,62 +231,45 @@ class _Reader:
             model=head.model if isinstance(head.model, str) else tuple(head.model),
             output=output,
             runs=merged,
-            effects=tuple(effects),
+            effects=file.effect,
             mass=None if head.mass == "fit" else head.mass,
-            fps=camera.fps,
-            scale=camera.scale,
+            fps=file.camera.fps,
+            scale=file.camera.scale,
             prior=_prior(head),
             prior_file=head.prior,
             conditions=head.conditions,
             functions=head.functions,
-            costs=Costs(**costs.model_dump()),
-            search=search,
+            costs=Costs(**file.costs.model_dump()),
+            search=file.search,
             incomplete=tuple(self.lacks),
         )
 
-    def _check_table(self, name: str, value: Any) -> None:
-        if name not in TABLES:
-            self.faults.append(f'unknown table "{name}" ({self._line("", 0, name)}); {schema.suggest(name, TABLES)}')
-        elif not isinstance(value, list if name in ARRAY_TABLES else dict):
-            brackets = f"[[{name}]]" if name in ARRAY_TABLES else f"[{name}]"
-            self.faults.append(f'expected "{name}" as a table {brackets} ({self._line(name, 0, "")})')
-
-    def _table(self, table: str, index: int, raw: Any) -> Any:
-        try:
-            return TABLES[table].model_validate(raw, context=self.context)
-        except ValidationError as e:
-            seen: set[Any] = set()
-            for fault in e.errors(include_url=False):
-                key = fault["loc"][0] if fault["loc"] else ""
-                if key not in seen and len(self.faults) < MAX_FAULTS:
-                    self.faults.append(self._sentence(table, index, raw, fault))
-                seen.add(key)
-            return None
-
-    def _sentence(self, table: str, index: int, raw: Any, fault: Any) -> str:
-        key = str(fault["loc"][0]) if fault["loc"] else ""
-        where = f"{_title(table, index, raw)}, {self._line(table, index, key)}"
+    def _sentence(self, place: tuple[Any, ...], fault: Any) -> str:
+        """Return a fault with the table and the line of its key; `place` is table, number of an array table, key."""
+        table, *rest = place
+        index = rest.pop(0) if rest and table in ARRAY_TABLES else 0
+        key = str(rest[0]) if rest else ""
+        if table not in TABLES:
+            return f'unknown table "{table}" ({self._line("", 0, table)}); {schema.suggest(table, TABLES)}'
+        if not rest and fault["type"] != "value_error":
+            brackets = f"[[{table}]]" if table in ARRAY_TABLES else f"[{table}]"
+            return f'expected "{table}" as a table {brackets} ({self._line(table, 0, "")})'
+        where = f"{_title(table, index, self.raw[table])}, {self._line(table, index, key)}"
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
             hint = f"it belongs in [{home}]" if home else schema.suggest(key, TABLES[table].model_fields)
-            return f'{where}: unknown key "{key}"; {hint}'
-        if fault["type"] == "value_error":
-            message = str(fault["ctx"]["error"])
-            return f"{where}: {message}" if key in message else f"{where}: {key}: {message}"
-        message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
-        return f"{where}: {key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
+            return f"{where}: {describe_fault(fault, key)}; {hint}"
+        return f"{where}: {describe_fault(fault, key)}"
 
-    def _merged(
-        self, index: int, run: schema.RunTable, tables: tuple[schema.StudyTable, schema.CameraTable, schema.MotionTable]
-    ) -> schema.RunTable:
-        head, camera, motion = tables
-        where = f"{_title('run', index, run.model_dump())}, {self._line('run', index, '')}"
+    def _merged(self, index: int, run: schema.RunTable, file: schema.StudyFile) -> schema.RunTable:
+        """Return a run with the keys that it inherits."""
+        where = f"{_title('run', index, self.raw['run'])}, {self._line('run', index, '')}"
         if (run.video is None) == (run.table is None):
             came = "neither" if run.video is None else "both"
             self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
             return run
-        filtering = {} if run.filter else dict(motion)  # settings of one filter make no sense for another
-        inherited = {"mass": head.mass, "plausible": head.plausible, **dict(camera), **filtering}
+        filtering = {} if run.filter else dict(file.motion)  # settings of one filter make no sense for another
+        inherited = {"mass": file.study.mass, "plausible": file.study.plausible, **dict(file.camera), **filtering}
         update = {key: value for key, value in inherited.items() if getattr(run, key) is None}
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
         if run.table and schema.needs_film(run.scale):  # a board in the camera's view gives no scale of a table
@@ -380,11 +340,6 @@ def _and_more(places: list[str]) -> str:
     return places[0] + (f", and {more} more run{'s' * (more > 1)}" if more else "")
 
 
-def _tables(raw: dict[str, Any], name: str) -> list[Any]:
-    value = raw.get(name, [])
-    return value if isinstance(value, list) else []
-
-
 def name_of_table(table: Mapping[str, Any], kind: str) -> str:
     """Return the name of a table; a run without a name has that of its recording."""
     name = table.get(ARRAY_TABLES[kind])
@@ -394,7 +349,8 @@ def name_of_table(table: Mapping[str, Any], kind: str) -> str:
 def _title(table: str, index: int, raw: Any) -> str:
     if table not in ARRAY_TABLES:
         return f"[{table}]"
-    name = (raw.get("name") or raw.get("effect")) if isinstance(raw, dict) else None
+    one = raw[index] if isinstance(raw[index], dict) else {}
+    name = one.get("name") or one.get("effect")
     return f'[[{table}]] "{name}"' if name else f"[[{table}]] number {index + 1}"
 
 

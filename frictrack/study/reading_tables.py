@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -40,8 +39,6 @@ TIME_REMEDY = (
 MIN_RISES = 4  # of time stamps that else repeat the one before
 MIN_ROWS_FOR_REPEATS = 16  # rows from which time stamps may repeat
 MIN_NUMBERS_SHARE = 0.5  # of the cells of a column that is proposed as time or position
-MAX_NAMES_SHOWN = 12  # headers in a message
-_listed = partial(first_words, most=MAX_NAMES_SHOWN)
 DAY_S = 86400.0
 MAX_STEP_OF_DAYS = 1e-6  # between times without a unit: closer ones are days, as Excel counts them
 _ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
@@ -235,7 +232,7 @@ def _check_choice(table: TableFile, columns: Mapping[str, str], name: str) -> No
     one, there = ("a run", "the table") if table.has_runs else ("a track", table.program)
     raise FrictrackError(
         f"{name}: expected the name of {one}, as {there} has {len(headers)}; choose one in its [[run]] with "
-        f"{column_names.columns_line({'x': headers[0]})}; known are {_listed(headers)}"
+        f"{column_names.columns_line({'x': headers[0]})}; known are {first_words(headers)}"
     )
 
 
@@ -292,7 +289,7 @@ def _read(
         written, sign = _unsigned(columns.get(key, standard), present)
         header = column_names.find_header(written, present)
         if header is None and key in columns:
-            faults.append(f'expected a column "{written}" but got {_listed(present)}; {suggest(written, present)}')
+            faults.append(f'expected a column "{written}" but got {first_words(present)}; {suggest(written, present)}')
         elif header is None and key in required:
             missing.append(key)
         elif header is not None and present.count(header) > 1:
@@ -344,11 +341,11 @@ def _missing_columns(missing: Sequence[str], frame: pd.DataFrame, columns: Mappi
     present = list(frame.columns)
     if not columns and not sensor and (points := column_names.guess_points(present)):
         return (
-            f"expected columns of times and positions but got {_listed(present)}; if these are forces at constant "
+            f"expected columns of times and positions but got {first_words(present)}; if these are forces at constant "
             f"speeds, write {column_names.columns_line(points)} in its [[run]]"
         )
     wanted = " and ".join(f'"{COLUMNS[key][0]}"' for key in missing)
-    expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {_listed(present)}"
+    expected = f"expected {'columns' if len(missing) > 1 else 'a column'} {wanted} but got {first_words(present)}"
     proposed = propose_columns(frame, columns)
     line = column_names.columns_line({key: header for key, header in proposed.items() if key in missing or not sensor})
     if not proposed.keys() >= set(missing):

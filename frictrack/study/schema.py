@@ -12,7 +12,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationInfo,
+    model_validator,
+)
 
 from frictrack.base.polygons import Polygon, are_coordinates, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
@@ -208,20 +216,6 @@ def _prior(raw: Any, info: ValidationInfo) -> Path:
     return path
 
 
-def _conditions(raw: Any) -> Any:
-    """Read the conditions of a study: numbers, numbers with a unit, or names of categories."""
-    if not isinstance(raw, dict):
-        raise ValueError(f'expected conditions as {{temperature = "20 degC"}} but got {raw!r}')
-    for name, value in raw.items():
-        if not NAME.fullmatch(name):
-            raise ValueError(f'expected names of conditions of letters, digits, - and _ but got "{name}"')
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        text = isinstance(value, str) and 0 < len(value.strip()) <= MAX_CONDITION_LENGTH
-        if not (number or text):
-            raise ValueError(f'expected {name} in conditions as a number or a text such as "20 degC" but got {value!r}')
-    return raw
-
-
 def _share(raw: Any, info: ValidationInfo) -> float:
     """Read a relative number of at least 0: 0.1 or "10 %"."""
     percent = re.fullmatch(r"\s*(\S+)\s*%\s*", raw) if isinstance(raw, str) else None
@@ -232,31 +226,6 @@ def _share(raw: Any, info: ValidationInfo) -> float:
     if not 0 <= value < math.inf:
         raise ValueError(f'expected {info.field_name} as a number of at least 0, or "10 %", but got {raw!r}')
     return value
-
-
-def _cost(raw: Any, info: ValidationInfo) -> float:
-    """Read a cost: a number of at least 0, `inf` where a change is not possible; a film costs more than 0."""
-    is_number, name = isinstance(raw, int | float) and not isinstance(raw, bool), info.field_name
-    if name in FREE_OF_CHARGE and not (is_number and raw >= 0):
-        raise ValueError(f"expected {name} as a cost of at least 0, or inf if not possible, but got {raw!r}")
-    if name not in FREE_OF_CHARGE and not (is_number and raw > 0):
-        raise ValueError(f"expected {name} as a cost above 0 but got {raw!r}; give a number without a unit")
-    return float(raw)
-
-
-def _masses(raw: Any) -> tuple[float, ...]:
-    """Read the masses at hand, kg."""
-    if not isinstance(raw, list) or not raw:
-        raise ValueError(f'expected masses as a list such as ["0.35 kg", "0.70 kg"] but got {raw!r}')
-    return tuple(to_si(part, "kg", "masses", above=0.0)[0] for part in raw)
-
-
-def _frame_limit(raw: Any) -> float:
-    """Read the largest number of frames in one film; `inf` for any number."""
-    is_whole = type(raw) is int or raw == math.inf
-    if not (is_whole and raw >= MIN_FRAMES_OF_FILM):
-        raise ValueError(f"expected frames as a whole number of at least {MIN_FRAMES_OF_FILM}, or inf, but got {raw!r}")
-    return float(raw)
 
 
 def _exists(path: Path) -> bool:
@@ -392,13 +361,6 @@ def _folder(info: ValidationInfo) -> Path:
     return (info.context or {})["folder"]
 
 
-def _model(raw: Any) -> Any:
-    """Check that a model is a name or a list of names."""
-    if isinstance(raw, str) or (isinstance(raw, list) and all(isinstance(name, str) for name in raw)):
-        return raw
-    raise ValueError(f"expected the name of a model or a list of effects but got {raw!r}")
-
-
 def _scale(raw: Any, info: ValidationInfo) -> Any:
     """Return a scale as it is written; files must exist. Its numbers are checked where they are used."""
     if isinstance(raw, str | int | float) and not isinstance(raw, bool):
@@ -444,10 +406,8 @@ DRIVE = ("table", "force", "area", "columns", "until", "offset")  # keys of a dr
 SENSOR = ("table", "columns", "offset")
 TARGETS = "a rectangle [x, y, width, height] in px, an outline [[x, y], ...], a click [x, y] or a picture's path"
 RESERVED_TRACKS = ("target", "reference", "backward")  # tracks that every film has
-NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
+NAME = re.compile(r"^[A-Za-z0-9_-]{1,60}$")
 _FRAMES_PER_SECOND = re.compile(r"\s*(?:fps|(?:1|frames)?\s*/\s*(?:second|sec|s)|frames per second)\s*$")
-MAX_CONDITION_LENGTH = 60  # characters
-FREE_OF_CHARGE = ("mass", "direction", "incline", "camera")  # changes that may cost nothing
 MIN_FRAMES_OF_FILM = 30  # fewer show no friction
 Target = Annotated[Any, BeforeValidator(_target)]
 Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
@@ -460,7 +420,10 @@ Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
 PriorFile = Annotated[Path, BeforeValidator(_prior)]
 Factor = Annotated[float, _number("1", above=0.0)]
-Conditions = Annotated[dict[str, float | str], BeforeValidator(_conditions)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Fixed = Annotated[Number | Literal[False], Field(union_mode="left_to_right")]  # 0 is a number, although 0 == False
+Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=60)]
+Conditions = dict[Annotated[str, Field(pattern=NAME.pattern)], Number | Words]
 Share = Annotated[float, BeforeValidator(_share)]
 Source = Annotated[Path | RemoteFile, BeforeValidator(_source)]
 Drive = Annotated[Any, BeforeValidator(_drive)]
@@ -478,13 +441,13 @@ Angle = Annotated[Value, BeforeValidator(_angle)]
 Times = Annotated[Pair, _pair("s", "[start, end] in s", "an end after the start")]
 Pause = Annotated[float, _number("s", above=0.0)]
 
-
-Cost = Annotated[float, BeforeValidator(_cost)]
+Cost = Annotated[float, Field(gt=0, strict=True)]
+CostOfChange = Annotated[float, Field(ge=0, strict=True)]  # which may cost nothing
 Speeds = Annotated[
     Pair, _pair("m/s", "speeds = [slowest, fastest] in m/s", "the slowest speed first", may_be_equal=True, above=0.0)
 ]
-Masses = Annotated[tuple[float, ...], BeforeValidator(_masses)]
-FrameLimit = Annotated[float, BeforeValidator(_frame_limit)]
+Masses = Annotated[tuple[Annotated[float, _number("kg", above=0.0)], ...], Field(min_length=1)]
+FrameLimit = Annotated[float, Field(ge=MIN_FRAMES_OF_FILM, strict=True)]
 
 
 class Keys(BaseModel):
@@ -526,7 +489,7 @@ class StudyTable(Keys):
 
     name: str = ""
     mass: Mass | None = None
-    model: Annotated[Any, BeforeValidator(_model)] = "tustin"
+    model: str | list[str] = "tustin"
     output: Annotated[str, BeforeValidator(_results_folder)] = ""
     prior: PriorFile | None = None
     prior_scale: Factor = 1.0
@@ -588,10 +551,10 @@ class CostsTable(Keys):
     """
 
     film: Cost = DEFAULT_COSTS.film
-    mass: Cost = DEFAULT_COSTS.mass
-    direction: Cost = DEFAULT_COSTS.direction
-    incline: Cost = DEFAULT_COSTS.incline
-    camera: Cost = DEFAULT_COSTS.camera
+    mass: CostOfChange = DEFAULT_COSTS.mass
+    direction: CostOfChange = DEFAULT_COSTS.direction
+    incline: CostOfChange = DEFAULT_COSTS.incline
+    camera: CostOfChange = DEFAULT_COSTS.camera
     sensor: Cost = DEFAULT_COSTS.sensor
     check: Cost = DEFAULT_COSTS.check
     speeds: Speeds = DEFAULT_COSTS.speeds
@@ -800,13 +763,6 @@ class RunTable(CameraTable, MotionTable):
         return path
 
 
-def _fixed(raw: Any) -> Any:
-    number = isinstance(raw, dict) and all(v is False or type(v) in (int, float) for v in raw.values())
-    if not number:
-        raise ValueError(f"expected {{parameter = number}}, or false to free it, but got {raw!r}")
-    return raw
-
-
 def _per_run(raw: Any) -> Any:
     """Read a list of parameters, or which ones have a value per run (true) or one for all (false)."""
     if isinstance(raw, list) and all(isinstance(name, str) for name in raw):
@@ -843,7 +799,7 @@ class EffectTable(Keys):
     """
 
     effect: str
-    fix: Annotated[dict[str, float | Literal[False]], BeforeValidator(_fixed)] = {}
+    fix: dict[str, Fixed] = {}
     bounds: dict[str, Pair] = {}
     prior: dict[str, Pair] = {}
     tie: dict[str, str] = {}
@@ -851,3 +807,15 @@ class EffectTable(Keys):
     formula: str | None = None
     units: dict[str, str] = {}
     acts_on: Literal["force", "measurement"] = "force"
+
+
+class StudyFile(Keys):
+    """The tables of a study file."""
+
+    study: StudyTable = StudyTable()
+    camera: CameraTable = CameraTable()
+    motion: MotionTable = MotionTable()
+    run: tuple[RunTable, ...] = ()
+    effect: tuple[EffectTable, ...] = ()
+    costs: CostsTable = CostsTable()
+    search: SearchTable | None = None

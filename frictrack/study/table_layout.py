@@ -9,10 +9,11 @@ import codecs
 import csv
 import itertools
 import re
+import zipfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from frictrack.base.units import is_ordinary_unit
 
@@ -48,12 +49,14 @@ class TableFile:
     above: str = ""  # lines above the rows, in which a mass or a rate may be stated
 
 
-def read_limited(file: IO[bytes]) -> bytes:
-    """Return the bytes of an open file."""
-    content = file.read(MAX_UNPACKED_BYTES + 1)
-    if len(content) > MAX_UNPACKED_BYTES:
-        raise ValueError(f"more than {MAX_UNPACKED_BYTES / 1e6:.0f} MB")
-    return content
+def check_size(*files: Path) -> None:
+    """Raise `ValueError` if files, with all that is packed in them, are too large to be read."""
+    size = sum(one.stat().st_size for one in files)
+    for one in filter(zipfile.is_zipfile, files):
+        with zipfile.ZipFile(one) as packed:
+            size += sum(part.file_size for part in packed.infolist())
+    if size > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{size / 1e6:.0f} MB when unpacked, at most {MAX_UNPACKED_BYTES / 1e6:.0f} MB are read")
 
 
 def read_xml(content: bytes) -> Element:

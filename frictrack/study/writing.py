@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,30 +26,6 @@ MAYBE_TABLES = (".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".npz", "
 TABLES = (*SURE_TABLES, *TRACKS, *MAYBE_TABLES)
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
-
-INTRO = """A study of frictrack: the runs that were filmed, and what is known about them.
-Lengths, masses and times are in SI units, or texts with a unit: 0.35 or "350 g" or "0.350 +/- 0.002 kg".
-Paths are relative to this file. Lines that begin with # are comments.
-`frictrack run {name}` runs the whole analysis and writes a report."""
-Words = Mapping[str, tuple[Any, str]]
-STUDY: Words = {  # key -> example and explanation
-    "name": ("", ""),
-    "mass": ("0.350 +/- 0.002 kg", "the sliding mass; weigh it: the friction force is proportional to it"),
-    "model": ("tustin", "the first model: tustin, atm1:2, or a list such as ['coulomb', 'viscous']"),
-}
-CAMERA: Words = {
-    "fps": (4000, "frame rate while filming (not the playback rate); the friction force scales with its square"),
-    "scale": (
-        "0.500 +/- 0.002 mm/px",
-        """size of a pixel on the course, with its uncertainty (forces are proportional to it); instead of a number:
-a ruler        scale = {points = [[100, 80], [900, 82]], length = "100.0 +/- 0.1 mm"}
-the target     scale = {target = "40 mm"}   its length along the course
-a board        scale = {board = "board.png", squares = [9, 6], square = "10 mm"}   also several pictures, or a film
-               of it; a ChArUco board adds dictionary = "DICT_4X4_50", marker = "7 mm"
-known places   scale = {points = [[x, y], ...], plane = [[0, 0], [100, 0], [100, 50], [0, 50]], unit = "mm"}""",
-    ),
-    "lens": ("lens.yml", "camera matrix and distortion, if the lens was calibrated before (OpenCV's yml or json)"),
-}
 
 
 @dataclass(frozen=True)
@@ -141,24 +118,29 @@ def write_study(
 
     """
     refuse_existing(path)
-    known = {key: value for key, value in (keys or {}).items() if value is not None}
-    document = tomlkit.document()
-    for line in INTRO.format(name=path.name).splitlines() if commented else ():
-        document.add(tomlkit.comment(line))
     runs = [one if isinstance(one, NewRun) else NewRun(one) for one in recordings]
-    named = {"name": path.resolve().parent.name} | known
-    document["study"] = _commented_table(named, STUDY, remarks or {}, commented)
-    document["camera"] = _commented_table(known, CAMERA, remarks or {}, commented)
-    document["run"] = tomlkit.aot()
+    known = {"name": path.resolve().parent.name} | {k: v for k, v in (keys or {}).items() if v is not None}
+    head = _template("first_keys").replace("<file>", path.name)
+    for key, value in known.items():
+        line = f"{key} = {tomlkit.item(value).as_string()}".replace("\\", "\\\\")  # for `re.sub`
+        head = re.sub(rf"^# {key} = .*", line, head, count=1, flags=re.MULTILINE)
+    head = re.sub(r"<(\w+)>", lambda found: (remarks or {}).get(found[1], ""), head)
+    tables = tomlkit.aot()
     for new, run in zip(runs, run_tables([new.recording for new in runs], path.parent), strict=True):
-        table = with_blank_line(tomlkit.item(run))
+        tables.append(table := with_blank_line(tomlkit.item(run)))
         for key, value in new.keys.items():
             table[key] = toml_item(value)
         for line in new.comment.splitlines():
             table.add(tomlkit.comment(line))
-        document["run"].append(table)
-    optional = files("frictrack").joinpath("study", "optional_keys.toml").read_text(encoding="utf-8")
-    return replace_text(path, tomlkit.dumps(document) + (optional if commented else ""))
+    if not commented:
+        head = re.sub(r"^#.*\n", "", head, flags=re.MULTILINE).lstrip()
+    document = tomlkit.dumps({"run": tables}) if runs else ""
+    return replace_text(path, head + document + (_template("optional_keys") if commented else ""))
+
+
+def _template(name: str) -> str:
+    """Return a part of a commented study file."""
+    return files("frictrack").joinpath("study", f"{name}.toml").read_text(encoding="utf-8")
 
 
 def refuse_existing(path: Path) -> None:
@@ -213,19 +195,6 @@ def _many_pages(path: Path) -> bool:
             return len(file.pages) > 1 or bool((file.imagej_metadata or {}).get("images", 1) > 1)
     except (OSError, ValueError, tifffile.TiffFileError):
         return True  # the fault is reported when the file is opened
-
-
-def _commented_table(known: Mapping[str, Any], words: Words, remarks: Mapping[str, str], commented: bool) -> Any:
-    """Return a table of known keys; the others are comments, each with a remark and its explanation, if asked for."""
-    table = tomlkit.table()
-    for key, (example, why) in words.items():
-        for line in (remarks.get(key, "") + why).splitlines() if commented else ():
-            table.add(tomlkit.comment(line))
-        if key in known:
-            table[key] = known[key]
-        elif commented:
-            table.add(tomlkit.comment(f"{key} = {tomlkit.item(example).as_string()}"))
-    return table
 
 
 def run_tables(recordings: Sequence[Path], folder: Path, taken: Sequence[str] = ()) -> list[dict[str, str]]:

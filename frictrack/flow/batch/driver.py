@@ -22,7 +22,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -47,54 +47,16 @@ from frictrack.settings.priors import Prior
 MIN_POINTS = 4  # needed to fit a slope
 MIN_VARIANCE = 1e-12  # of values without a deviation, over their spread
 ALPHA = 0.01  # for all trends over the series together, and for those over all conditions
+DRAWN = ("at", "value", "std")  # keys of a trend that only the page draws: positions, values, standard deviations
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 Condition = tuple[float | str, str]  # value and unit; a category has no unit
 
 
-@dataclass(frozen=True, eq=False)
-class Trend:
-    """The trend of one quantity over the series."""
+def find_trends(outcomes: Sequence[StudyOutcome]) -> list[dict[str, Any]]:
+    """Test every parameter, the noise and the friction level for a trend; return the JSON of each, with `DRAWN`.
 
-    name: str  # name, unit: the quantity
-    unit: str
-    at: Array  # positions in the series, from 1, (n,)
-    value: Array  # value, std: values and their standard deviations, NaN where unknown, (n,)
-    std: Array
-    slope: float  # slope, slope_std: change per position, and its standard deviation
-    slope_std: float
-    p: float  # p-value of no slope, multiplied by the number of trends (Bonferroni)
-    scatter: float  # standard deviation tau from study to study
-    axis: str = "study"  # what a position is: "study" or "run"
-
-    @property
-    def holds(self) -> bool:
-        """Whether there is a trend, at `ALPHA` for all quantities together."""
-        return self.p < ALPHA
-
-    @property
-    def change(self) -> float:
-        """Change from the first to the last position."""
-        return self.slope * float(self.at[-1] - self.at[0])
-
-    @property
-    def change_std(self) -> float:
-        """Standard deviation of the change."""
-        return self.slope_std * float(self.at[-1] - self.at[0])
-
-    def to_plot(self) -> dict[str, Any]:
-        """Return everything that the page draws."""
-        keys = ("holds", "change", "change_std")
-        return {**vars(self), "along": self.axis, **{key: getattr(self, key) for key in keys}}
-
-    def summary(self) -> dict[str, Any]:
-        """Return the trend as JSON."""
-        keys = ("slope", "slope_std", "change", "change_std", "scatter", "p", "holds")
-        head = {"n": len(self.at), "name": self.name, "unit": self.unit, "along": self.axis}
-        return {**head, **{key: getattr(self, key) for key in keys}}
-
-
-def find_trends(outcomes: Sequence[StudyOutcome]) -> list[Trend]:
-    """Test every parameter, the noise and the friction level for a trend."""
+    Its p-value is multiplied by the number of trends (Bonferroni).
+    """
     first = [next((row for row in one.rows if row.get("verdict")), {}) for one in outcomes]
     units = {name: unit for one in outcomes for name, unit in one.units.items()}
     found = [_trend(name, unit, _column(first, name), _deviations(first, name)) for name, unit in units.items()]
@@ -103,7 +65,7 @@ def find_trends(outcomes: Sequence[StudyOutcome]) -> list[Trend]:
     fitted = [row for one in outcomes for row in one.rows if row.get("role") == "fit"]
     found.append(_trend("friction level of the run", "1", _column(fitted, "level"), axis="run"))
     known = [one for one in found if one is not None]
-    return [replace(one, p=min(1.0, one.p * len(known))) for one in known]
+    return [one | {"p": (p := min(1.0, one["p"] * len(known))), "holds": p < ALPHA} for one in known]
 
 
 def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
@@ -112,15 +74,20 @@ def _deviations(rows: Sequence[dict[str, Any]], name: str) -> Array:
     return np.where(np.isfinite(wider), wider, _column(rows, f"{name} std"))
 
 
-def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> Trend | None:
-    """Return the trend of values y (n,) with standard deviations s (n,); None for too few values or a constant."""
+def _trend(name: str, unit: str, y: Array, s: Array | None = None, axis: str = "study") -> dict[str, Any] | None:
+    """Return the trend of values y (n,) with standard deviations s (n,); None for too few values or a constant.
+
+    Positions `at` in the series count from 1; `change` is that from the first to the last of them.
+    """
     known = np.isfinite(y)
     if np.count_nonzero(known) < MIN_POINTS or np.ptp(y[known]) == 0.0:
         return None
     s = np.full(len(y), np.nan) if s is None else s
     at, y, s = np.flatnonzero(known).astype(np.float64) + 1.0, y[known], s[known]
     slope, slope_std, scatter, p = fit_slope(at, y, np.nan_to_num(s))
-    return Trend(name, unit, at, y, s, slope, slope_std, p, scatter, axis)
+    found = {"n": len(at), "name": name, "unit": unit, "along": axis, "slope": slope, "slope_std": slope_std}
+    found |= {"change": slope * np.ptp(at), "change_std": slope_std * np.ptp(at), "scatter": scatter, "p": p}
+    return found | {"at": at, "value": y, "std": s}
 
 
 def fit_slope(at: Array, y: Array, s: Array) -> tuple[float, float, float, float]:
@@ -293,7 +260,7 @@ def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state:
             "seconds": state.seconds,
             "runs_per_minute": 60.0 * state.runs / max(state.seconds, 1e-9),
             "verdicts": dict(Counter(one["verdict"] for one in studies if not one["reason"])),
-            "trends": [trend.summary() for trend in found],
+            "trends": [{key: value for key, value in one.items() if key not in DRAWN} for one in found],
             "conditions": condition_trends(outcomes),
             "tables": [str(path) for path in files],
         }
@@ -301,8 +268,7 @@ def _write_results(stem: Path, done: Sequence[tuple[Path, StudyOutcome]], state:
     folder = stem.resolve().parent
     results = {str(label): Path(one.summary["results"]) for label, one in done if one.summary.get("results")}
     reports = {name: Path(os.path.relpath(own / "report.html", folder)).as_posix() for name, own in results.items()}
-    plots = [trend.to_plot() for trend in found]
-    page = write_campaign(result, plots, reports, stem.with_name(f"{stem.name}.html"))
+    page = write_campaign(result, found, reports, stem.with_name(f"{stem.name}.html"))
     return result | {"output": str(page)}
 
 

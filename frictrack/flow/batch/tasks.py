@@ -1,11 +1,10 @@
 """The tasks of a batch and their schedule: the films of a study in parallel, then its fit, diagnosis and report.
 
-A failure is returned as a sentence. Only `DiskFullError` is raised, so that a worker with space tries the task again.
+A failure is returned as a sentence. A task that was cancelled, as when a cluster loses its scheduler, is tried again.
 """
 
 from __future__ import annotations
 
-import platform
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 from stat import S_ISDIR
 from typing import Any
 
-from frictrack.base.errors import DiskFullError, FrictrackError, is_disk_full
+from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import RemoteFile, locate
 from frictrack.base.workers import WorkerPool
 from frictrack.flow import Session, open_study, run_pipeline
@@ -87,10 +86,7 @@ class StudyStarted:
 
 def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
     """Measure the first film, which defines the tracked point of all others; finish a study that has only one."""
-    try:
-        study = open_study(path)
-    except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
-        return failed_study(path, {}, _reason(e))
+    study = open_study(path)
     films = [run.name for run in study.runs if run.video]
     failed: dict[str, str] = {}
     while len(films) > 1:
@@ -104,11 +100,7 @@ def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
 
 def measure_film(path: Path, run: str, failed: Reasons) -> str | None:
     """Measure one film."""
-    try:
-        study = without_runs(open_study(path), failed)
-    except Exception as e:  # noqa: BLE001
-        return _reason(e)
-    return _measure_run(study, run)
+    return _measure_run(without_runs(open_study(path), failed), run)
 
 
 def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
@@ -129,8 +121,8 @@ def finish_study(path: Path, seed: int, failed: Reasons) -> StudyOutcome:
         for row in done.rows:
             row |= {f"condition {name}": str(value) for name, value in study.conditions.items()}
         done.files = {} if failed else file_states(study)  # what failed is tried again
-    except Exception as e:  # noqa: BLE001
-        return failed_study(path, failed, _reason(e))
+    except Exception as e:  # noqa: BLE001 - whatever befalls one study must not stop the others
+        return failed_study(path, failed, describe_failure(e))
     done.seed, done.seconds = seed, time.perf_counter() - start
     return done
 
@@ -147,15 +139,6 @@ def describe_failure(e: BaseException) -> str:
     return " ".join(text.split())
 
 
-def _reason(e: Exception) -> str:
-    """Return a failure in one line; raise `DiskFullError` if the disk of this machine is full."""
-    if isinstance(e, DiskFullError):
-        raise e
-    if is_disk_full(e):
-        raise DiskFullError(f"{describe_failure(e)}; {platform.node()} has no space left") from e
-    return describe_failure(e)
-
-
 def without_runs(study: Study, failed: Reasons) -> Study:
     """Return the study without the runs that failed."""
     return replace(study, runs=tuple(run for run in study.runs if run.name not in failed))
@@ -169,7 +152,7 @@ def _measure_run(study: Study, name: str) -> str | None:
             if not pipeline.is_current(stage):  # what is there need not be read: the study reads it
                 pipeline.get(stage)
     except Exception as e:  # noqa: BLE001
-        return _reason(e).removeprefix(f'run "{name}", ')
+        return describe_failure(e).removeprefix(f'run "{name}", ')
     return None
 
 
@@ -191,6 +174,7 @@ def _outcome(path: Path, result: Mapping[str, Any], failed: Reasons) -> StudyOut
 
 
 POLL_INTERVAL_S = 0.5
+MAX_LOSSES = 2  # of one step, after which it is not tried again
 
 
 @dataclass
@@ -214,91 +198,103 @@ class BatchState:
 Watch = Callable[[BatchState], None]
 
 
-# A function of this module, its arguments, and the film it is of.
-Call = tuple[Callable[..., Any], tuple[Any, ...], str]
+Step = tuple[Callable[..., Any], tuple[Any, ...], str]
+"""A function of this module, its arguments, and the film that it measures."""
 
 
-def study_steps(path: Path, seed: int) -> Generator[list[Call], list[Any], StudyOutcome]:
-    """Run one study: yield calls that may run side by side, receive their results or errors; return the outcome."""
+def study_steps(path: Path, seed: int) -> Generator[list[Step], list[Any], StudyOutcome]:
+    """Run one study: yield steps that may run side by side, receive their results, or sentences in place of results."""
     (first,) = yield [(begin_study, (path, seed), "")]
-    if isinstance(first, StudyOutcome):
-        return first
     if not isinstance(first, StudyStarted):
-        return failed_study(path, {}, describe_failure(first))
+        return first if isinstance(first, StudyOutcome) else failed_study(path, {}, first)
     reasons = yield [(measure_film, (path, run, dict(first.failed)), run) for run in first.others]
-    said = [describe_failure(one) if isinstance(one, BaseException) else one for one in reasons]
-    failed = first.failed | {run: why for run, why in zip(first.others, said, strict=True) if why is not None}
+    failed = first.failed | {run: why for run, why in zip(first.others, reasons, strict=True) if why is not None}
     (done,) = yield [(finish_study, (path, seed, dict(failed)), "")]
-    return done if isinstance(done, StudyOutcome) else failed_study(path, failed, describe_failure(done))
+    return done if isinstance(done, StudyOutcome) else failed_study(path, failed, done)
 
 
 @dataclass
 class _Running:
-    """A study under way: what it does next, and the results of the calls that it waits for."""
+    """A study under way: what it does next, and the results of the steps that it waits for."""
 
     path: Path
-    steps: Generator[list[Call], list[Any], StudyOutcome]
+    steps: Generator[list[Step], list[Any], StudyOutcome]
     results: list[Any] = field(default_factory=list)
-    waits_for: int = 0  # calls
+    waits_for: int = 0  # steps
+
+
+@dataclass
+class _Call:
+    """A step of a study that waits for its turn, or for its result."""
+
+    study: _Running
+    place: int  # of its result
+    step: Step
+    losses: int = 0  # times that it was cancelled
+
+    @property
+    def title(self) -> str:
+        """The study, and the film if there is one."""
+        return ", ".join(filter(None, (str(self.study.path), self.step[2])))
 
 
 class Scheduler:
-    """Submit the calls of all studies to a pool of workers."""
+    """Submit the steps of all studies to a pool of workers."""
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
         self.pool = pool
         self.state = state
         self._studies = deque(_Running(path, study_steps(path, seed)) for path in studies)
-        # Of studies that have begun: they come before new ones.
-        self._calls: deque[tuple[_Running, int, Call]] = deque()
-        self._running: dict[Future[Any], tuple[_Running, int, str]] = {}
+        self._calls: deque[_Call] = deque()  # of studies that have begun: they come before new ones
+        self._running: dict[Future[Any], _Call] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
         """Yield the outcome of every study as it ends; call `watch` several times a second."""
         while self._fill() or self._running:
             watch(self.state)
-            ended, _ = wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED)
-            for future in ended:
-                study, place, title = self._running.pop(future)
-                self.state.under_way.pop(title, None)
-                study.results[place] = _result_or_error(future)
-                study.waits_for -= 1
-                done = None if study.waits_for else self._advance(study)
-                if done is not None:
-                    self._count(done)
+            for future in wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED).done:
+                call = self._running.pop(future)
+                self.state.under_way.pop(call.title, None)
+                if future.cancelled() and call.losses < MAX_LOSSES:
+                    self._calls.append(replace(call, losses=call.losses + 1))
+                elif done := self._advance(call.study, call.place, _result(future)):
+                    self.state.done.append(done.study)
+                    self.state.runs += sum(1 for row in done.rows if row.get("run"))
+                    self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
                     yield done
         watch(self.state)
 
     def _fill(self) -> bool:
-        """Submit as many calls as the pool has capacity for; return whether any call or study is left."""
+        """Submit as many steps as the pool has capacity for; return whether any step or study is left."""
         room = self.pool.capacity()
         while len(self._running) < room and (self._calls or self._studies):
             if not self._calls:
-                self._advance(self._studies.popleft())
-            study, place, (function, arguments, run) = self._calls.popleft()
-            title = f"{study.path}, {run}" if run else str(study.path)
-            self._running[self.pool.submit(function, *arguments)] = (study, place, title)
-            self.state.under_way[title] = time.monotonic()
+                self._begin(study := self._studies.popleft(), next(study.steps))
+            call = self._calls.popleft()
+            function, arguments, _ = call.step
+            self._running[self.pool.submit(function, *arguments)] = call
+            self.state.under_way[call.title] = time.monotonic()
         return bool(self._calls or self._studies)
 
-    def _advance(self, study: _Running) -> StudyOutcome | None:
-        """Give a study its results and take its next calls; return the outcome if it has ended."""
+    def _begin(self, study: _Running, steps: list[Step]) -> None:
+        study.results, study.waits_for = [None] * len(steps), len(steps)
+        self._calls += [_Call(study, place, step) for place, step in enumerate(steps)]
+
+    def _advance(self, study: _Running, place: int, result: Any) -> StudyOutcome | None:
+        """Give a study a result, and take its next steps when it has all; return the outcome if it has ended."""
+        study.results[place] = result
+        study.waits_for -= 1
         try:
-            calls = study.steps.send(study.results) if study.results else next(study.steps)
+            if not study.waits_for:
+                self._begin(study, study.steps.send(study.results))
         except StopIteration as end:
             return end.value
-        study.results, study.waits_for = [None] * len(calls), len(calls)
-        self._calls += [(study, place, call) for place, call in enumerate(calls)]
         return None
 
-    def _count(self, done: StudyOutcome) -> None:
-        self.state.done.append(done.study)
-        self.state.runs += sum(1 for row in done.rows if row.get("run"))
-        self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
 
-
-def _result_or_error(future: Future[Any]) -> Any:
-    """Return the result of a call, or why it has none."""
+def _result(future: Future[Any]) -> Any:
+    """Return the result of a step, or a sentence why it has none."""
     if future.cancelled():
-        return FrictrackError("its task was cancelled, as happens when workers are shut down; run the batch again")
-    return future.exception() or future.result()
+        return "its task was cancelled, as happens when workers are shut down; run the batch again"
+    error = future.exception()
+    return future.result() if error is None else describe_failure(error)

@@ -1,4 +1,4 @@
-"""List the files of a crate: the study file, what it was computed from, the results, and tables of them with units.
+"""List the files of a crate: the study file, what it was computed from, and the results.
 
 A file lies in the crate where it lies beside the study file, so that the unpacked crate is a study like any other. An
 input from outside the folder of the study gets a place in ``inputs/``. A recording of more than `MAX_INCLUDED_BYTES`
@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any
 
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError, os_errors_as, result_or_none
@@ -27,7 +27,6 @@ from frictrack.base.remote import RemoteFile, local_path, locate
 from frictrack.flow import Session, hash_path
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.recording import open_recording
-from frictrack.results import Results
 from frictrack.study import Study, read_toml
 
 MAX_FILES = 200_000  # in one crate; a folder of pictures has one file per frame
@@ -230,56 +229,6 @@ def _absolute(path: Path) -> Path:
     return Path(os.path.abspath(path))  # Path.absolute keeps "..", Path.resolve follows links
 
 
-QUDT = "http://qudt.org/vocab/unit/"
-
-
-class UnitCode(NamedTuple):
-    """The codes of a unit: UCUM, and the name in QUDT."""
-
-    ucum: str
-    qudt: str = ""
-
-    @property
-    def address(self) -> str:
-        """Address of the unit in QUDT; its UCUM code after ``ucum:`` where QUDT does not have it."""
-        if self.qudt:
-            return QUDT + self.qudt
-        return f"ucum:{self.ucum}" if self.ucum else ""
-
-
-UNIT_CODES = {
-    "1": UnitCode("1", "UNITLESS"),
-    "%": UnitCode("%", "PERCENT"),
-    "1/m": UnitCode("m-1", "PER-M"),
-    "1/m^2": UnitCode("m-2", "PER-M2"),
-    "1/s": UnitCode("s-1", "PER-SEC"),
-    "Hz": UnitCode("Hz", "HZ"),
-    "N": UnitCode("N", "N"),
-    "N (s/m)^n": UnitCode(""),  # n is a parameter
-    "N s": UnitCode("N.s", "N-SEC"),
-    "N s/m": UnitCode("N.s/m", "N-SEC-PER-M"),
-    "N s^2/m^2": UnitCode("N.s2/m2", "KiloGM-PER-M"),  # the same unit: N s²/m² = kg/m
-    "N/m": UnitCode("N/m", "N-PER-M"),
-    "N/s": UnitCode("N/s"),
-    "g": UnitCode("g", "GM"),
-    "kg": UnitCode("kg", "KiloGM"),
-    "m": UnitCode("m", "M"),
-    "m/s": UnitCode("m/s", "M-PER-SEC"),
-    "m/s^2": UnitCode("m/s2", "M-PER-SEC2"),
-    "ms": UnitCode("ms", "MilliSEC"),
-    "px": UnitCode("{pixel}"),  # an annotation: UCUM counts pixels as 1
-    "rad": UnitCode("rad", "RAD"),
-    "s": UnitCode("s", "SEC"),
-    "s/m": UnitCode("s/m"),
-    "um": UnitCode("um", "MicroM"),
-}  # by the unit as frictrack writes it
-
-
-def unit_code(unit: str) -> UnitCode:
-    """Return the codes of a unit; empty codes for one that a user's own effect brings in."""
-    return UNIT_CODES.get(unit, UnitCode(""))
-
-
 PACKAGES = {"numpy": "numpy", "scipy": "scipy", "h5py": "h5py", "opencv": "opencv-python-headless"}
 CPU_INFO = Path("/proc/cpuinfo")
 FRICTRACK = "frictrack"
@@ -334,53 +283,3 @@ def _processor() -> str:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, "") or platform.processor() or platform.machine() or "unknown"
-
-
-COVERAGE_FACTOR = 2  # of the expanded uncertainty: about 95 % of a normal distribution
-TOTAL = "total"  # source of the last row of `frictrack.measure.error_budget`
-TOTALS = (("combined standard uncertainty", 1), (f"expanded uncertainty, k = {COVERAGE_FACTOR}", COVERAGE_FACTOR))
-BUDGET_COLUMNS = {  # of the table -> of a row of an error budget
-    "source": "source",
-    "input_standard_uncertainty": "size",
-    "input_unit": "unit",
-    "input_ucum": "ucum",
-    "contribution_mean_N": "mean_N",
-    "share_of_variance_mean": "share_mean",
-    "contribution_frame_N": "frame_N",
-    "share_of_variance_frame": "share_frame",
-    "common_to": "common",
-    "known_from": "told",
-}
-
-
-def parameter_rows(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield one row per parameter of every model."""
-    for model in results.models:
-        for name, found in model.summary["parameters"].items():
-            code = unit_code(found["unit"])
-            low, high = found.get("interval") or (None, None)
-            row = {"model": model.name, "current": model.current, "parameter": name, "value": found["value"]}
-            row |= {"standard_uncertainty": found["std"], "standard_uncertainty_misfit": found.get("std_misfit")}
-            row |= {"interval_low": low, "interval_high": high, "unit": found["unit"]}
-            yield row | {"ucum": code.ucum, "qudt": code.address, "reason": found["reason"]}
-
-
-def budget_rows(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield the budget of every run: one row per source, then combined and expanded uncertainty; empty is unknown."""
-    for run in results.runs:
-        for row in run.budget.get("rows", ()):
-            parts = [row | {"ucum": unit_code(row["unit"]).ucum}]
-            if row["source"] == TOTAL:  # None is unknown
-                sizes = {key: row[key] for key in ("mean_N", "frame_N")}
-                parts = [{"source": name} | {k: v and factor * v for k, v in sizes.items()} for name, factor in TOTALS]
-            head = {"run": run.name, "quantity": "friction force", "estimate_N": run.budget["force_N"]}
-            for part in parts:
-                yield head | {column: part.get(key) for column, key in BUDGET_COLUMNS.items()}
-
-
-def table_files(results: Results) -> dict[str, bytes]:
-    """Return the tables by file name, as CSV in UTF-8."""
-    import pandas as pd  # noqa: PLC0415 - slow to load
-
-    rows = {"parameters.csv": parameter_rows(results), "uncertainty_budget.csv": budget_rows(results)}
-    return {name: pd.DataFrame(found).to_csv(index=False, lineterminator="\n").encode() for name, found in rows.items()}

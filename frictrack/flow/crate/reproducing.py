@@ -10,7 +10,6 @@ import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -65,17 +64,13 @@ def read_crate(folder: Path) -> Crate:
     try:
         if path.stat().st_size > MAX_METADATA_BYTES:
             raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        return _crate(folder, {one["@id"]: one for one in json.loads(path.read_text(encoding="utf-8"))["@graph"]})
     except FrictrackError:
         raise
     except FileNotFoundError as e:
         raise UsageError(f"expected an RO-Crate but {folder} has no {METADATA}") from e
-    except (OSError, ValueError, RecursionError) as e:
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
-    try:
-        return _crate(folder, {one["@id"]: one for one in raw["@graph"]})
-    except FrictrackError:
-        raise
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as e:
         raise FrictrackError(
             f"expected a crate of `frictrack export --to crate` but {path} describes something else ({e!r})"
@@ -131,10 +126,6 @@ def _ids(values: Any) -> list[str]:
     return [one["@id"] for one in references]
 
 
-MAX_LISTED = 5  # files that a message names
-_listed = partial(first_words, most=MAX_LISTED)
-
-
 def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path:
     """Make a copy of the study in an empty folder; return its study file."""
     study = folder / crate.study.place
@@ -150,8 +141,7 @@ def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path
 def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress | None) -> dict[str, Path]:
     """Return the inputs on this machine by their places; every one has the bytes that the crate says."""
     found: dict[str, Path] = {}
-    missing: list[str] = []
-    changed: list[str] = []
+    faults: list[str] = []
     candidates = _files_by_name(recordings)
     remote = {text: place for text, place in crate.moved.items() if is_address(text) and not text.startswith("file:")}
     addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
@@ -165,21 +155,16 @@ def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress |
         same = next((path for path in there if has_same_bytes(path, one)), None)
         if same is not None:
             found[one.place] = same.absolute()
-        elif one.is_included or not there:
-            (changed if there else missing).append(one.place)
+        elif there:
+            where = "" if one.is_included else f" (found as {there[0]})"
+            faults.append(f"{one.place}{where} has other bytes than the crate says")
         else:
-            changed.append(f"{one.place} (found as {there[0]})")
-    faults = []
-    if missing:
-        where = "in the crate" if recordings is None else f"in {recordings}"
-        faults.append(f"{_listed(missing)} {'is' if len(missing) == 1 else 'are'} not {where}")
-    if changed:
-        faults.append(f"{_listed(changed)} {'has' if len(changed) == 1 else 'have'} other bytes than the crate says")
+            faults.append(f"{one.place} is not in {'the crate' if recordings is None else recordings}")
     if faults:
         advice = "give --recordings FOLDER with the original recordings"
         if addresses and progress is None:
-            advice += f", or --allow-addresses to fetch {_listed([*addresses.values()])}"
-        raise FrictrackError(f"expected the inputs of the study but {' and '.join(faults)}; {advice}")
+            advice += f", or --allow-addresses to fetch {first_words([*addresses.values()])}"
+        raise FrictrackError(f"expected the inputs of the study but {first_words(faults)}; {advice}")
     found.pop(crate.study.place)
     return found
 
@@ -374,7 +359,10 @@ def reproduce_crate(
         does not list, or the study cannot be computed.
 
     """
-    _check_paths(path, out)
+    if not path.exists():
+        raise UsageError(f"expected a crate but there is no {path}; check the path")
+    if out.exists():
+        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
     began = time.monotonic()
     try:
         crate = _unpacked(path, out, progress)
@@ -453,14 +441,6 @@ def _stored_files(crate: Crate) -> dict[str, Path]:
     if STUDY_FILE not in found:
         raise FrictrackError(f"expected {STUDY_FILE} among the results of the crate but it lists none; export it again")
     return found
-
-
-def _check_paths(path: Path, out: Path) -> None:
-    """Raise FrictrackError (usage) if there is no crate, or if something would be overwritten."""
-    if not path.exists():
-        raise UsageError(f"expected a crate but there is no {path}; check the path")
-    if out.exists():
-        raise UsageError(f"expected the name of a new folder but {out} exists; choose another one with -o")
 
 
 def _made(folder: Path) -> Path:

@@ -29,6 +29,7 @@ from urllib.parse import quote
 
 from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
+from frictrack.base.lazy import imported
 from frictrack.flow import Session
 from frictrack.flow.crate.payload import (
     FRICTRACK,
@@ -36,9 +37,7 @@ from frictrack.flow.crate.payload import (
     Part,
     Payload,
     list_payload,
-    parameter_rows,
     platform_versions,
-    table_files,
 )
 from frictrack.results import Results
 
@@ -121,9 +120,9 @@ CONTEXT = (
 )
 MEDIA_TYPES = {".toml": "application/toml", ".jsonl": "application/x-ndjson"}  # which Python does not know
 OTHER_MEDIA_TYPE = "application/octet-stream"
-UNCERTAINTIES = {  # columns of `tables`
-    "standard_uncertainty": "standard uncertainty",
-    "standard_uncertainty_misfit": "standard uncertainty that includes the effect of the missing force",
+UNCERTAINTIES = {  # keys of a parameter in the JSON of a fit
+    "std": "standard uncertainty",
+    "std_misfit": "standard uncertainty that includes the effect of the missing force",
 }
 MOVED = "path in the study file"  # `propertyID` of where the crate has what the study file names otherwise
 PYPI = "https://pypi.org/project"
@@ -234,30 +233,45 @@ def _add_software(graph: _Graph, versions: Mapping[str, str]) -> Entity:
     return add(FRICTRACK, softwareRequirements=required, operatingSystem=system, processorRequirements=processor)
 
 
+def ucum(unit: str) -> str:
+    """Return the UCUM code of a unit; empty where a power of it is a parameter.
+
+    Examples
+    --------
+    >>> ucum("N s^2/m^2"), ucum("px"), ucum("N (s/m)^n")
+    ('N.s2/m2', '{pixel}', '')
+
+    """
+    if "^n" in unit:
+        return ""
+    return "{pixel}" if unit == "px" else unit.replace("^", "").replace(" ", ".")
+
+
 def _add_parameters(graph: _Graph, results: Results) -> Iterator[Entity]:
     """Add the parameters of all models with their standard uncertainties and intervals; yield the references."""
     kind = "PropertyValue"
-    for row in parameter_rows(results):
-        address = quote(f"{row['model']}/{row['parameter']}")
-        unit = {"unitText": row["ucum"] or row["unit"], "unitCode": row["qudt"] or None}
+    for model, (name, found) in ((m, item) for m in results.models for item in m.summary["parameters"].items()):
+        address, code = quote(f"{model.name}/{name}"), ucum(found["unit"])
+        unit = {"unitText": code or found["unit"], "unitCode": f"ucum:{code}" if code else None}
         more = [
-            graph.add(f"#{key}/{address}", kind, **unit, name=name, value=row[key])
-            for key, name in UNCERTAINTIES.items()
-            if row[key] is not None
+            graph.add(f"#{key}/{address}", kind, **unit, name=words, value=found[key])
+            for key, words in UNCERTAINTIES.items()
+            if found.get(key) is not None
         ]
-        limits = {"minValue": row["interval_low"], "maxValue": row["interval_high"]}
-        if any(limit is not None for limit in limits.values()):
+        low, high = found.get("interval") or (None, None)
+        if (low, high) != (None, None):
+            limits = {"minValue": low, "maxValue": high}
             more.append(graph.add(f"#interval/{address}", kind, **unit, name="95 % interval", **limits))
-        current = ", the current one" if row["current"] else ""
-        reason = f"; {row['reason']}" if row["reason"] else ""
+        current = ", the current one" if model.current else ""
+        reason = f"; {found['reason']}" if found["reason"] else ""
         yield graph.add(
             f"#parameter/{address}",
             kind,
             **unit,
-            name=row["parameter"],
-            propertyID=f"{row['model']}/{row['parameter']}",
-            description=f"parameter of the model {row['model']}{current}{reason}",
-            value=row["value"],
+            name=name,
+            propertyID=f"{model.name}/{name}",
+            description=f"parameter of the model {model.name}{current}{reason}",
+            value=found["value"],
             valueReference=_one_or_several(more),
         )
 
@@ -319,10 +333,11 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
     payload = list_payload(session, include_recordings=options.include_recordings)
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch)
-        for name, content in table_files(results).items():
-            (made / name).write_bytes(content)
-            table = Part.read(made / name, f"{payload.results}/{TABLES}/{name}", "result")
-            payload = replace(payload, parts=(*payload.parts, table))
+        tables = imported("frictrack.present.export.tables:summary_tables")(results)
+        for name, table in tables.items():
+            table.to_csv(path := made / f"{name}.csv", index=False, lineterminator="\n")
+            part = Part.read(path, f"{payload.results}/{TABLES}/{path.name}", "result")
+            payload = replace(payload, parts=(*payload.parts, part))
         metadata = describe_crate(session, results, payload, authorship)
         text = json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False)
         (made / METADATA).write_text(text, encoding="utf-8")

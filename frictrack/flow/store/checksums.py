@@ -110,7 +110,12 @@ def wrong_checksums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None
     try:
         check_visited_once(item, met)
         for name in item if isinstance(item, h5py.Group) else ():
-            yield from _wrong_child(item, name, met)
+            try:
+                inside = item[name] if isinstance(item.get(name, getlink=True), h5py.HardLink) else None
+            except Exception as e:  # noqa: BLE001 - as below
+                yield f"{item.name.rstrip('/')}/{name}", f"cannot be read ({' '.join(str(e).split())})"
+            else:
+                yield from () if inside is None else wrong_checksums(inside, met)
         stored, found = item.attrs.get(CHECKSUM), _checksum(item)
     except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
         yield item.name, f"cannot be read ({' '.join(str(e).split())})"
@@ -119,16 +124,6 @@ def wrong_checksums(item: h5py.Group | h5py.Dataset, met: set[int] | None = None
         yield item.name, "has no checksum, frictrack did not write it"
     elif stored != found:
         yield item.name, "holds something else than was written (its checksum is another one)"
-
-
-def _wrong_child(group: h5py.Group, name: str, met: set[int]) -> Iterator[tuple[str, str]]:
-    try:
-        inside = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    except Exception as e:  # noqa: BLE001 - as above
-        yield f"{group.name.rstrip('/')}/{name}", f"cannot be read ({' '.join(str(e).split())})"
-        return
-    if inside is not None:
-        yield from wrong_checksums(inside, met)
 
 
 def array_checksum(value: np.ndarray[Any, Any], attributes: Mapping[str, Any]) -> str:

@@ -12,7 +12,6 @@ National Instruments, Specification for the LabVIEW Measurement File (.lvm), htt
 from __future__ import annotations
 
 import re
-import zipfile
 from collections.abc import Iterator, Mapping
 from io import StringIO
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, text_encoding
+from frictrack.study.table_layout import TableFile, text_encoding
 from frictrack.study.track_formats.picture_tracks import read_arrays
 from frictrack.study.track_formats.track_table import SECONDS
 
@@ -43,8 +42,6 @@ def is_labview_text(path: Path) -> bool:
 
 def read_labview_text(path: Path) -> TableFile:
     """Read a LabVIEW measurement file: one time column, one per channel, or none but the interval of its samples."""
-    if path.stat().st_size > MAX_UNPACKED_BYTES:
-        raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB")
     head, *parts = _END_OF_HEADER.split(path.read_text(encoding=text_encoding(path)))
     found = _SEPARATOR.search(head)
     separator = found[1] if found else "\t"
@@ -96,12 +93,8 @@ def read_tdms(path: Path) -> TableFile:
     """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times."""
     from nptdms import TdmsFile  # noqa: PLC0415 - optional
 
-    try:
-        groups = TdmsFile.read(path).groups()
-        recordings = {group.name: _waveforms(group.channels()) for group in groups}
-    except Exception as e:  # damaged parts make it fail in many ways
-        raise ValueError(str(e) or type(e).__name__) from e
-    return _table("LabVIEW", recordings)
+    groups = TdmsFile.read(path).groups()
+    return _table("LabVIEW", {group.name: _waveforms(group.channels()) for group in groups})
 
 
 def _waveforms(channels: list[Any]) -> Channels:
@@ -122,15 +115,8 @@ def read_matlab(path: Path) -> TableFile:
 
 def read_npz(path: Path) -> TableFile:
     """Read the arrays of a file of `numpy.savez`, as the variables of a MATLAB file."""
-    try:
-        with zipfile.ZipFile(path) as packed:
-            size = sum(part.file_size for part in packed.infolist())
-        if size > MAX_UNPACKED_BYTES:
-            raise ValueError(f"{size / 1e6:.0f} MB when unpacked")
-        with np.load(path, allow_pickle=False) as arrays:
-            return _table_of_variables("NumPy", {name: arrays[name] for name in arrays.files})
-    except Exception as e:  # damaged parts make it fail in many ways
-        raise ValueError(str(e) or type(e).__name__) from e
+    with np.load(path, allow_pickle=False) as arrays:
+        return _table_of_variables("NumPy", {name: arrays[name] for name in arrays.files})
 
 
 def _table_of_variables(program: str, variables: dict[str, Any]) -> TableFile:

@@ -41,7 +41,7 @@ import numpy as np
 import pandas as pd
 
 from frictrack.records import Array
-from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile
+from frictrack.study.table_layout import TableFile, check_size
 from frictrack.study.track_formats import track_table
 from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
 
@@ -126,8 +126,6 @@ def read_arrays(path: Path) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=1)  # a table is opened for its columns, its units and for every run in it
 def _arrays_of(path: Path, size: int, *_: int) -> Mapping[str, Any]:
-    if size > MAX_UNPACKED_BYTES:
-        raise ValueError(f"{size / 1e6:.0f} MB")
     with path.open("rb") as file:
         if file.read(len(NETCDF_3)) == NETCDF_3:
             raise ValueError('it is netCDF 3; write it with engine="netcdf4" or "h5netcdf"')
@@ -166,8 +164,7 @@ def is_dice_file(path: Path) -> bool:
 def read_dice(path: Path) -> TableFile:
     """Read the subsets of DICe, by frame, with their standard deviations; failed frames are missing."""
     files = sorted(path.glob(NAME), key=lambda one: (_number_in(one), one.name)) if path.is_dir() else [path]
-    if (size := sum(one.stat().st_size for one in files)) > MAX_UNPACKED_BYTES:
-        raise ValueError(f"{size / 1e6:.0f} MB of solutions")
+    check_size(*files)
     parts = [_solution(one) for one in files]
     if len({part.columns[0] for part in parts}) != 1:
         raise ValueError("expected solutions of one kind, by frame or by subset, but got both")
@@ -236,12 +233,7 @@ SAVE = 'numpy.save("displacements.npy", displacements)'
 
 def read_pyidi_displacements(path: Path) -> TableFile:
     """Read the displacements of points, by frame."""
-    if (size := path.stat().st_size) > MAX_UNPACKED_BYTES:
-        raise ValueError(f"{size / 1e6:.0f} MB; save fewer points")
-    try:
-        found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
-    except Exception as e:  # damaged headers make NumPy fail in many ways
-        raise ValueError(str(e) or type(e).__name__) from e
+    found = np.load(path, mmap_mode="r", allow_pickle=False)  # the size is checked before anything is read
     if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind != "f":
         raise ValueError(f"expected displacements (points, frames, 2) but got {found.dtype} {found.shape}")
     frames = np.arange(found.shape[1], dtype=float)

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import re
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.records import Array
-from frictrack.study.table_layout import TableFile, read_limited, read_xml
+from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, read_xml
 from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ POINT_MASS = "org.opensourcephysics.cabrillo.tracker.PointMass"
 COORDINATES = {"xorigin": 0.0, "yorigin": 0.0, "angle": 0.0, "xscale": 1.0, "yscale": 1.0}  # of a frame, with defaults
 DEFAULT_UNIT = "m"  # that of Tracker, if the file states none
 MAX_FRAMES = 1 << 24
-ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # RuntimeError: a password, or unknown packing
 _INDEX = re.compile(r"\[(\d{1,8})\]")
 
 
@@ -74,17 +72,13 @@ def read_tracker_project(path: Path) -> TableFile:
 def _project(path: Path) -> bytes:
     """Return the XML of a project, perhaps from its ZIP file."""
     if not zipfile.is_zipfile(path):
-        with path.open("rb") as file:
-            return read_limited(file)
-    try:
-        with zipfile.ZipFile(path) as packed:
-            names = [name for name in packed.namelist() if name.lower().endswith(".trk")]
-            if len(names) != 1:
-                raise ValueError(f"expected one .trk in it but got {len(names)}")
-            with packed.open(names[0]) as file:
-                return read_limited(file)
-    except ZIP_FAULTS as e:
-        raise ValueError(str(e)) from e
+        return path.read_bytes()
+    with zipfile.ZipFile(path) as packed:
+        names = [name for name in packed.namelist() if name.lower().endswith(".trk")]
+        if len(names) != 1:
+            raise ValueError(f"expected one .trk in it but got {len(names)}")
+        with packed.open(names[0]) as file:
+            return file.read(MAX_UNPACKED_BYTES)
 
 
 def _object(parent: Element, name: str) -> Element | None:
@@ -162,8 +156,7 @@ def is_kinovea_project(path: Path) -> bool:
 
 def read_kinovea_project(path: Path) -> TableFile:
     """Read the tracks of annotations of Kinovea as columns t, x and y, in the unit of its calibration."""
-    with path.open("rb") as file:
-        root = read_xml(read_limited(file))
+    root = read_xml(path.read_bytes())
     if root.tag != ROOT or (version := _number(root, "FormatVersion", 0.0)) < MIN_VERSION:
         got = f"version {version:g}" if root.tag == ROOT else f"<{root.tag[:40]}>"
         raise ValueError(f"expected annotations of Kinovea, format {MIN_VERSION} or later, but got {got}")
