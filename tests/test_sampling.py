@@ -285,6 +285,19 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
     assert seen.sigma_x[0] == pytest.approx(np.hypot(3e-6, 5.0 * share / FPS), rel=0.2)
 
 
+def test_repeated_samples_that_are_left_out_are_no_jitter():
+    """Samples in whose place the one before stands: the noise of the others is the same at every speed."""
+    rng, t = np.random.default_rng(6), np.arange(900) / FPS
+    x = 5.0 * t - 10.0 * t**2 + 1e-5 * rng.standard_normal(900)
+    repeated = np.flatnonzero(rng.uniform(size=880) < 0.08) + 10
+    for row in repeated:
+        x[row] = x[row - 1]
+    seen = displacement_of_table(TableData(t, x, sigma=np.full(900, 1e-5)))
+    assert "repeat the one before" in seen.notes[0]
+    assert not any("grows with the speed" in note for note in seen.notes)
+    np.testing.assert_allclose(seen.sigma_x, 1e-5)
+
+
 def test_jitter_adds_to_the_noise_at_rest_that_a_table_states():
     rng, t = np.random.default_rng(3), np.arange(900) / FPS
     late = t + 0.07 / FPS * rng.standard_normal(900)

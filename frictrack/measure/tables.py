@@ -123,14 +123,15 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
     """Return a displacement with larger standard deviations if its samples jitter although the time stamps are even."""
     if len(displacement) < MIN_ROWS or not sampling.is_even(displacement.t):
         return displacement
-    interval = float(np.median(np.diff(displacement.t)))
-    jitter, at_rest_noise = sampling.unevenness(displacement.t, displacement.x, _max_resolved_speed(displacement))
+    interval, seen = float(np.median(np.diff(displacement.t))), displacement.valid  # others hold an earlier position
+    t, x = displacement.t[seen], displacement.x[seen]
+    jitter, at_rest_noise = sampling.unevenness(t, x, _max_resolved_speed(displacement))
     if not jitter:
         return displacement
     stated = np.isfinite(displacement.sigma_x)
     level = max(at_rest_noise, sampling.rounding_noise(displacement.resolution))
     at_rest = np.where(stated, displacement.sigma_x, level)
-    moved = jitter * np.abs(sampling.robust_speed(displacement.t, displacement.x))
+    moved = jitter * np.abs(np.interp(displacement.t, t, sampling.robust_speed(t, x)))
     if np.max(moved) < MIN_JITTER_SHARE * np.median(at_rest):
         return displacement
     note = (
