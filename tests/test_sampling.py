@@ -287,7 +287,7 @@ def test_uneven_samples_under_even_stamps_show_by_noise_that_grows_with_the_spee
 
 def test_repeated_samples_that_are_left_out_are_no_jitter():
     """Samples in whose place the one before stands: the noise of the others is the same at every speed."""
-    rng, t = np.random.default_rng(6), np.arange(900) / FPS
+    rng, t = np.random.default_rng(0), np.arange(900) / FPS
     x = 5.0 * t - 10.0 * t**2 + 1e-5 * rng.standard_normal(900)
     repeated = np.flatnonzero(rng.uniform(size=880) < 0.08) + 10
     for row in repeated:
