@@ -23,7 +23,7 @@ from frictrack.fit.least_squares import PieceResponse, Solution, position_and_ve
 from frictrack.fit.linearised import linearise
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.fit.pieces import Rows
-from frictrack.fit.separable.varpro import ScanGrid, ScanItem, ScanTable, SolutionScan
+from frictrack.fit.separable.varpro import ScanItem
 from frictrack.records import Array, Mask, Run, stretches
 
 SPAN_HALF_WIDTHS = 2.0  # half length of a span, in widths of its Gaussian
@@ -32,7 +32,7 @@ MIN_CHI2_RESOLVED = 6.6  # rise with the shortest width above which a duration i
 MAX_GAP_FRAMES = 12  # frames between two stretches that count as one
 MIN_SIGMAS = 3.0  # of a measured force, above which a frame fails
 MIN_SHARE_OF_PEAK = 0.35  # of the largest residual; less may be the model compensating a failure elsewhere
-N_WIDTHS = 60  # tried for the span of a bump
+N_WIDTHS = 20  # tried for the span of a bump, and the fitted one
 
 
 @dataclass(frozen=True)
@@ -97,19 +97,20 @@ def _failing_speeds(solution: Solution, runs: Sequence[Run]) -> Iterator[dict[st
 
 def _spans_of_bumps(found: LocalForces, runs: Sequence[Run]) -> list[FailingSpan]:
     """Extent of the bumps of a search in every piece; those of a piece share what its misfit falls by their traces."""
-    state, total, spans = found.state, excess_chi2(found), list[FailingSpan]()
+    state, total = found.state, excess_chi2(found)
     squares = [(found.problem.without(state, i.coefficients).residual - state.residual) ** 2 for i in found.items]
-    fall, whole = found.bare.residual**2 - state.residual**2, np.maximum(np.sum(squares, axis=0), 1e-300)
-    for item, bump, square in zip(found.items, found.bumps, squares, strict=True):
-        width, is_short = _likely_width(found, item)
-        likely, unresolved = replace(bump, width=width), is_short and not bump.at_place
-        narrowest = float(item.grid.axes[1][0])
-        for i, (response, rows) in enumerate(zip(found.solution.responses, found.search.separable.slices, strict=True)):
-            if bump.acts_in(response.piece.run):
-                share = float(np.sum(fall[rows]) * np.sum(square[rows]) / np.sum(whole[rows])) / total
-                smear = _low_pass_half_width(runs, response) if unresolved else 0.0
-                own = replace(likely, width=narrowest) if smear else likely
-                spans.append(FailingSpan(i, np.flatnonzero(_inside(own, response, smear)), share, found.p(bump)))
+    widths = [_likely_width(found, item) for item in found.items]
+    narrowest = [float(item.grid.axes[1][0]) for item in found.items]
+    fall, spans = found.bare.residual**2 - state.residual**2, list[FailingSpan]()
+    for i, (response, rows) in enumerate(zip(found.solution.responses, found.search.separable.slices, strict=True)):
+        own = []
+        for bump, (width, is_short), least, square in zip(found.bumps, widths, narrowest, squares, strict=True):
+            smear = _low_pass_half_width(runs, response) if is_short and not bump.at_place else 0.0
+            frames = np.flatnonzero(_inside(replace(bump, width=least if smear else width), response, smear))
+            if bump.acts_in(response.piece.run) and len(frames):
+                own.append((frames, float(np.sum(square[rows])), found.p(bump)))
+        share = float(np.sum(fall[rows])) / (total * max(sum(size for _, size, _ in own), 1e-300))
+        spans += [FailingSpan(i, frames, share * size, p) for frames, size, p in own]
     return _merge_overlapping(spans)
 
 
@@ -163,13 +164,15 @@ def _likely_width(found: LocalForces, item: ScanItem) -> tuple[float, bool]:
 
     A narrow bump leaves nearly the trace of an impulse whatever its width, so the best fit alone is arbitrary.
     """
-    centre, width = item.slots
-    widths = np.geomspace(found.problem.low[width[0]], found.problem.high[width[0]], N_WIDTHS)
-    grid = ScanGrid(item.grid.names[1:], (widths,))
-    narrow = replace(item, grid=grid, slots=[width], others=[*centre, *item.others])
-    table = ScanTable.of(found.search.separable, narrow, found.state.nonlinear_values)
-    gains = SolutionScan(found.problem, found.state).moved(narrow, table).gains
-    behind = gains.max() - gains
+    _, width = item.slots
+    values, problem = found.state.nonlinear_values, found.problem
+    widths = np.append(np.geomspace(problem.low[width[0]], problem.high[width[0]], N_WIDTHS), values[width[0]])
+    misfits = []
+    for own in widths:
+        moved = values.copy()
+        moved[width] = own
+        misfits.append(problem.at(moved, found.state, {item.g}, item.coefficients).misfit)
+    behind = np.array(misfits) - min(misfits)
     return float(np.exp(np.average(np.log(widths), weights=np.exp(-behind / 2)))), bool(behind[0] < MIN_CHI2_RESOLVED)
 
 
