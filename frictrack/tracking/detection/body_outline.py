@@ -20,6 +20,7 @@ from frictrack.tracking.detection.sampled_scene import (
 )
 
 MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it does not belong to the body
+MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
 REACH_PX = 3  # about the box of a body, that are looked at, reduced px
 MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 ROUND_MARGIN_PX = 1.0  # round a disc: half of its blurred edge, and hardly any background
@@ -97,14 +98,14 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
     backgrounds = np.stack([read_subpixel(alone.background, corners[k], shape) for k in rows])
     share = np.mean([read_subpixel(alone.foreground[k].astype(np.float32), corners[k], shape) for k in rows], axis=0)
     picture = np.median(stack, axis=0).astype(np.float32)
-    # what goes along with the body resembles its picture more than the background, up to half of the change at an edge
+    # what goes along with the body resembles its picture more than the background ...
     both = [cv2.GaussianBlur(np.median((stack - p) ** 2, axis=0), (0, 0), 0.7) for p in (picture, backgrounds)]
     spread, change = both
     member = (share > 0.5) & (spread < 0.5 * change)
-    if member.any():  # the scene is visible through a moving shadow, which changes more than the body does
+    if member.any():  # ... and changes no more than it does: the scene is visible through a moving shadow
+        noise = max(float(np.percentile(spread[member], 25)), 0.25)
         registered = 0.04 * np.sum(np.square(np.gradient(picture)), axis=0)  # an edge, to 0.2 px
-        like_body = spread < MAX_NOISE_RATIO * max(float(np.percentile(spread[member], 25)), 0.25) + registered
-        member &= like_body & (change > 0.25 * np.median(change[member]))
+        member &= (spread < MAX_NOISE_RATIO * noise + registered) & (change > MIN_CONTRAST_RATIO * noise)
     member = without_shadow(_largest_patches(clean_mask(member, close=5)), stack, backgrounds)
     x, y, w, h = _rectangle(member, picture, scene.factor)
     height, width = scene.frames[0].shape
