@@ -134,7 +134,7 @@ def _match_rotations(
 def _rotated_patch(rotatable: RotatableTemplate, angle: float, scale: float) -> tuple[Patch, Patch]:
     """Template rotated and reduced, and its mask of 1 and 0."""
     template = rotatable.template
-    image = (template.image - template.level).astype(np.float32)
+    image: Patch = (template.image - template.level).astype(np.float32)
     if scale < 1:
         image = cv2.GaussianBlur(image, (0, 0), 0.4 / scale)
     c, s = np.cos(angle), np.sin(angle)

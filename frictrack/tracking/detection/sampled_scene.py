@@ -40,7 +40,7 @@ MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
 REDUCED_PIXELS = 40_000  # of a reduced picture
 MIN_AREA_REDUCED = 40  # px of a reduced picture
 MIN_SIDE_PX = 8  # of a target
-GRID_CELLS = (4, 8)  # rows and columns; one point is followed in each cell to detect camera shake
+MAX_POINTS = 32  # that are followed to detect camera shake
 MIN_AGREEING_SHARE = 0.4  # of the points, that must move together
 MIN_SHAKE_REDUCED = 0.15  # px of a reduced picture
 MAX_SHAKE_SHARE = 0.05  # of the picture's longer side
@@ -357,10 +357,13 @@ def _estimate_shake(small: list[Picture]) -> Array:
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
     pictures = [np.clip(p * (255 / high), 0, 255).astype(np.uint8) for p in small]
-    points = _corner_points(pictures[middle])
+    inside = np.zeros(small[0].shape, np.uint8)
+    inside[8:-8, 8:-8] = 1
+    apart = float(np.sqrt(inside.size / MAX_POINTS / 2))  # so that they lie all over the picture
+    points = cv2.goodFeaturesToTrack(pictures[middle], MAX_POINTS, 0.02, apart, mask=inside, blockSize=7)
     limit = MAX_SHAKE_SHARE * max(small[0].shape)
     out = np.zeros((len(small), 2))
-    if len(points) < 8:
+    if np.size(points) < MAX_POINTS:  # fewer than half of them
         return out
     for k, picture in enumerate(pictures):
         at, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -383,24 +386,6 @@ def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: in
     if agree.sum() < MIN_AGREEING_SHARE * count or min(spread) < 0.4 or max(spread) < 0.6:
         return np.zeros(2)
     return np.asarray(np.median(shift[agree], axis=0), dtype=np.float64)
-
-
-def _corner_points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The best corner (n, 1, 2) of every cell of a grid; none where one part of the picture holds nearly all."""
-    strength = cv2.cornerMinEigenVal(picture, 7)
-    strength[:8], strength[-8:], strength[:, :8], strength[:, -8:] = 0, 0, 0, 0
-    rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, GRID_CELLS, strict=True))
-    best, size = [], []
-    for r in rows:
-        for c in columns:
-            cell = strength[r[0] : r[-1] + 1, c[0] : c[-1] + 1]
-            _, top, _, (x, y) = cv2.minMaxLoc(cell)
-            best.append((x + c[0], y + r[0]))
-            size.append(top)
-    good = np.array(size) > 0.02 * max(size)
-    if good.mean() < 0.5:
-        good[:] = False
-    return np.array(best, dtype=np.float32)[good].reshape(-1, 1, 2)
 
 
 def _shifted(picture: Picture, by: Array) -> Picture:
