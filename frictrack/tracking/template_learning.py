@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
+from scipy.sparse.linalg import LinearOperator, cg
 
 from frictrack.base.distributions import noise_of_differences
 from frictrack.records import Array, Mask
@@ -35,7 +36,7 @@ MAX_CG_STEPS = 15  # of conjugate gradients
 RIM_PX, WIDE_RIM_PX = (2,), (2, 4)
 PRIOR_GROUP_SIZE = 16  # neighbouring waves along either axis that share a prior
 MAX_PRIOR_PRECISION = 10.0  # over the precision of the data; more would only slow the conjugate gradients
-CG_TOLERANCE = 1e-9  # of the initial squared gradient; less is below the noise
+CG_TOLERANCE = 3e-5  # of the right-hand side; less is below the noise
 RIDGE_FRAMES = 2.5e-4  # weight of a flat picture in frames: keeps what lies outside the rectangle finite
 MIN_MOVING_SHARE = 0.2  # of the rectangle, before pixels are masked
 MIN_VARIANCE_RATIO = 4.0  # of static scene to target, for that share: noise makes a fifth twice better
@@ -289,19 +290,14 @@ def _solve_coefficients(
     def back(pictures: Patch) -> Patch:
         return grid.adjoint((mix @ (pictures * rate)).reshape(-1, *weight.shape))
 
-    coefficients: Patch = start.astype(np.float32)
-    residual = back(pseudo - forward(coefficients)) - ridge * coefficients
-    direction, size = residual, float(np.sum(residual**2))
-    tolerance = CG_TOLERANCE * float(np.sum(back(pseudo) ** 2))
-    for _ in range(MAX_CG_STEPS):
-        if size <= tolerance:
-            break
-        curvature = back(forward(direction)) + ridge * direction
-        length = np.float32(size / float(np.sum(direction * curvature)))
-        coefficients, residual = coefficients + length * direction, residual - length * curvature
-        before, size = size, float(np.sum(residual**2))
-        direction = residual + np.float32(size / before) * direction
-    return coefficients.astype(np.float64)
+    def normal(v: Patch) -> Patch:
+        coefficients = v.reshape(start.shape)
+        return (back(forward(coefficients)) + ridge * coefficients).ravel()
+
+    equations = LinearOperator((start.size, start.size), matvec=normal, dtype=np.float32)
+    first, right = start.astype(np.float32).ravel(), back(pseudo).ravel()
+    found = cg(equations, right, first, rtol=CG_TOLERANCE, maxiter=MAX_CG_STEPS)[0]
+    return np.asarray(found.reshape(start.shape), dtype=np.float64)
 
 
 def _moving_pixels(cuts: Patch, scene: Patch, residual: Patch, image: Array) -> Mask | None:
