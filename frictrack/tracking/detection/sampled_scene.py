@@ -258,11 +258,6 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     return _scene_before(scene, background)
 
 
-def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
-    """The same samples before the background without a body; see `background_without`."""
-    return _scene_before(scene, background_without(scene, box, corner))
-
-
 def _scene_before(scene: SampledScene, background: Picture) -> SampledScene:
     """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
@@ -284,24 +279,8 @@ def _middle_of_known(stack: Picture) -> Picture:
     return np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
 
 
-def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
-    """Compute the background from the frames in which a body is elsewhere.
-
-    Parameters
-    ----------
-    scene : SampledScene
-        Sampled frames.
-    box : tuple of int
-        x, y, w, h of the body, reduced px.
-    corner : array (k, 2)
-        Corner of the body in all samples, reduced px.
-
-    Returns
-    -------
-    array (h, w)
-        DN; that of all frames where the body always or never covers it.
-
-    """
+def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
+    """The same samples before the background of the frames in which a body, at corners (k, 2) px, is elsewhere."""
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
     rows = np.unique(usable[np.linspace(0, len(usable) - 1, MAX_REGISTERED_FRAMES).astype(int)])
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
@@ -309,7 +288,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
     middle = _middle_of_known(stack)
     uncovered = np.isfinite(middle) & ~np.all(np.isfinite(stack), axis=0)
-    return np.where(uncovered, middle, scene.background).astype(np.float32)
+    return _scene_before(scene, np.where(uncovered, middle, scene.background).astype(np.float32))
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
