@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes ov
 MAX_MULTIPLE_SIGMAS = 4.0  # standard deviations within which a step is a whole multiple
 MAX_MULTIPLE_ERROR = 0.12  # intervals: a multiple that is known no better cannot be counted
 MAX_MULTIPLE = 200  # intervals in one step
+STEADY_STEPS, MAX_ODD_STEPS = 5, 1  # steps on either side that are whole multiples, too, and how many may not be
 
 Ticks = NDArray[np.int64]
 
@@ -163,7 +165,11 @@ def _undisturbed_step(steps: Array, disturbed: Mask, run: slice) -> float:
     """Step that the undisturbed ones near a run of repeats expect there; NaN where these are too few."""
     near = np.arange(max(run.start - REACH_STEPS, 0), min(run.stop + REACH_STEPS, len(steps)))
     used = near[~disturbed[near]]
-    return _expected_step(steps, used, 0.5 * (run.start + run.stop))[0] if len(used) >= MIN_KNOWN_STEPS else np.nan
+    return (
+        float(_expected_steps(steps, used, 0.5 * (run.start + run.stop))[0][0])
+        if len(used) >= MIN_KNOWN_STEPS
+        else np.nan
+    )
 
 
 def _moves_on_both_sides(steps: Array, run: slice, usual: Array, *, ends: bool) -> bool:
@@ -240,17 +246,25 @@ def _missing_in_step(steps: Array, ratio: Array, noise: float, i: int) -> int:
     enough = min(np.sum(used < i), np.sum(used > i)) >= MIN_KNOWN_STEPS
     if not (enough and np.all(ratio[[i - 1, i + 1]] > 1 - SINGLE_STEP_TOLERANCE)):
         return 0
-    usual, error = _expected_step(steps, used, i)
-    error = max(error, noise)
+    line, error = _expected_steps(steps, used, i)
+    usual, error = float(line[0]), max(error, noise)
+    around = near[(np.abs(near - i) <= STEADY_STEPS) & (near != i)]
+    if np.sum(_is_odd(steps[around] / (usual + line[1] * (around - i)))) > MAX_ODD_STEPS:
+        return 0
     multiple = round(steps[i] / usual)
-    whole = abs(steps[i] - multiple * usual) < MAX_MULTIPLE_SIGMAS * error and error < MAX_MULTIPLE_ERROR * abs(usual)
-    return multiple - 1 if whole else 0
+    whole = abs(steps[i] - multiple * usual) < MAX_MULTIPLE_SIGMAS * error and not _is_odd(steps[i] / usual)
+    return multiple - 1 if whole and error < MAX_MULTIPLE_ERROR * abs(usual) else 0
 
 
-def _expected_step(steps: Array, used: Ticks, i: float) -> tuple[float, float]:
-    """Step i of a line through the steps `used`, and how far a step lies off it (standard deviation)."""
+def _is_odd(ratio: Array) -> Any:
+    """Whether steps over the usual one pass over no whole number of intervals: then the mass shakes."""
+    return np.abs(ratio - np.maximum(np.rint(ratio), 1.0)) > SINGLE_STEP_TOLERANCE
+
+
+def _expected_steps(steps: Array, used: Ticks, i: float) -> tuple[Array, float]:
+    """Line (2,) through the steps `used`, its value at i first, and how far a step there lies off it (deviation)."""
     design = np.stack([np.ones(len(used)), used - i], axis=1)
     best, *_ = np.linalg.lstsq(design, steps[used], rcond=None)
     left = steps[used] - design @ best
     spread = max(float(robust_std(left)), float(np.sqrt(np.sum(left**2) / (len(used) - 2))))
-    return float(best[0]), spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
+    return np.asarray(best), spread * float(np.sqrt(1.0 + np.linalg.inv(design.T @ design)[0, 0]))
