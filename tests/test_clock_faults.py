@@ -90,6 +90,13 @@ def test_the_law_or_a_remedy_that_works(tmp_path: Path, rate: float, rounding: f
     assert max(map(abs, off)) < LIMIT
 
 
+@pytest.mark.parametrize("seed", [10, 20])
+def test_rows_that_the_motion_cannot_count_are_refused_at_a_given_rate_too(seed: int) -> None:
+    t, x = record(2500, 1e-2, "drops", 2.0 if seed == 10 else -1.5, seed)
+    with pytest.raises(ft.FrictrackError, match="give stamps with more digits"):
+        displacement_of_table(TableData(t, x), fps=2500)
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(("rate", "rounding"), [(120, 1e-2), (1000, 1e-2), (2500, 1e-2), (480, 1e-3)])
 def test_the_error_of_a_fitted_clock_is_in_the_interval(tmp_path: Path, rate: float, rounding: float) -> None:

@@ -209,7 +209,7 @@ def test_times_are_moved_and_frames_left_out():
     n = 12
     one = np.ones(n)
     track = Track(np.arange(n) / 1000, np.arange(n) * 1.0, one, one, one, one, one, np.full(n, ""))
-    made = correct_times(track, (Slip(3, 2, 9.0), Slip(6, -1, 9.0), Slip(9, 0, 9.0)))
+    made = correct_times(track, (Slip(3, 2), Slip(6, -1), Slip(9, 0)))
     np.testing.assert_allclose(1000 * made.t, [0, 1, 2, 5, 6, 7, 8, 9, 10, 11, 12])
     assert made.x_px[[5, 6]].tolist() == [5, 7]  # frame 6 was put in
     assert np.flatnonzero(~made.found).tolist() == [8]

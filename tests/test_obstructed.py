@@ -69,7 +69,7 @@ def test_the_rotation_of_a_plain_disc_is_said_to_be_unseen():
     assert np.nanmin(result.sigma_angle) > 1
     assert len(result.outline) == 24  # its whole outline is the target
     assert np.ptp(np.array(result.outline), axis=0) == pytest.approx(2 * film.body.half + 3, abs=2)
-    assert np.nanstd(_error(film, result)[:, 0]) < 0.03
+    assert np.nanstd(_error(film, result)[:, 0]) < 0.04
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frictrack.records import Track
-from frictrack.sampling import correct_ticks
+from frictrack.sampling import SampledPath, correct_ticks, find_slips
 from frictrack.tracking.checks import slips, timing_note
 
 N = 600
@@ -134,3 +134,27 @@ def test_the_words():
         "4 frames are missing, found from the motion: before frames 100, 302",
     )
     assert timing_note(()) == ()
+
+
+def _found(x: np.ndarray, sigma: float) -> list[tuple[int, int]]:
+    n, seen = len(x), x + sigma * np.random.default_rng(1).standard_normal(len(x))
+    path = SampledPath(seen, np.full(n, sigma), np.arange(n), np.ones(n, bool), 0.1)
+    return [(slip.frame, slip.frames) for slip in find_slips(path)]
+
+
+@pytest.mark.parametrize("period", [4, 5.7, 8, 20])
+@pytest.mark.parametrize("depth", [0.5, 1.0])
+def test_a_shake_is_no_missing_frame(period, depth):
+    k = np.arange(400.0)
+    x = k - 0.3 * k**2 / 400 + depth * period / (2 * np.pi) * np.sin(2 * np.pi * k / period + 0.3)
+    assert _found(x, 1e-3) == []
+
+
+def test_frames_are_missed_at_thirty_standard_deviations_a_step_and_on_a_swing():
+    k, lost = np.arange(300.0), np.arange(25, 280, 20)
+    slide, swing = k - 0.2 * k**2 / 300, 40 * np.sin(2 * np.pi * k / 150)
+    truth = [(int(frame - i), 1) for i, frame in enumerate(lost)]
+    for x, sigma in ((slide, 1 / 30), (swing, 1 / 100)):
+        found = _found(np.delete(x, lost), sigma)
+        assert set(found) <= set(truth)
+        assert len(found) >= 0.7 * len(truth)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frictrack import sampling
-from frictrack.base.distributions import noise_of_differences
+from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
@@ -44,7 +44,7 @@ FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of po
 MIN_STAMP_ERROR = 1e-6  # of the interval; below are the digits of the numbers themselves
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
-MAX_DRIFT_INTERVALS, DRIFT_PARTS = 3.0, 8  # of stamps about counted rows, in medians of so many parts
+MAX_DRIFT_INTERVALS, DRIFT_PARTS = 0.5, 8  # of stamps about counted rows, in means of so many parts
 NEAR_SHARE = 0.5  # of the usual interval, below which a row is at nearly the time of the one before
 MIN_ROWS = 16  # rows needed to find a fault of the clock
 MIN_JITTER_SHARE = 0.1  # of the noise at rest; less adds half a percent to a standard deviation
@@ -231,7 +231,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
         table = EvenTable.of(moving, rows, _doubled_note(np.setdiff1d(every, rows)))
         table = _without_slips(table, clocked=False) if _can_find_slips(moving) else table
         stamps, counted = data.t[table.numbers], np.rint(table.data.t).astype(np.int64)
-        if interval and _drift_of_stamps(stamps, counted) > 0.5 * (rounding + MAX_DRIFT_INTERVALS * interval):
+        if _is_miscounted(stamps, counted, rounding):
             continue
         clock = sampling.rounded_clock(stamps, counted, rounding, interval)
         clock = clock or sampling.jittered_clock(stamps, counted, np.asarray(data.x)[table.numbers], rounding)
@@ -364,7 +364,7 @@ def _counted_at_rate(data: TableData, fps: float) -> TableData:
     ticks = np.rint((data.t - data.t[0]) * fps).astype(np.int64)
     if np.any(np.diff(ticks) <= 0):  # no row comes at the time of another one; the motion shows where one is missing
         ticks = np.arange(len(ticks))
-    if _drift_of_stamps(data.t, ticks) * fps > MAX_DRIFT_INTERVALS:
+    if _is_miscounted(data.t, ticks, sampling.stamp_rounding(data.t)):
         raise FrictrackError(
             "time: expected rows that the stamps or the motion can count but some are missing where neither shows it; "
             "give stamps with more digits"
@@ -372,11 +372,15 @@ def _counted_at_rate(data: TableData, fps: float) -> TableData:
     return replace(data, t=data.t[0] + ticks / fps, clock_error=0.0)
 
 
-def _drift_of_stamps(stamps: Array, ticks: Rows) -> float:
-    """Return by how much stamps (n,) drift from a line through counted intervals, s: a miscount shifts later ones."""
-    off = stamps - np.polyval(np.polyfit(ticks, stamps, 1), ticks)
-    width = max(len(off) // DRIFT_PARTS, 1)
-    return float(np.ptp([np.median(part) for part in np.array_split(off, len(off) // width)]))
+def _is_miscounted(stamps: Array, ticks: Rows, rounding: float) -> bool:
+    """Whether stamps (n,) drift from a line through counted intervals: a row that is not counted shifts later ones."""
+    slope, start = np.polyfit(ticks, stamps, 1)
+    off = stamps - start - slope * ticks
+    drift = float(np.ptp([np.mean(part) for part in np.array_split(off, DRIFT_PARTS)]))
+    # a part ends within a step of rounding, an eighth of it off; the range of eight means is four deviations at most
+    of_rounding = 0.25 * DRIFT_PARTS * rounding**2 / float(np.ptp(stamps)) if rounding else 0.0
+    of_jitter = 4.0 * float(robust_std(np.diff(off))) * np.sqrt(0.5 * DRIFT_PARTS / len(off))
+    return bool(drift > MAX_DRIFT_INTERVALS * slope + of_rounding + of_jitter)
 
 
 def _without_slips(table: EvenTable, *, clocked: bool) -> EvenTable:

@@ -324,7 +324,7 @@ class BatchTracker:
         if np.all(np.abs(place - self.start) < self.size[::-1]):
             return False
         return (
-            self._match_near(self.film.frame(self.template_frame), place, STATIC_SEARCH_PX)[1]
+            self.match_near(self.film.frame(self.template_frame), place, STATIC_SEARCH_PX)[1]
             > score - CLEARLY_BETTER_SCORE
         )
 
@@ -336,7 +336,7 @@ class BatchTracker:
         """The best match: near the prediction, unless another place is clearly better."""
         near = None
         if predicted is not None:
-            near = self._match_near(frame, predicted, SEARCH_RADIUS_PX)
+            near = self.match_near(frame, predicted, SEARCH_RADIUS_PX)
             if near[1] >= 0.8 * self.typical_score:
                 return near
         anywhere = self.match(frame, None)
@@ -346,7 +346,7 @@ class BatchTracker:
             else anywhere
         )
 
-    def _match_near(self, frame: Frame, place: Array, reach: int) -> tuple[Array, float]:
+    def match_near(self, frame: Frame, place: Array, reach: int | Array) -> tuple[Array, float]:
         """The best match within `reach` px of a place."""
         low = np.clip(np.rint(place) - reach, 0, self.max_corner).astype(int)
         high = np.clip(np.rint(place) + reach, low, self.max_corner).astype(int) + self.size[::-1]

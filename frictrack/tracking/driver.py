@@ -378,16 +378,12 @@ def match_near(
     film: Recording, near: tuple[float, float, float, float], frame: int, template: Template
 ) -> tuple[Array, float]:
     """Corner (2,) px and score of the best match of a template about a rectangle, which may be as large or larger."""
-    size, room = np.array(template.weight.shape[::-1]), np.array(film.shape[::-1])
-    if np.any(room < size):
+    size, drawn = np.array(template.weight.shape[::-1]), np.array(near)
+    if np.any(np.array(film.shape[::-1]) < size):
         return np.zeros(2), -1.0
-    middle = np.array(near[:2]) + np.array(near[2:]) / 2
-    half = size / 2 + np.ceil(np.maximum(SEARCH_SHARE * size, np.array(near[2:]) / 2 - size / 2))
-    low = np.clip(np.floor(middle - half), 0, room - size).astype(int)
-    high = np.clip(np.ceil(middle + half), low + size, room).astype(int)
-    window = film.frame(frame)[low[1] : high[1], low[0] : high[0]]
-    corner, score = best_match(window.astype(np.float32), template.image.astype(np.float32), template.mask)
-    return low + corner, score
+    spare = (drawn[2:] - size) / 2
+    reach = np.ceil(np.maximum(SEARCH_SHARE * size, spare))
+    return BatchTracker(film, template).match_near(film.frame(frame), drawn[:2] + spare, reach)
 
 
 def adapt_known_target(film: Recording, raw_track: RawTrack, known: TargetModel) -> TargetModel | None:

@@ -8,7 +8,6 @@ misfit. From a position predicted by frames that show the target well, the objec
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,53 +65,33 @@ def remeasure_occluded(film: Recording, raw_track: RawTrack, target_model: Targe
     suspect = raw_track.found & ~((raw_track.fit.misfit < limit) & raw_track.fit.converged)
     if not suspect.any() or np.isnan(limit):
         return
-    good = raw_track.found & ~suspect
-
-    def remeasure(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
-        return _remeasure(film, raw_track, rows, known, target_model)
-
-    _spread(good, ~suspect, remeasure, MAX_ROUNDS)
     share = unexplained_share(raw_track.fit.score, raw_track.fit.misfit, target_model.typical_misfit)
-    _accept_gradual(raw_track, good, share)
-    raw_track.reason[suspect & ~good] = OCCLUDED
-
-
-def _spread(
-    good: Mask, visited: Mask, judge: Callable[[NDArray[np.int64], NDArray[np.int64]], Mask], max_rounds: int
-) -> None:
-    """Judge frames (m,) near good ones, by the frames that are good so far, until no new ones are near."""
-    for _ in range(max_rounds):
+    good, visited = raw_track.found & ~suspect, ~suspect
+    for _ in range(MAX_ROUNDS):
         rows = np.flatnonzero(~visited & binary_dilation(good, iterations=MAX_PREDICTION_GAP))
         if len(rows) == 0:
             break
         visited[rows] = True
-        good[rows] = judge(rows, np.flatnonzero(good))
-
-
-def _accept_gradual(raw_track: RawTrack, good: Mask, share: Array) -> None:
-    """Accept frames whose unexplained `share` (n,) hardly exceeds that of neighbouring good frames.
-
-    Light and background change gradually along the path, while an occluding object appears at once. The position must
-    also agree with the prediction from the neighbours, within its own standard deviation.
-    """
-
-    def is_gradual(rows: NDArray[np.int64], known: NDArray[np.int64]) -> Mask:
-        near = [known[np.argsort(np.abs(known - row))[:MAX_NEIGHBOURS]] for row in rows]
-        typical = np.array([np.median(share[some]) for some in near])
-        off = np.abs(raw_track.position[rows] - _predict_from_neighbours(raw_track.position, rows, known)[0])
-        agrees = np.all(off < MAX_PREDICTION_SIGMAS * raw_track.fit.sigma[rows, :2], axis=1)
-        return little[rows] | (agrees & (share[rows] <= typical + MAX_UNEXPLAINED_SHARE))
-
-    little, visited = share <= MAX_UNEXPLAINED_SHARE, good | ~raw_track.found
-    _spread(good, visited, is_gradual, len(good))
-    good |= raw_track.found & ~visited & little
+        good[rows] = _remeasure(film, raw_track, rows, np.flatnonzero(good), share, target_model)
+    raw_track.reason[suspect & ~good & ~(share <= MAX_UNEXPLAINED_SHARE)] = OCCLUDED
 
 
 def _remeasure(
-    film: Recording, raw_track: RawTrack, rows: NDArray[np.int64], good: NDArray[np.int64], target_model: TargetModel
+    film: Recording,
+    raw_track: RawTrack,
+    rows: NDArray[np.int64],
+    good: NDArray[np.int64],
+    share: Array,
+    target_model: TargetModel,
 ) -> Mask:
-    """Measure frames (m,) from predictions by the good ones; return which of them succeeded."""
+    """Measure frames (m,) from predictions by the good ones; return which of them can be trusted.
+
+    Where light changes along the path, so does the look: what lies where it is predicted is the target, if its
+    unexplained `share` (n,) hardly exceeds that of the nearest good frame.
+    """
     predicted, nearest = _predict_from_neighbours(raw_track.position, rows, good)
+    off = np.abs(raw_track.position[rows] - predicted) / raw_track.fit.sigma[rows, :2]
+    changed = np.all(off < MAX_PREDICTION_SIGMAS, axis=1) & (share[rows] <= share[nearest] + MAX_UNEXPLAINED_SHARE)
     typical = max(target_model.typical_misfit, target_model.template.min_misfit)
     corner, fit = refine_predicted(film, rows, predicted, raw_track.fit[nearest], target_model, typical)
     fit = replace(fit, sigma=fit.sigma * target_model.sigma_inflation)
@@ -121,7 +100,7 @@ def _remeasure(
     )
     raw_track.corner[rows[accepted]] = corner[accepted]
     raw_track.fit.put(rows[accepted], fit[accepted])
-    return np.asarray(accepted)
+    return np.asarray(accepted | changed)
 
 
 def _predict_from_neighbours(

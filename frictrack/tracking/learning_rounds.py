@@ -17,7 +17,6 @@ from frictrack.tracking.template import MAX_SHIFT_PX, FixedPattern, TargetModel,
 from frictrack.tracking.template_learning import (
     WIDE_RIM_PX,
     SmoothPath,
-    improves_positions,
     learn_template,
     short_wave_evidence,
     smooth_path,
@@ -180,8 +179,7 @@ def _try_super_resolution(found: _Round, path: SmoothPath) -> tuple[_Round, Smoo
         refined = _run_round(replace(found, template=path.widened(found.template)), path, None)
     better_path = path.updated(refined.position)
     refined = _run_round(refined, better_path, None)
-    keep = _mostly_found(refined.fit, found.fit) and improves_positions(refined.fit, found.fit, path.axes)
-    return (refined, better_path) if keep else (found, path)
+    return (refined, better_path) if _mostly_found(refined.fit, found.fit) else (found, path)
 
 
 def _shows_short_waves(found: _Round, path: SmoothPath) -> bool:

@@ -34,10 +34,6 @@ MIN_REMAINING_SHARE = 0.25  # of the pixels, and of the squared slopes along eit
 # residuals up to which a pixel has full weight, and from which it has none
 FULL_WEIGHT_SIGMAS, ZERO_WEIGHT_SIGMAS = 2.5, 4.5
 PREDICTION_NOISE_RATIO = 2.0  # residual scale of a predicted position over the noise
-BORDER_PX = 2, 6  # px of border always excluded, and at most
-BORDER_MISFIT_SIGMAS = 2.0  # standard deviations of the misfit, above which more border is excluded
-BORDERLESS_SHARE = 0.5  # of the remaining share, without borders
-MIN_OUTLIER_SHARE = 0.02  # of the pixels; fewer outliers are noise and have no border
 NEIGHBOUR_SHARES = 0.5, 0.8  # share of fitting neighbours below which a pixel has no weight, and below which less
 BLOCK_SIDES_PX = (4, 8, 16)  # px
 MIN_BLOCKS = 8  # whose scatter is an estimate
@@ -144,9 +140,6 @@ def refine_robust(
         failed = ~better.converged  # what went nowhere is no ground to stand on: the last place is
         better.put(failed, replace(fit[failed], converged=better.converged[failed]))
         fit = better
-    if not np.isnan(typical_misfit):
-        fit, share = _erode_outliers(cuts, fit, template, share, initial_share, typical_misfit)
-        enough_pixels &= share.mean(axis=(1, 2)) > BORDERLESS_SHARE * MIN_REMAINING_SHARE * float(counts.mean())
     return replace(fit, converged=fit.converged & enough_pixels), share
 
 
@@ -166,31 +159,6 @@ def refine_predicted(
     if target_model.pattern is not None:
         cuts, share = target_model.pattern.corrected(cuts, corner, guess.gain, guess.offset)
     return corner, refine_robust(cuts, guess, target_model.template, share, typical_misfit)[0]
-
-
-def _erode_outliers(
-    cuts: Patch, fit: SubpixelFit, template: Template, share: Patch, initial_share: Patch, typical_misfit: float
-) -> tuple[SubpixelFit, Patch]:
-    """Exclude the border of outlying regions, and more of it while the rest misfits by more than chance.
-
-    The blurred edge of an occluding object differs from the target by less than the noise of one pixel, but the sum of
-    all
-    its pixels shifts the position.
-    """
-    eroded = share.copy()
-    occluded = np.mean(eroded < 0.5 * initial_share, axis=(1, 2)) > MIN_OUTLIER_SHARE
-    for k in range(BORDER_PX[1]):
-        scatter = BORDER_MISFIT_SIGMAS * np.sqrt(2 / np.maximum(eroded.sum(axis=(1, 2)), 1.0))
-        rows = np.flatnonzero(
-            occluded & fit.converged & ((k < BORDER_PX[0]) | (fit.misfit > typical_misfit * (1 + scatter)))
-        )
-        if len(rows) == 0:
-            break
-        eroded[rows] = [cv2.erode(picture, np.ones((3, 3), np.uint8)) for picture in eroded[rows]]
-        start = np.clip(fit[rows].unrotated(), -MAX_SHIFT_PX, MAX_SHIFT_PX)
-        better = refine_positions(template_products(cuts[rows], template, eroded[rows]), start, template)
-        fit.put(rows, better)
-    return fit, eroded
 
 
 def _residual_scale(residuals: Patch, share: Patch) -> Array:

@@ -133,20 +133,19 @@ def _match_rotations(
 
 def _rotated_patch(rotatable: RotatableTemplate, angle: float, scale: float) -> tuple[Patch, Patch]:
     """Template rotated and reduced, and its mask of 1 and 0."""
-    c, s = abs(np.cos(angle)), abs(np.sin(angle))
-    w, h = (2 * np.ceil(np.array([[c, s], [s, c]]) @ rotatable.middle * scale) + 1).astype(int).tolist()
-    x, y = (np.arange(n) - (n - 1) / 2 for n in (w, h))
-    places = np.stack(np.meshgrid(x, y)).reshape(2, -1) / scale
-    at = to_target_frame(places, np.zeros(2), angle) + rotatable.middle[:, None]
-    shown = rotatable.weight(at) > 0
+    template = rotatable.template
+    image: Patch = (template.image - template.level).astype(np.float32)
     if scale < 1:
-        image = cv2.GaussianBlur(rotatable.template.image.astype(np.float32), (0, 0), 0.4 / scale)
-        i, j = (np.rint(q).astype(int).clip(0, n - 1) for q, n in zip(at[::-1], image.shape, strict=True))
-        values = image[i, j]
-    else:
-        values = rotatable.read(at)[0]
-    values = np.where(shown, values, 0.0).reshape(h, w)
-    return values.astype(np.float32), shown.reshape(h, w).astype(np.float32)
+        image = cv2.GaussianBlur(image, (0, 0), 0.4 / scale)
+    c, s = np.cos(angle), np.sin(angle)
+    size = (2 * np.ceil(np.abs([[c, s], [s, c]]) @ rotatable.middle * scale) + 1).astype(int)
+    turn = np.array([[c, s], [-s, c]]) / scale  # from the patch to the template
+    matrix = np.column_stack([turn, rotatable.middle - turn @ (size - 1) / 2])
+    shown = cv2.warpAffine(
+        (template.weight > 0).astype(np.float32), matrix, size.tolist(), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    )
+    turned = cv2.warpAffine(image, matrix, size.tolist(), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return turned * shown, shown
 
 
 def is_disc(mask: Mask) -> bool:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write
 from frictrack.base.polygons import Polygon, polygon
 from frictrack.recording import Frame, Recording
-from frictrack.records import Array, Track
+from frictrack.records import Array, Track, stretches
 
 SUBPIXEL_BITS = 4  # fractional bits of OpenCV's drawing coordinates
 TICK_PX, LABEL_GAP_PX, MIN_TICK_PX = 4, 3, 50  # length, distance of its label, distance of the next tick
@@ -333,11 +334,9 @@ def _frame_panel(canvas: Canvas, place: Rectangle, picture: Frame, bit_depth: in
 
 def _draw_path(panel: Panel, track: Track, colour: str, n_frames: int) -> None:
     """Draw the path in the first frames, interrupted where the target was lost."""
-    found = np.flatnonzero(track.found[:n_frames])
     path = np.stack([track.x_px, track.y_px], axis=1)
-    for part in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-        if len(part) > 1:
-            panel.line(path[part], colour, closed=False)
+    for part in stretches(track.found[:n_frames]):
+        panel.line(path[part], colour, closed=False)
 
 
 def _draw_frame(panel: Panel, track: Track, i: int) -> None:
@@ -416,39 +415,29 @@ def overlay_video(
     path = Path(path)
     if path.suffix.lower() not in CODECS:
         raise FrictrackError(f'{path.name}: expected an overlay ending in .avi or .mp4 but got "{path.suffix}"')
-    tracks = (track, *others)
-    stride = max(1, -(-recording.n_frames // max(frames, 1)))
-    zoom = max(1, -(-MIN_WIDTH_PX // recording.shape[1]))
+    pictures = _overlay_frames(recording, (track, *others), max(1, -(-recording.n_frames // max(frames, 1))))
+    first = next(pictures, None)
+    if first is None:
+        raise FrictrackError("expected frames to draw on but none can be read")
     with atomic_write(path) as part:
-        _write_video(part, recording, (zoom, stride), tracks)
+        code = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
+        writer = cv2.VideoWriter(str(part), code, PLAYBACK_FPS, (first.shape[1], first.shape[0]))
+        if not writer.isOpened():
+            raise FrictrackError(f"{path.name}: the overlay cannot be written here; check the folder, or try .avi")
+        try:
+            for picture in chain((first,), pictures):
+                writer.write(picture)
+        finally:
+            writer.release()
     return path
 
 
-def _write_video(path: Path, recording: Recording, steps: tuple[int, int], tracks: Sequence[Track]) -> None:
-    """Write every frame with its targets; `steps` are the zoom and the number of frames from one to the next."""
-    zoom, stride = steps
-    writer, limits = None, (0.0, 1.0)
-    try:
-        for k, frame in enumerate(recording.frames(step=stride)):
-            if writer is None:  # the same limits for the whole film, so that flicker stays visible
-                limits = _grey_limits(frame, recording.bit_depth)
-            picture = _overlay_frame(_grey(frame, limits), tracks, k * stride, zoom)
-            if writer is None:
-                writer = _writer(path, (picture.shape[1], picture.shape[0]))
-            writer.write(picture)
-    finally:
-        if writer is not None:
-            writer.release()
-    if writer is None:
-        raise FrictrackError("expected frames to draw on but none can be read")
-
-
-def _writer(path: Path, size: tuple[int, int]) -> cv2.VideoWriter:
-    code = cv2.VideoWriter.fourcc(*CODECS[path.suffix.lower()])
-    writer = cv2.VideoWriter(str(path), code, PLAYBACK_FPS, size)
-    if not writer.isOpened():
-        raise FrictrackError(f"{path.name}: the overlay cannot be written here; check the folder, or try .avi")
-    return writer
+def _overlay_frames(recording: Recording, tracks: Sequence[Track], stride: int) -> Iterator[NDArray[Any]]:
+    """Yield every `stride`-th frame with its targets."""
+    zoom, limits = max(1, -(-MIN_WIDTH_PX // recording.shape[1])), None
+    for k, frame in enumerate(recording.frames(step=stride)):
+        limits = limits or _grey_limits(frame, recording.bit_depth)  # of the whole film, so that flicker stays visible
+        yield _overlay_frame(_grey(frame, limits), tracks, k * stride, zoom)
 
 
 def _overlay_frame(grey: NDArray[np.uint8], tracks: Sequence[Track], i: int, zoom: int) -> NDArray[Any]:

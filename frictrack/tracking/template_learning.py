@@ -20,6 +20,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_filter
+from scipy.sparse.linalg import LinearOperator, cg
 
 from frictrack.base.distributions import noise_of_differences
 from frictrack.records import Array, Mask
@@ -33,7 +36,7 @@ MAX_CG_STEPS = 15  # of conjugate gradients
 RIM_PX, WIDE_RIM_PX = (2,), (2, 4)
 PRIOR_GROUP_SIZE = 16  # neighbouring waves along either axis that share a prior
 MAX_PRIOR_PRECISION = 10.0  # over the precision of the data; more would only slow the conjugate gradients
-CG_TOLERANCE = 1e-9  # of the initial squared gradient; less is below the noise
+CG_TOLERANCE = 3e-5  # of the right-hand side; less is below the noise
 RIDGE_FRAMES = 2.5e-4  # weight of a flat picture in frames: keeps what lies outside the rectangle finite
 MIN_MOVING_SHARE = 0.2  # of the rectangle, before pixels are masked
 MIN_VARIANCE_RATIO = 4.0  # of static scene to target, for that share: noise makes a fifth twice better
@@ -44,9 +47,7 @@ MIN_INSIDE_CONTRAST = 0.5  # share of the contrast inside; with less the outline
 MAX_NOISE_RATIO = 1.5  # variance of a pixel over the photon transfer line; above it the scene changes there
 ROUNDING_VARIANCE = 1 / 12  # of rounding to whole grey values, which a film without noise still has
 STRETCH_PX = 8.0  # over which errors that repeat from pixel to pixel average out
-# frames to either side, and from first to last, of a stretch that a parabola follows
-MIN_HALF_STRETCH, MAX_STRETCH_FRAMES = (12, 160)
-PARABOLAS_AT_ONCE = 128  # so that their arrays stay short
+MIN_STRETCH_FRAMES, MAX_STRETCH_FRAMES = 25, 160  # of a stretch that a parabola follows
 MIN_FRAMES = 100  # from which short waves can be learnt
 MAX_ROUGHNESS_RATIO = 2.0  # to the typical misfit of a parabola; elsewhere the path is not smooth
 # of the differences that show the noise of positions, and the least noise in px
@@ -54,8 +55,6 @@ DIFFERENCE_ORDER, MIN_NOISE_PX = (5, 5e-4)
 MAX_SAMPLED_FRAMES = 2000  # from which peak locking is estimated
 MAX_CONDITION = 3.0  # of the pixel harmonics, up to which all shifts are covered
 MIN_SMOOTH_SHARE = 0.5  # of the frames in which the path must be smooth
-MAX_SIGMA_RATIO = 0.95  # standard deviation with short waves over that without, for them to be kept
-MIN_MEDIAN_MOVE_SIGMAS = 0.4  # median change of the positions, for them to be kept
 
 
 def template_from_frame(cut: Patch, mask: Mask | None = None) -> Template:
@@ -291,19 +290,14 @@ def _solve_coefficients(
     def back(pictures: Patch) -> Patch:
         return grid.adjoint((mix @ (pictures * rate)).reshape(-1, *weight.shape))
 
-    coefficients: Patch = start.astype(np.float32)
-    residual = back(pseudo - forward(coefficients)) - ridge * coefficients
-    direction, size = residual, float(np.sum(residual**2))
-    tolerance = CG_TOLERANCE * float(np.sum(back(pseudo) ** 2))
-    for _ in range(MAX_CG_STEPS):
-        if size <= tolerance:
-            break
-        curvature = back(forward(direction)) + ridge * direction
-        length = np.float32(size / float(np.sum(direction * curvature)))
-        coefficients, residual = coefficients + length * direction, residual - length * curvature
-        before, size = size, float(np.sum(residual**2))
-        direction = residual + np.float32(size / before) * direction
-    return coefficients.astype(np.float64)
+    def normal(v: Patch) -> Patch:
+        coefficients = v.reshape(start.shape)
+        return (back(forward(coefficients)) + ridge * coefficients).ravel()
+
+    equations = LinearOperator((start.size, start.size), matvec=normal, dtype=np.float32)
+    first, right = start.astype(np.float32).ravel(), back(pseudo).ravel()
+    found = cg(equations, right, first, rtol=CG_TOLERANCE, maxiter=MAX_CG_STEPS)[0]
+    return np.asarray(found.reshape(start.shape), dtype=np.float64)
 
 
 def _moving_pixels(cuts: Patch, scene: Patch, residual: Patch, image: Array) -> Mask | None:
@@ -406,30 +400,6 @@ class SmoothPath:
         return template.widened((y, x))
 
 
-def improves_positions(super_resolved: SubpixelFit, fit: SubpixelFit, axes: Mask) -> bool:
-    """Decide whether short waves make the positions more precise, or move them by more than noise would.
-
-    Parameters
-    ----------
-    super_resolved, fit : SubpixelFit
-        Fits with and without short waves.
-    axes : array of bool (2,)
-        Axes (x, y) that have short waves.
-
-    Returns
-    -------
-    bool
-        True where the template with short waves should be kept.
-
-    """
-    sigma_new, sigma_old = (float(np.median(np.hypot(*f.sigma[:, :2].T))) for f in (super_resolved, fit))
-    moved = (super_resolved.position - fit.position)[:, axes] / fit.sigma[:, :2][:, axes]
-    return (
-        sigma_new < MAX_SIGMA_RATIO * sigma_old
-        or float(np.median(np.abs(moved - np.median(moved, axis=0)))) > MIN_MEDIAN_MOVE_SIGMAS
-    )
-
-
 def smooth_path(frames: NDArray[np.int64], at: Array, wanted: NDArray[np.int64]) -> SmoothPath:
     """Fit parabolas to stretches of a path, where one fits as well as elsewhere.
 
@@ -462,7 +432,7 @@ def _deviations(frames: NDArray[np.int64], at: Array, rows: NDArray[np.int64]) -
     The deviations of positions and harmonics (k, 5) are those of the rows in which there is a path.
     """
     series = np.column_stack([at, pixel_harmonics(at)])
-    path = _parabolas(frames, at, series, rows)
+    path = _parabolas(frames, at)[rows]
     known = np.isfinite(path[:, 0])
     return series, path[:, 0], (series[rows] - path)[known]
 
@@ -523,49 +493,23 @@ def _shrunk_fit(harmonics: Array, deviations: Array) -> Array:
     return np.asarray(coefficients * max(1 - len(coefficients) / max(strength, 1e-300), 0.0))
 
 
-def _parabolas(frames: NDArray[np.int64], at: Array, series: Array, rows: NDArray[np.int64]) -> Array:
-    """Smooth series (n, k) in some rows (m, k) by parabolas in time through `STRETCH_PX` of the positions `at` (n,).
+def _parabolas(frames: NDArray[np.int64], at: Array) -> Array:
+    """Smooth positions (n,) and their pixel harmonics, (n, 5), by parabolas through `STRETCH_PX` of the path.
 
-    NaN where the stretch is incomplete, or where the first series follows no parabola: at an impact or a start.
+    NaN at the ends, where the path is too slow, and where positions follow no parabola: at an impact or a start.
     """
-    out, residuals = np.full((len(rows), series.shape[1]), np.nan), np.full(len(rows), np.inf)
-    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(at)))])
-    first = np.minimum(
-        np.searchsorted(travelled, travelled[rows] - STRETCH_PX / 2, side="right") - 1, rows - MIN_HALF_STRETCH
-    )
-    last = np.maximum(np.searchsorted(travelled, travelled[rows] + STRETCH_PX / 2), rows + MIN_HALF_STRETCH)
-    inside = np.flatnonzero((first >= 0) & (last < len(at)))
-    short = inside[frames[last[inside]] - frames[first[inside]] < MAX_STRETCH_FRAMES]
-    for some in np.array_split(short, -(-len(short) // PARABOLAS_AT_ONCE)) if len(short) else ():
-        stretches = rows[some], first[some], last[some]
-        out[some], residuals[some] = _fit_parabolas(frames, series, stretches)
-    coefficients = np.isfinite(residuals)
-    if coefficients.any():
-        out[residuals > MAX_ROUGHNESS_RATIO * np.median(residuals[coefficients])] = np.nan
-    return out
-
-
-def _fit_parabolas(
-    frames: NDArray[np.int64], series: Array, stretches: tuple[NDArray[np.int64], ...]
-) -> tuple[Array, Array]:
-    """Fit parabolas in time to series (n, k) in stretches: middle, first and last row, (m,) each.
-
-    Values (m, k) in the middle rows, and standard deviations (m,) of the residuals of the first series.
-    """
-    middle, first, last = stretches
-    places = first[:, None] + np.arange(np.max(last - first) + 1)
-    inside = (places <= last[:, None])[..., None]
-    places = np.minimum(places, last[:, None])
-    time = frames[places] - frames[middle][:, None]
-    # In units of each stretch, so that the normal equations are well conditioned.
-    powers = inside * (time / np.max(np.abs(time), axis=1, keepdims=True))[..., None] ** np.arange(3)
-    values = inside * (series[places] - series[middle][:, None])
-    across = powers.swapaxes(1, 2)
-    parabolas = np.linalg.solve(across @ powers, across @ values)
-    left = values[..., 0] - (powers @ parabolas[..., :1])[..., 0]
-    count = np.sum(inside[..., 0], axis=1)
-    variance = np.sum(left**2, axis=1) / count - (np.sum(left, axis=1) / count) ** 2
-    return series[middle] + parabolas[:, 0], np.sqrt(np.maximum(variance, 0.0))
+    even = np.interp(np.arange(frames[0], frames[-1] + 1), frames, at)
+    series = np.column_stack([even, pixel_harmonics(even)])
+    steps = np.abs(np.diff(even, prepend=even[0]))
+    half = int(max(STRETCH_PX / max(float(np.median(steps)), 1e-9), MIN_STRETCH_FRAMES)) // 2
+    if 2 * half >= min(MAX_STRETCH_FRAMES, len(even)):
+        return np.full((len(at), series.shape[1]), np.nan)
+    smooth = savgol_filter(series, 2 * half + 1, 2, axis=0)
+    rough = np.sqrt(uniform_filter1d((even - smooth[:, 0]) ** 2, 2 * half + 1))
+    travelled = np.cumsum(steps)
+    known = np.pad(travelled[2 * half :] - travelled[: -2 * half] > STRETCH_PX / 2, half)
+    known &= rough < MAX_ROUGHNESS_RATIO * np.median(rough)
+    return np.where(known[:, None], smooth, np.nan)[frames - frames[0]]
 
 
 def pixel_harmonics(at: Array) -> Array:

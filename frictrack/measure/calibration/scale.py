@@ -477,6 +477,7 @@ CHECKS: Mapping[str, Callable[[Any], Any]] = {
 MIN_ASPECT = 0.02  # extent of the points across over that lengthwise; less is one line
 N_PARAMETERS = 8  # of a homography
 NEWTON_STEPS = 20
+UNDETERMINED = "the points do not determine the plane: three of four lie on one line; spread them"
 MAX_RADIAL_COEFFICIENT = 0.3  # a larger k is no lens
 
 
@@ -592,7 +593,7 @@ def _covariance(slopes: Array) -> Array:
     normal = slopes.T @ slopes
     size = np.sqrt(np.diag(normal))
     if not np.all(size > 0) or np.linalg.cond(normal / np.outer(size, size)) > 1e13:
-        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
+        raise FrictrackError(UNDETERMINED)
     return np.asarray(np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size))
 
 
@@ -623,21 +624,17 @@ def _inverse(values: Array) -> Array:
 
 
 def _linear(places: Array, points: Array) -> Array:
-    """Parameters (8,) of the direct linear transform with h33 = 1; it maps the middle, so that h33 is not 0."""
-    one = np.ones(len(places))
-    x, y = points.T
-    at = np.column_stack([places, one])
-    zeros = np.zeros_like(at)
-    rows = np.vstack([np.hstack([at, zeros, -x[:, None] * at]), np.hstack([zeros, at, -y[:, None] * at])])
-    _, strength, right = np.linalg.svd(rows, full_matrices=True)
-    if strength[N_PARAMETERS - 1] < 1e-6 * strength[0]:
-        raise FrictrackError("the points do not determine the plane: three of four lie on one line; spread them")
-    h = right[-1] / (right[-1, -1] or 1.0)
-    if abs(right[-1, -1]) < 1e-6 or np.any(at @ h[6:] <= 0):
+    """Parameters (8,) of a homography with h33 = 1 through normalised places and points, from which the fit starts."""
+    import cv2  # noqa: PLC0415 - tables do without
+
+    h = cv2.findHomography(places, points)[0]
+    if h is None:
+        raise FrictrackError(UNDETERMINED)
+    if np.any(places @ h[2, :2] + h[2, 2] <= 0):
         raise FrictrackError(
             "no camera can see the places where the points are; check that points and plane come in the same order"
         )
-    return np.asarray(h[:N_PARAMETERS], dtype=np.float64)
+    return np.asarray(h.ravel()[:N_PARAMETERS] / h[2, 2], dtype=np.float64)
 
 
 def _norm(points: Array) -> Normalisation:

@@ -6,26 +6,23 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from frictrack.base.polygons import Polygon
 from frictrack.records import Array, Mask
-from frictrack.tracking.correlation import Rectangle, best_match
+from frictrack.tracking.correlation import Rectangle
 from frictrack.tracking.detection.sampled_scene import (
-    MAX_REGISTERED_FRAMES,
     MIN_SIDE_PX,
     Picture,
     SampledScene,
-    background_without,
     clean_mask,
-    cut_window,
     read_subpixel,
+    scene_without,
 )
 
 MAX_NOISE_RATIO = 6  # variance of a pixel over that of the body, above which it does not belong to the body
-MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 MIN_CONTRAST_RATIO = 4  # squared difference from the background over the body's variance
-MIN_MEDIAN_FRAMES = 5  # with fewer frames the mean replaces the median
+REACH_PX = 3  # about the box of a body, that are looked at, reduced px
+MARGIN_PX = 2  # round a plain body, so that its whole blurred edge is included
 ROUND_MARGIN_PX = 1.0  # round a disc: half of its blurred edge, and hardly any background
 # A body is round where this share of its edge lies within this share of the radius of a circle.
 MIN_ROUND_SHARE, MAX_ROUGHNESS, N_ROUND_CORNERS = 0.85, 0.06, 24
@@ -68,18 +65,11 @@ class Body:
         return np.isfinite(self.corner[:, 0])
 
 
-@dataclass(frozen=True, eq=False)
-class BodyAppearance:
-    """Appearance of a body, from sampled frames registered on it: a window somewhat larger than the body."""
-
-    picture: Picture  # median of the registered frames
-    member: Mask  # pixels that move with the body
-    corner: NDArray[np.int64]  # (k, 2) px, corner of the window in each frame
-    rows: NDArray[np.int64]  # (k,) those frames
-
-
 def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> tuple[Rectangle, int]:
     """Compute the rectangle of a body and the frame to which it refers.
+
+    What belongs to the body is foreground in most of the sampled frames when these are laid over each other; of a body
+    that rotates, in its own frame.
 
     Parameters
     ----------
@@ -98,53 +88,31 @@ def body_outline(scene: SampledScene, body: Body, frame: int | None = None) -> t
         Number of the frame.
 
     """
-    if body.rotates:
-        return _rotating_outline(scene, body, frame)
-    appearance = _register_body(scene, body.box, body.row, body.corner)
-    x, y, w, h = _rectangle(appearance)
-    index = np.array(scene.index)[appearance.rows]
-    at = int(np.flatnonzero(index == frame)[0]) if frame in index else 0
-    left, top = (int(c) for c in appearance.corner[at])
-    height, width = scene.frames[0].shape
-    x0, y0 = np.clip(left + x, 0, width - 8), np.clip(top + y, 0, height - 8)
-    x1, y1 = np.clip(left + x + w, x0 + 8, width), np.clip(top + y + h, y0 + 8, height)
-    return (int(x0), int(y0), int(x1 - x0), int(y1 - y0)), int(index[at])
-
-
-def _register_body(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> BodyAppearance:
-    """Register the sampled frames on the body and find the pixels that move with it."""
-    w, h = box[2] * scene.factor, box[3] * scene.factor
-    reach = int(np.ceil(0.1 * max(w, h))) + 3
-    shape = (h + 2 * reach, w + 2 * reach)
-    seen = np.flatnonzero(np.isfinite(corner[:, 0]))
-    rows = np.unique([row, *seen[np.linspace(0, len(seen) - 1, MAX_REGISTERED_FRAMES).astype(int)]])
-    whole = _full_size_corners(scene, box, row, corner)[rows]
-    at = whole - reach
-    still = at - scene.shake[rows] * scene.factor
-    background = background_without(scene, box, corner)
-    if scene.factor > 1:
-        background = np.asarray(cv2.resize(background, None, fx=scene.factor, fy=scene.factor), dtype=np.float32)
-    stack = np.stack([read_subpixel(scene.frames[k], c, shape) / scene.light[k] for k, c in zip(rows, at, strict=True)])
-    backgrounds = np.stack([read_subpixel(background, c, shape) for c in still])
+    seen = np.flatnonzero(body.seen)
+    row = next((k for k in seen.tolist() if scene.index[k] == frame), int(seen[0]))
+    rows = np.array([row]) if body.rotates else seen
+    alone = scene_without(scene, body.box, body.corner)
+    shape = body.box[3] + 2 * REACH_PX, body.box[2] + 2 * REACH_PX
+    corners = np.nan_to_num(body.corner) - REACH_PX
+    stack = np.stack([read_subpixel(alone.small[k], corners[k], shape) / np.float32(alone.light[k]) for k in rows])
+    backgrounds = np.stack([read_subpixel(alone.background, corners[k], shape) for k in rows])
+    share = np.mean([read_subpixel(alone.foreground[k].astype(np.float32), corners[k], shape) for k in rows], axis=0)
     picture = np.median(stack, axis=0).astype(np.float32)
-    member = without_shadow(_body_pixels(stack, backgrounds, picture), stack, backgrounds)
-    return BodyAppearance(picture, member, np.rint(at).astype(np.int64), rows)
-
-
-def _body_pixels(stack: Picture, backgrounds: Picture, picture: Picture) -> Mask:
-    """Pixels that move with the body, from registered frames (k, h, w) and the background behind them."""
-    # A plain background far brighter than the body must not leak in.
-    differs = _typical_square(stack - backgrounds, 0.5)
-    spread = _typical_square(stack - picture)
-    member = _largest_patches(clean_mask(np.asarray(spread < 0.5 * differs), close=5))
-    # The scene is visible through a moving shadow: it changes more than the body does in the same light.
-    spread = _typical_square(_normalise_light(stack, picture, member) - picture)
-    slope = np.sum(np.square(np.gradient(picture)), axis=0)  # of an edge that is registered to 0.2 px
-    body_variance = float(np.percentile(spread[member], 25))
-    similar = (spread < MAX_NOISE_RATIO * max(body_variance, 0.25) + 0.04 * slope).astype(np.uint8)
-    similar = cv2.dilate(similar, np.ones((3, 3), np.uint8))
-    contrasts = differs > np.maximum(2 * spread, MIN_CONTRAST_RATIO * body_variance)
-    return _largest_patches(clean_mask(np.asarray((similar > 0) & contrasts), close=5))
+    # what goes along with the body resembles its picture more than the background ...
+    both = [cv2.GaussianBlur(np.median((stack - p) ** 2, axis=0), (0, 0), 0.7) for p in (picture, backgrounds)]
+    spread, change = both
+    member = (share > 0.5) & (spread < 0.5 * change)
+    if member.any():  # ... and changes no more than it does: the scene is visible through a moving shadow
+        noise = max(float(np.percentile(spread[member], 25)), 0.25)
+        registered = 0.04 * np.sum(np.square(np.gradient(picture)), axis=0)  # an edge, to 0.2 px
+        member &= (spread < MAX_NOISE_RATIO * noise + registered) & (change > MIN_CONTRAST_RATIO * noise)
+    member = without_shadow(_largest_patches(clean_mask(member, close=5)), stack, backgrounds)
+    x, y, w, h = _rectangle(member, picture, scene.factor)
+    height, width = scene.frames[0].shape
+    corner = np.rint((corners[row] + (x, y) + scene.shake[row]) * scene.factor).astype(int)
+    low = np.clip(corner, 0, (width - MIN_SIDE_PX, height - MIN_SIDE_PX))
+    high = np.clip(corner + np.multiply((w, h), scene.factor), low + MIN_SIDE_PX, (width, height))
+    return (*low.tolist(), *(high - low).tolist()), scene.index[row]
 
 
 def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
@@ -174,35 +142,6 @@ def without_shadow(member: Mask, stack: Picture, backgrounds: Picture) -> Mask:
     return enclosed if is_shadow else member
 
 
-def _typical_square(off: Picture, blur: float = 1.0) -> Picture:
-    """Typical square (h, w) of deviations (k, h, w): the median, or the mean of few."""
-    squares = off**2
-    few = len(off) <= MIN_MEDIAN_FRAMES
-    usual = np.sum(squares, axis=0) / max(len(off) - 1, 1) if few else np.median(squares, axis=0)
-    return np.asarray(cv2.GaussianBlur(usual, (0, 0), blur), dtype=np.float32)
-
-
-def _normalise_light(stack: Picture, picture: Picture, member: Mask) -> Picture:
-    """Frames normalised to the light of the median picture, by the pixels of the body."""
-    pixels, wanted = stack[:, member], picture[member] - picture[member].mean()
-    level = pixels.mean(axis=1)
-    gain = (pixels - level[:, None]) @ wanted / max(float(wanted @ wanted), 1e-6)
-    gain = np.where(gain > 0.2, gain, 1.0).astype(np.float32)
-    return (stack - level[:, None, None]) / gain[:, None, None] + picture[member].mean()
-
-
-def _full_size_corners(scene: SampledScene, box: Rectangle, row: int, corner: Array) -> Array:
-    """Corners (k, 2) px of the body on the full pictures, by a match there."""
-    rough = np.rint(np.nan_to_num(corner + scene.shake) * scene.factor).astype(np.int64)
-    fine = rough.astype(np.float64)
-    size, reach = (box[3] * scene.factor, box[2] * scene.factor), scene.factor + 1
-    patch = cut_window(scene.frames[row], rough[row], size)
-    for k in np.flatnonzero(np.isfinite(corner[:, 0])):
-        around = cut_window(scene.frames[k], rough[k] - reach, (size[0] + 2 * reach, size[1] + 2 * reach))
-        fine[k] += best_match(around, patch)[0] - reach
-    return fine
-
-
 def _largest_patches(mask: Mask) -> Mask:
     """The largest connected region, and those nearly as large (both edges of a plain body); everything without any."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
@@ -212,19 +151,19 @@ def _largest_patches(mask: Mask) -> Mask:
     return np.asarray(np.isin(labels, large))
 
 
-def _rectangle(appearance: BodyAppearance) -> Rectangle:
+def _rectangle(member: Mask, picture: Picture, factor: int) -> Rectangle:
     """Rectangle inside the body where its texture lies there; round it where most contrast is in the outline."""
-    bits = appearance.member.astype(np.uint8)
-    energy = np.sum(np.square(np.gradient(appearance.picture)), axis=0)
+    bits = member.astype(np.uint8)
+    energy = np.sum(np.square(np.gradient(picture)), axis=0)
     core = cv2.erode(bits, np.ones((7, 7), np.uint8)) > 0
     outlined = cv2.dilate(bits, np.ones((3, 3), np.uint8)) > 0
     if energy[core].sum() > MIN_INSIDE_CONTRAST * energy[outlined].sum():
-        return inner_rectangle(appearance.member)
+        return inner_rectangle(member, factor)
     x, y, w, h = cv2.boundingRect(bits)
     return (x - MARGIN_PX, y - MARGIN_PX, w + 2 * MARGIN_PX, h + 2 * MARGIN_PX)
 
 
-def inner_rectangle(member: Mask) -> Rectangle:
+def inner_rectangle(member: Mask, factor: int = 1) -> Rectangle:
     """Compute a rectangle inside a mask.
 
     Sides move inward until nearly all their pixels are inside, then a little further: interpolation reaches across the
@@ -234,6 +173,8 @@ def inner_rectangle(member: Mask) -> Rectangle:
     ----------
     member : array of bool (h, w)
         Pixels of the body.
+    factor : int
+        Number of pixels of the film in one of these, along either axis.
 
     Returns
     -------
@@ -257,7 +198,7 @@ def inner_rectangle(member: Mask) -> Rectangle:
         if fill[side] > 0.85:
             break
         x, y, x1, y1 = x + (side == 0), y + (side == 1), x1 - (side == 2), y1 - (side == 3)
-    inset = int(np.clip(min(x1 - x, y1 - y) // 12, 0, 3))
+    inset = -(-min(factor * min(x1 - x, y1 - y) // 12, 3) // factor)
     return (x + inset, y + inset, x1 - x - 2 * inset, y1 - y - 2 * inset)
 
 
@@ -347,20 +288,3 @@ def _circle(edge: Array) -> tuple[Array, float]:
         radius = float(np.sqrt(max(c + middle @ middle, 1.0)))
         weight = 1 / (1 + (np.hypot(*(edge - middle).T) - radius) ** 2)
     return middle, radius
-
-
-def _rotating_outline(scene: SampledScene, body: Body, frame: int | None) -> tuple[Rectangle, int]:
-    """Rectangle inside the region of a body that rotates: in the wanted frame or the first that shows it."""
-    index, seen = np.array(scene.index), np.flatnonzero(body.seen)
-    row = int(np.flatnonzero(index == frame)[0]) if frame in index else int(seen[0])
-    x0, y0 = np.rint(body.corner[row]).astype(int).tolist()
-    size = body.box[3], body.box[2]
-    mask = cut_window(scene.foreground[row].astype(np.uint8), np.array([x0, y0]), size) > 0
-    shown, still = (cut_window(p, np.array([x0, y0]), size) for p in (scene.small[row], scene.background))
-    mask = without_shadow(mask, shown[None] / np.float32(scene.light[row]), still[None])
-    x, y, w, h = inner_rectangle(mask)
-    at = np.rint((np.array([x0 + x, y0 + y]) + scene.shake[row]) * scene.factor).astype(int)
-    height, width = scene.frames[0].shape
-    left, top = np.clip(at, 0, (width - MIN_SIDE_PX, height - MIN_SIDE_PX)).tolist()
-    w, h = (max(side * scene.factor, MIN_SIDE_PX) for side in (w, h))
-    return (left, top, min(w, width - left), min(h, height - top)), scene.index[row]

@@ -40,7 +40,7 @@ MAX_SAMPLE_BYTES = 40_000_000  # memory of the samples
 REDUCED_PIXELS = 40_000  # of a reduced picture
 MIN_AREA_REDUCED = 40  # px of a reduced picture
 MIN_SIDE_PX = 8  # of a target
-GRID_CELLS = (4, 8)  # rows and columns; one point is followed in each cell to detect camera shake
+MAX_POINTS = 32  # that are followed to detect camera shake
 MIN_AGREEING_SHARE = 0.4  # of the points, that must move together
 MIN_SHAKE_REDUCED = 0.15  # px of a reduced picture
 MAX_SHAKE_SHARE = 0.05  # of the picture's longer side
@@ -258,11 +258,6 @@ def _without_ghosts(scene: SampledScene) -> SampledScene:
     return _scene_before(scene, background)
 
 
-def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
-    """The same samples before the background without a body; see `background_without`."""
-    return _scene_before(scene, background_without(scene, box, corner))
-
-
 def _scene_before(scene: SampledScene, background: Picture) -> SampledScene:
     """The same samples before another background (h, w), DN."""
     return _build_scene(scene.index, scene.frames, (scene.factor, scene.shake, scene.small), background)
@@ -284,24 +279,8 @@ def _middle_of_known(stack: Picture) -> Picture:
     return np.take_along_axis(np.sort(stack, axis=0), np.maximum((known - 1) // 2, 0)[None], axis=0)[0]
 
 
-def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Picture:
-    """Compute the background from the frames in which a body is elsewhere.
-
-    Parameters
-    ----------
-    scene : SampledScene
-        Sampled frames.
-    box : tuple of int
-        x, y, w, h of the body, reduced px.
-    corner : array (k, 2)
-        Corner of the body in all samples, reduced px.
-
-    Returns
-    -------
-    array (h, w)
-        DN; that of all frames where the body always or never covers it.
-
-    """
+def scene_without(scene: SampledScene, box: Rectangle, corner: Array) -> SampledScene:
+    """The same samples before the background of the frames in which a body, at corners (k, 2) px, is elsewhere."""
     usable = np.flatnonzero(np.isfinite(corner[:, 0]))
     rows = np.unique(usable[np.linspace(0, len(usable) - 1, MAX_REGISTERED_FRAMES).astype(int)])
     stack = np.stack([scene.small[k] / np.float32(scene.light[k]) for k in rows])
@@ -309,7 +288,7 @@ def background_without(scene: SampledScene, box: Rectangle, corner: Array) -> Pi
         picture[max(y - 1, 0) : y + box[3] + 1, max(x - 1, 0) : x + box[2] + 1] = np.inf
     middle = _middle_of_known(stack)
     uncovered = np.isfinite(middle) & ~np.all(np.isfinite(stack), axis=0)
-    return np.where(uncovered, middle, scene.background).astype(np.float32)
+    return _scene_before(scene, np.where(uncovered, middle, scene.background).astype(np.float32))
 
 
 def _busy_frames(index: list[int], small: list[Picture]) -> list[int]:
@@ -357,10 +336,13 @@ def _estimate_shake(small: list[Picture]) -> Array:
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
     pictures = [np.clip(p * (255 / high), 0, 255).astype(np.uint8) for p in small]
-    points = _corner_points(pictures[middle])
+    inside = np.zeros(small[0].shape, np.uint8)
+    inside[8:-8, 8:-8] = 1
+    apart = float(np.sqrt(inside.size / MAX_POINTS / 2))  # so that they lie all over the picture
+    points = cv2.goodFeaturesToTrack(pictures[middle], MAX_POINTS, 0.02, apart, mask=inside, blockSize=7)
     limit = MAX_SHAKE_SHARE * max(small[0].shape)
     out = np.zeros((len(small), 2))
-    if len(points) < 8:
+    if np.size(points) < MAX_POINTS:  # fewer than half of them
         return out
     for k, picture in enumerate(pictures):
         at, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -383,24 +365,6 @@ def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: in
     if agree.sum() < MIN_AGREEING_SHARE * count or min(spread) < 0.4 or max(spread) < 0.6:
         return np.zeros(2)
     return np.asarray(np.median(shift[agree], axis=0), dtype=np.float64)
-
-
-def _corner_points(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The best corner (n, 1, 2) of every cell of a grid; none where one part of the picture holds nearly all."""
-    strength = cv2.cornerMinEigenVal(picture, 7)
-    strength[:8], strength[-8:], strength[:, :8], strength[:, -8:] = 0, 0, 0, 0
-    rows, columns = (np.array_split(np.arange(s), c) for s, c in zip(picture.shape, GRID_CELLS, strict=True))
-    best, size = [], []
-    for r in rows:
-        for c in columns:
-            cell = strength[r[0] : r[-1] + 1, c[0] : c[-1] + 1]
-            _, top, _, (x, y) = cv2.minMaxLoc(cell)
-            best.append((x + c[0], y + r[0]))
-            size.append(top)
-    good = np.array(size) > 0.02 * max(size)
-    if good.mean() < 0.5:
-        good[:] = False
-    return np.array(best, dtype=np.float32)[good].reshape(-1, 1, 2)
 
 
 def _shifted(picture: Picture, by: Array) -> Picture:
