@@ -11,18 +11,23 @@ it may be one of several runs; all are named.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from frictrack.base.errors import result_or_none
 from frictrack.base.number_format import format_number
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
+from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
+from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.fit.stepwise import bic_penalty
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 
@@ -33,6 +38,8 @@ MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
+MAX_MASS_RATIO = 5.0  # of another mass of a run over the stated one, or of the stated one over it
+MASS_PRECISION = 0.002  # of the logarithm of that ratio
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
@@ -124,17 +131,51 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     `last`: the model with the effects found. Returns at most one sentence. Empty where it leaves no significant misfit,
     for fewer than three runs, or where many runs or frames would make it slow.
     """
-    fitted = [run for run in runs if run.role != "validation"]
-    frames = sum(len(run.motion) for run in fitted)
-    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
-        return []
-    odd = [run.name for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
-    if not odd or len(odd) == len(fitted) or _explains(last, rng):
+    odd = [run.name for run in _odd_runs(last, runs, rng)]
+    if not odd or len(odd) == sum(run.role != "validation" for run in runs) or _explains(last, rng):
         return []
     check = (
         f"check {'its' if len(odd) == 1 else 'their'} mass, frame rate and scale, and whether the surface was the same"
     )
     return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
+
+
+def _odd_runs(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[Run]:
+    """The runs without each of which the model explains all others; none where many would make it slow."""
+    fitted = [run for run in runs if run.role != "validation"]
+    frames = sum(len(run.motion) for run in fitted)
+    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
+        return []
+    return [run for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
+
+
+def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
+    """Return the run of which another mass explains all runs, with more evidence than the effects found."""
+    first, last, rng = search.first.solution, search.last.solution, search.generators[0]
+    n = first.problem.n_frames
+    if not search.something_is_missing or n != fitted.solution.problem.n_frames or fitted.reference.mass is None:
+        return []
+    best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
+    for odd in _odd_runs(first, fitted.runs, rng):
+        if not odd.mass:
+            continue
+
+        def refitted(log_ratio: float, odd: Run = odd, mass: float = odd.mass) -> Solution | None:
+            runs = [replace(r, mass=mass * float(np.exp(log_ratio))) if r is odd else r for r in fitted.runs]
+            found = result_or_none(fit, fitted.model, runs, reference_mass=fitted.reference.mass)
+            return found and found.solution
+
+        def misfit(log_ratio: float, refitted: Callable[[float], Solution | None] = refitted) -> float:
+            found = refitted(log_ratio)
+            return np.inf if found is None else information_criterion(found)
+
+        far = float(np.log(MAX_MASS_RATIO))
+        least = minimize_scalar(misfit, bounds=(-far, far), method="bounded", options={"xatol": MASS_PRECISION})
+        if least.fun < best and _explains(refitted(least.x), rng):
+            best = least.fun
+            why = f"with {np.exp(least.x):.3g} times its stated mass this model explains all runs without a further effect"
+            doubted = [Undetermined(f"the mass of {odd.name}", why, f"weigh what slid in {odd.name} again")]
+    return doubted
 
 
 def _may_be_odd(last: Solution, run: str) -> bool:
@@ -158,10 +199,12 @@ def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
     return found is not None and lack_of_fit(draw_null_ensemble(found, rng, N_DRAWS)) >= MIN_P_EXPLAINED
 
 
-def remarks_on_named(model: Solution, found: Sequence[RefinedCandidate], runs: Sequence[Run]) -> list[str]:
-    """Return remarks on the effects found."""
+def remarks_on_named(
+    model: Solution, law: Solution, found: Sequence[RefinedCandidate], runs: Sequence[Run]
+) -> list[str]:
+    """Return remarks on the effects found; `law` is the model with them."""
     named = [t.effect for t in found]
-    return [*held_remarks(model, found[-1].law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
+    return [*held_remarks(model, law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
 
 
 def held_remarks(model: Solution, grown: Solution) -> list[str]:
