@@ -11,7 +11,7 @@ it may be one of several runs; all are named.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,8 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
-from frictrack.fit import Fit, fit
+from frictrack.fit import Fit
+from frictrack.fit import fit as _fit_all
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
 from frictrack.fit.stepwise import bic_penalty
 from frictrack.records import Mask, Run
@@ -38,8 +39,8 @@ MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
-MAX_MASS_RATIO = 5.0  # of another mass of a run over the stated one, or of the stated one over it
-MASS_PRECISION = 0.002  # of the logarithm of that ratio
+MASS_RATIOS = (-1.6, 1.6)  # logarithm of another mass of a run over the stated one
+MASS_PRECISION = 0.002  # of that logarithm
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
@@ -156,24 +157,26 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     if not search.something_is_missing or n != fitted.solution.problem.n_frames or fitted.reference.mass is None:
         return []
     best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
+
+    def refitted(odd: Run, log_ratio: float) -> Solution | None:
+        mass = (odd.mass or 0.0) * float(np.exp(log_ratio))
+        runs = [replace(run, mass=mass) if run is odd else run for run in fitted.runs]
+        found = result_or_none(_fit_all, fitted.model, runs, reference_mass=fitted.reference.mass)
+        return None if found is None else found.solution
+
+    def misfit(log_ratio: float, odd: Run) -> float:
+        found = refitted(odd, log_ratio)
+        return np.inf if found is None else information_criterion(found)
+
     for odd in _odd_runs(first, fitted.runs, rng):
-        if not odd.mass:
-            continue
-
-        def refitted(log_ratio: float, odd: Run = odd, mass: float = odd.mass) -> Solution | None:
-            runs = [replace(r, mass=mass * float(np.exp(log_ratio))) if r is odd else r for r in fitted.runs]
-            found = result_or_none(fit, fitted.model, runs, reference_mass=fitted.reference.mass)
-            return found and found.solution
-
-        def misfit(log_ratio: float, refitted: Callable[[float], Solution | None] = refitted) -> float:
-            found = refitted(log_ratio)
-            return np.inf if found is None else information_criterion(found)
-
-        far = float(np.log(MAX_MASS_RATIO))
-        least = minimize_scalar(misfit, bounds=(-far, far), method="bounded", options={"xatol": MASS_PRECISION})
-        if least.fun < best and _explains(refitted(least.x), rng):
+        least = minimize_scalar(
+            misfit, args=(odd,), bounds=MASS_RATIOS, method="bounded", options={"xatol": MASS_PRECISION}
+        )
+        if least.fun < best and _explains(refitted(odd, least.x), rng):
             best = least.fun
-            why = f"with {np.exp(least.x):.3g} times its stated mass this model explains all runs without a further effect"
+            why = (
+                f"with {np.exp(least.x):.3g} times its stated mass the model explains all runs and no effect is missing"
+            )
             doubted = [Undetermined(f"the mass of {odd.name}", why, f"weigh what slid in {odd.name} again")]
     return doubted
 
