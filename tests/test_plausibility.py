@@ -27,6 +27,7 @@ from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.plausibility import (
     ERROR,
     EnteredValues,
+    copied_runs,
     estimate_slide,
     implausible_clocks,
     implausible_entries,
@@ -675,6 +676,16 @@ def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, u
     assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t_s ({unit})"}}')
     (finding,) = implausible_clocks({"a": run, "b": run}, {"a": 4000.0, "b": 4000.0})
     assert finding.run == ""  # said once of all runs
+
+
+def test_a_copy_of_a_run_is_said():
+    t, nan = np.arange(400) / 4000.0, np.full(400, np.nan)
+    noise = 1e-5 * np.random.default_rng(0).standard_normal((2, 400))
+    first, other = (Displacement(t, t - t**2 + e, nan, nan, np.full(400, 1e-5), nan, np.ones(400, bool)) for e in noise)
+    seen = {"a": first, "b": other, "c": replace(first, x=first.x.copy())}
+    runs = {name: Run(one, differentiate(low_pass(one)), mass=1.0, name=name) for name, one in seen.items()}
+    (finding,) = copied_runs(runs)
+    assert (finding.run, "same positions as a," in finding.words) == ("c", True)
 
 
 def test_swings_of_one_mass_with_other_origins(tmp_path):

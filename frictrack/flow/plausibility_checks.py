@@ -88,6 +88,8 @@ class Findings:
         # the clock of a film is checked with its header
         stated = {pipeline.run.name: pipeline.run.fps for pipeline in pipelines if pipeline.run.table}
         sensors = {w.run.name: w.get("sensors").clocks.get("a", {}) for w in pipelines if w.run.sensor is not None}
+        moving = {pipeline.run.name: runs[pipeline.run.name] for pipeline in pipelines if not pipeline.run.is_of_points}
+        self._check_once("copies", lambda: measure.plausibility.copied_runs(moving))
         self._check_once("all", lambda: measure.plausibility.implausible_masses(list(runs.values())))
         if not any(one.effect == "spring" and "x_0" in one.per_run for one in self.study.effects):
             self._check_once("origins", lambda: measure.plausibility.different_origins(runs))
