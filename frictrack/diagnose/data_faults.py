@@ -11,8 +11,9 @@ it may be one of several runs; all are named.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
+from frictrack.effects.models import Model
 from frictrack.fit import Fit
 from frictrack.fit import fit as _fit_all
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
@@ -40,7 +42,7 @@ MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
 MASS_RATIOS = (-1.6, 1.6)  # logarithm of another mass of a run over the stated one
-MASS_PRECISION = 0.002  # of that logarithm
+TOLERANCE: Any = {"xatol": 0.002}  # of that logarithm
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
@@ -132,7 +134,7 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     `last`: the model with the effects found. Returns at most one sentence. Empty where it leaves no significant misfit,
     for fewer than three runs, or where many runs or frames would make it slow.
     """
-    odd = [run.name for run in _odd_runs(last, runs, rng)]
+    odd = [run.name for run in _odd_runs(last, runs, rng, _without)]
     if not odd or len(odd) == sum(run.role != "validation" for run in runs) or _explains(last, rng):
         return []
     check = (
@@ -141,42 +143,50 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
 
 
-def _odd_runs(last: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[Run]:
+def _odd_runs(
+    last: Solution, runs: Sequence[Run], rng: np.random.Generator, without: Callable[[Solution, str], Solution | None]
+) -> list[Run]:
     """The runs without each of which the model explains all others; none where many would make it slow."""
     fitted = [run for run in runs if run.role != "validation"]
     frames = sum(len(run.motion) for run in fitted)
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
         return []
-    return [run for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
+    return [run for run in fitted if _may_be_odd(last, run.name) and _explains(without(last, run.name), rng)]
 
 
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
-    """Return the run of which another mass explains all runs, with more evidence than the effects found."""
-    first, last, rng = search.first.solution, search.last.solution, search.generators[0]
-    n = first.problem.n_frames
-    if not search.something_is_missing or n != fitted.solution.problem.n_frames or fitted.reference.mass is None:
-        return []
-    best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
+    """Return the run of which another mass explains all runs, with more evidence than the effects found.
 
-    def refitted(odd: Run, log_ratio: float) -> Solution | None:
-        mass = (odd.mass or 0.0) * float(np.exp(log_ratio))
-        runs = [replace(run, mass=mass) if run is odd else run for run in fitted.runs]
-        found = result_or_none(_fit_all, fitted.model, runs, reference_mass=fitted.reference.mass)
+    It may stand in place of all of them, or of one.
+    """
+    last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
+    if not search.something_is_missing or n != fitted.solution.problem.n_frames:
+        return []
+
+    def refit(model: Model, runs: Sequence[Run]) -> Solution | None:
+        found = result_or_none(_fit_all, model, runs, reference_mass=fitted.reference.mass)
         return None if found is None else found.solution
 
-    def misfit(log_ratio: float, odd: Run) -> float:
-        found = refitted(odd, log_ratio)
+    def without(law: Solution, name: str) -> Solution | None:
+        return refit(law.problem.model, [run for run in fitted.runs if run.name != name])
+
+    def with_mass(log_ratio: float, model: Model, odd: Run) -> Solution | None:
+        mass = (odd.mass or 0.0) * float(np.exp(log_ratio))
+        return refit(model, [replace(run, mass=mass) if run is odd else run for run in fitted.runs])
+
+    def misfit(log_ratio: float, model: Model, odd: Run) -> float:
+        found = with_mass(log_ratio, model, odd)
         return np.inf if found is None else information_criterion(found)
 
-    for odd in _odd_runs(first, fitted.runs, rng):
-        least = minimize_scalar(
-            misfit, args=(odd,), bounds=MASS_RATIOS, method="bounded", options={"xatol": MASS_PRECISION}
-        )
-        if least.fun < best and _explains(refitted(odd, least.x), rng):
-            best = least.fun
-            why = (
-                f"with {np.exp(least.x):.3g} times its stated mass the model explains all runs and no effect is missing"
-            )
+    less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
+    laws = filter(None, [search.first.solution, *(refit(model, fitted.runs) for model in less)])
+    best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
+    for model, odd in [(law.problem.model, odd) for law in laws for odd in _odd_runs(law, fitted.runs, rng, without)]:
+        least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
+        if least.fun < best and _explains(with_mass(least.x, model, odd), rng):
+            best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
+            what = f"only {' and '.join(lacks)} is missing" if lacks else "no effect is missing"
+            why = f"with {np.exp(least.x):.3g} times its stated mass the model explains all runs, and {what}"
             doubted = [Undetermined(f"the mass of {odd.name}", why, f"weigh what slid in {odd.name} again")]
     return doubted
 
