@@ -39,6 +39,14 @@ def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float],
     assert float(found[1]) == pytest.approx(ratio, rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_wrong_frame_rate_is_not_taken_for_a_wrong_mass() -> None:
+    runs = [slide(v, k, rate=2.0 if k == 2 else 1.0) for k, v in enumerate(SPEEDS)]
+    found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
+    assert found.undetermined[0].what == "the frame rate, mass and surface of v5"
+    assert "a frame rate that is 2 times too high does this" in found.undetermined[0].why
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("friction", [0.9, 1.0, 1.1])
 def test_friction_that_scatters_as_surfaces_do_is_no_remark(friction: float) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from frictrack.base.errors import result_or_none
-from frictrack.base.number_format import format_number
+from frictrack.base.number_format import format_number, join_words
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.power import Undetermined
@@ -31,6 +31,7 @@ from frictrack.fit import Fit
 from frictrack.fit import fit as _fit_all
 from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
 from frictrack.fit.stepwise import bic_penalty
+from frictrack.fit.uncertainty.reported import MIN_RATIO
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 
@@ -183,12 +184,25 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
     for model, odd in [(law.problem.model, odd) for law in laws for odd in _odd_runs(law, fitted.runs, rng, without)]:
         least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
-        if least.fun < best and _explains(with_mass(least.x, model, odd), rng):
+        found = with_mass(least.x, model, odd)
+        if least.fun < best and found is not None and _explains(found, rng):
             best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
-            what = f"only {' and '.join(lacks)} is missing" if lacks else "no effect is missing"
-            why = f"with {np.exp(least.x):.3g} times its stated mass the model explains all runs, and {what}"
-            doubted = [Undetermined(f"the mass of {odd.name}", why, f"weigh what slid in {odd.name} again")]
+            doubted = [_doubt(odd.name, float(np.exp(least.x)), found, lacks)]
     return doubted
+
+
+def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
+    """What to measure again of a run: its mass or, where its dry friction then differs from the others', its clock."""
+    layout = found.problem.layout
+    logs = dict(zip(layout.run_names, np.log(found.p[layout.levels]), strict=False))
+    friction = float(np.exp(logs.pop(run, 0.0) - np.mean([*logs.values()] or [0.0])))
+    rest = f"the model explains all runs, and {f'only {join_words(lacks)}' if lacks else 'no effect'} is missing"
+    if max(friction, 1 / friction) < MIN_RATIO:
+        why = f"with {mass_ratio:.3g} times its stated mass {rest}"
+        return Undetermined(f"the mass of {run}", why, f"weigh what slid in {run} again")
+    why = f"with {friction:.3g} times the dry friction of the others and {mass_ratio:.3g} times its mass {rest}"
+    rate = f"a frame rate that is {friction**0.5:.3g} times too high does this"
+    return Undetermined(f"the frame rate, mass and surface of {run}", f"{why}; {rate}", f"check them in {run}")
 
 
 def _may_be_odd(last: Solution, run: str) -> bool:
