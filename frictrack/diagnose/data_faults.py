@@ -180,14 +180,17 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
         return np.inf if found is None else information_criterion(found)
 
     less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
-    laws = filter(None, [search.first.solution, *(refit(model, fitted.runs) for model in less)])
     best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
-    for model, odd in [(law.problem.model, odd) for law in laws for odd in _odd_runs(law, fitted.runs, rng, without)]:
-        least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
-        found = with_mass(least.x, model, odd)
-        if least.fun < best and found is not None and _explains(found, rng):
-            best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
-            doubted = [_doubt(odd.name, float(np.exp(least.x)), found, lacks)]
+    for model in (fitted.model, *less):
+        law = search.first.solution if model is fitted.model else refit(model, fitted.runs)
+        for odd in _odd_runs(law, fitted.runs, rng, without) if law is not None else ():
+            least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
+            found = with_mass(least.x, model, odd) if least.fun < best else None
+            if found is not None and _explains(found, rng):
+                best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
+                doubted = [_doubt(odd.name, float(np.exp(least.x)), found, lacks)]
+        if doubted:
+            break
     return doubted
 
 
