@@ -11,7 +11,7 @@ it may be one of several runs; all are named.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,9 +27,8 @@ from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
-from frictrack.fit import Fit
-from frictrack.fit import fit as _fit_all
-from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.fit import Fit, fit
+from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.stepwise import bic_penalty
 from frictrack.fit.uncertainty.reported import MIN_RATIO
 from frictrack.records import Mask, Run
@@ -135,7 +134,7 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     `last`: the model with the effects found. Returns at most one sentence. Empty where it leaves no significant misfit,
     for fewer than three runs, or where many runs or frames would make it slow.
     """
-    odd = [run.name for run in _odd_runs(last, runs, rng, _without)]
+    odd = [run.name for run in _odd_runs(last, runs, rng)]
     if not odd or len(odd) == sum(run.role != "validation" for run in runs) or _explains(last, rng):
         return []
     check = (
@@ -144,15 +143,19 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
 
 
-def _odd_runs(
-    last: Solution, runs: Sequence[Run], rng: np.random.Generator, without: Callable[[Solution, str], Solution | None]
-) -> list[Run]:
+def _odd_runs(law: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[Run]:
     """The runs without each of which the model explains all others; none where many would make it slow."""
     fitted = [run for run in runs if run.role != "validation"]
     frames = sum(len(run.motion) for run in fitted)
-    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
+    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and law.problem.simulates):
         return []
-    return [run for run in fitted if _may_be_odd(last, run.name) and _explains(without(last, run.name), rng)]
+    odd = [run for run in fitted if _may_be_odd(law, run.name)]
+    return [run for run in odd if _explains(_refit(law.problem.model, [r for r in fitted if r is not run]), rng)]
+
+
+def _refit(model: Model, runs: Sequence[Run], mass: float | None = None) -> Solution | None:
+    found = result_or_none(fit, model, runs, reference_mass=mass)
+    return None if found is None else found.solution
 
 
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
@@ -164,34 +167,28 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     if not search.something_is_missing or n != fitted.solution.problem.n_frames:
         return []
 
-    def refit(model: Model, runs: Sequence[Run]) -> Solution | None:
-        found = result_or_none(_fit_all, model, runs, reference_mass=fitted.reference.mass)
-        return None if found is None else found.solution
+    def with_mass(log_factor: float, model: Model, odd: Run) -> Solution | None:
+        mass = (odd.mass or 0.0) * float(np.exp(log_factor))
+        runs = [replace(run, mass=mass) if run is odd else run for run in fitted.runs]
+        return _refit(model, runs, fitted.reference.mass)
 
-    def without(law: Solution, name: str) -> Solution | None:
-        return refit(law.problem.model, [run for run in fitted.runs if run.name != name])
-
-    def with_mass(log_ratio: float, model: Model, odd: Run) -> Solution | None:
-        mass = (odd.mass or 0.0) * float(np.exp(log_ratio))
-        return refit(model, [replace(run, mass=mass) if run is odd else run for run in fitted.runs])
-
-    def misfit(log_ratio: float, model: Model, odd: Run) -> float:
-        found = with_mass(log_ratio, model, odd)
+    def misfit(log_factor: float, model: Model, odd: Run) -> float:
+        found = with_mass(log_factor, model, odd)
         return np.inf if found is None else information_criterion(found)
 
     less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
-    best, doubted = information_criterion(last) - bic_penalty(1, n), list[Undetermined]()
+    best = information_criterion(last) - bic_penalty(1, n)
     for model in (fitted.model, *less):
-        law = search.first.solution if model is fitted.model else refit(model, fitted.runs)
-        for odd in _odd_runs(law, fitted.runs, rng, without) if law is not None else ():
+        law, doubted = search.first.solution if model is fitted.model else _refit(model, fitted.runs), None
+        for odd in _odd_runs(law, fitted.runs, rng) if law is not None else ():
             least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
             found = with_mass(least.x, model, odd) if least.fun < best else None
             if found is not None and _explains(found, rng):
                 best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
-                doubted = [_doubt(odd.name, float(np.exp(least.x)), found, lacks)]
-        if doubted:
-            break
-    return doubted
+                doubted = _doubt(odd.name, float(np.exp(least.x)), found, lacks)
+        if doubted is not None:
+            return [doubted]
+    return []
 
 
 def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
@@ -213,15 +210,6 @@ def _may_be_odd(last: Solution, run: str) -> bool:
     own = [r for r in last.responses if last.problem.layout.run_names[r.piece.run] != run]
     left = chi2_without(replace(last, responses=own), [None] * len(last.problem.layout.run_names))
     return bool(left - sum(len(r.r) for r in own) <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
-
-
-def _without(last: Solution, run: str) -> Solution | None:
-    """The same model refined for all runs but one; the unknowns of that run keep their values."""
-    problem = last.problem
-    kept = [i for i, piece in enumerate(problem.pieces) if problem.layout.run_names[piece.run] != run]
-    fewer = problem.rebuild(problem.layout, [problem.pieces[i] for i in kept])
-    fewer = fewer.beginning_at([last.responses[i] for i in kept])
-    return result_or_none(fit_with_scatter, fewer, last.p, [last.starts[i] for i in kept], last.tau)
 
 
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
