@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr
 
+from frictrack.base.distributions import student_sf
 from frictrack.base.errors import UsageError
 from frictrack.base.number_format import format_length, format_number, join_words, lower_first
 from frictrack.effects import Effect
@@ -282,7 +282,7 @@ def _differing_groups(groups: NDArray[np.str_], logs: Array, covariance: Array) 
     spread = sum(float(np.sum((logs[own] - np.mean(logs[own])) ** 2)) for own in members.values()) / free
     contrast = members[high] / np.sum(members[high]) - members[low] / np.sum(members[low])
     departure = float(contrast @ logs) / float(np.sqrt(contrast @ (covariance + spread * np.eye(len(logs))) @ contrast))
-    if len(members) * (len(members) - 1) * stdtr(free, -departure) < ALPHA_GROUPS:
+    if len(members) * (len(members) - 1) * student_sf(departure, free) < ALPHA_GROUPS:
         yield (
             f"dry friction in the group {high} is {np.exp(contrast @ logs):.3g} times that in the group {low}, so that "
             "one value for all runs holds for neither: frictrack fit --per group fits each"
