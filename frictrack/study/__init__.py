@@ -19,7 +19,15 @@ from frictrack.base.lazy import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study import writing
-    from frictrack.study.column_names import columns_line, find_header, guess_points, has_units, may_hold, stated_unit
+    from frictrack.study.column_names import (
+        columns_line,
+        find_header,
+        guess_points,
+        has_units,
+        may_hold,
+        stated_unit,
+        unnamed_force,
+    )
     from frictrack.study.loading import Study, load, name_of_table, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (
         ANGLE_NOTE,

@@ -1,8 +1,8 @@
 """Check that the numbers of a study are plausible: mass, scale, frame rate, units and incline.
 
 `implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
-measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`, `implausible_sensors`,
-`different_origins` and `copied_runs` check all runs together. Every finding states what was read, why it is
+measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`, `implausible_sensors` and
+`different_origins` check all runs together. Every finding states what was read, why it is
 implausible, and what to enter instead.
 """
 
@@ -11,7 +11,6 @@ implausible, and what to enter instead.
 from frictrack.measure.plausibility.comparison import (
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
-    copied_runs,
     describe_shift,
     different_origins,
     implausible_clocks,

@@ -382,14 +382,6 @@ def different_origins(runs: Mapping[str, Run]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def copied_runs(runs: Mapping[str, Run]) -> tuple[Finding, ...]:
-    """Find runs that hold the positions of a run before them: noise that is the same twice looks like a force."""
-    first: dict[bytes, str] = {}
-    pairs = [(name, first.setdefault(run.displacement.x.tobytes(), name)) for name, run in runs.items()]
-    words = "it holds the same positions as {}, noise included: one record counts twice; leave one of them out"
-    return tuple(Finding("copy", words.format(one), run=name, check=("table",)) for name, one in pairs if name != one)
-
-
 def describe_shift(shift: float, first: str) -> str:
     """Say how far a swing is centred from that of the record `first`; the shift is in m."""
     return f"its rest and its turning points lie {1e3 * shift:+.3g} mm from those of {first}"
