@@ -257,6 +257,16 @@ def test_a_formula_of_the_last_diagnosis_is_written_and_added(study_file: Path) 
     store.write(session.path, {f"models/{group}/diagnosis": content})
     assert session.add("formula:1")["effect"] == "unexplained"
     assert session.study.effects[0].formula == "F * x"
+    study_file.write_text(TEXT, encoding="utf-8")  # the user deletes its table
+    without = at_work(study_file)
+    with pytest.raises(FrictrackError, match=r'has an effect "unexplained" that the study file no longer defines'):
+        without.add("drag")
+    assert [one["name"] for one in without.history()["models"]][-1].endswith("+unexplained")
+    assert without.remove("unexplained")["effect"] == "unexplained"
+    assert without.models.current()[1].edits == ()
+    without.apply("undo")
+    study_file.write_text(f"{TEXT}\n{table}", encoding="utf-8")
+    session = at_work(study_file)
     session.apply("undo")
     session.apply("undo")
     assert study_file.read_text(encoding="utf-8") == TEXT

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,32 @@ def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float],
     assert float(found[1]) == pytest.approx(ratio, rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_wrong_frame_rate_is_not_taken_for_a_wrong_mass() -> None:
+    runs = [slide(v, k, rate=2.0 if k == 2 else 1.0) for k, v in enumerate(SPEEDS)]
+    found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
+    assert found.undetermined[0].what == "the frame rate, mass and surface of v5"
+    assert "a frame rate that is 2 times too high does this" in found.undetermined[0].why
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("friction", [0.9, 1.0, 1.1])
 def test_friction_that_scatters_as_surfaces_do_is_no_remark(friction: float) -> None:
     assert remarks(friction=friction) == []
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(("rubber", "said"), [(1.1, 1), (1.0, 0)])
+def test_groups_of_runs_that_rub_differently_are_said(rubber: float, said: int) -> None:
+    scatter = 1 + 0.01 * np.random.default_rng(0).standard_normal(8)
+    runs = [
+        replace(slide(v, k, friction=scatter[k] * (rubber if k % 2 else 1)), group="rubber" if k % 2 else "steel")
+        for k, v in enumerate((*SPEEDS, 3.2, 4.2, 5.2, 6.2))
+    ]
+    runs = [replace(run, name=f"r{k}") for k, run in enumerate(runs)]
+    found = [line for line in ft.fit("coulomb, viscous", runs).summary()["remarks"] if "in the group" in line]
+    assert len(found) == said
+    for line in found:
+        ratio = re.search(r"rubber is ([\d.]+) times that in the group steel", line)
+        assert ratio is not None
+        assert float(ratio[1]) == pytest.approx(1.1, abs=0.02)

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack.base.errors import FrictrackError
 from frictrack.fit import fit, restore, state
+from frictrack.flow.stages import _with_fitted_mass
 from frictrack.records import GRAVITY, Displacement, Motion, Run
 from frictrack.results import to_builtins
 
@@ -144,6 +145,11 @@ def test_a_validation_run_is_predicted_with_the_fitted_mass(course):
     assert rows[1]["errors"]["relative_force_error"] == pytest.approx(
         rows[0]["errors"]["relative_force_error"], rel=0.2
     )
+
+
+def test_the_force_of_a_validation_run_is_measured_with_the_mass_that_its_drive_determines(course):
+    weighed, _ = _with_fitted_mass(seen(*course, 1e-5, 2, name="b", role="validation"))
+    assert (weighed.mass, weighed.role) == (pytest.approx(MASS, rel=0.01), "validation")
 
 
 @pytest.mark.parametrize("domain", ["displacement", "force"])

@@ -41,7 +41,7 @@ from frictrack.measure.plausibility import (
 )
 from frictrack.measure.tables import displacement_of_table
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
-from frictrack.study import TableData
+from frictrack.study import TableData, unnamed_force
 from frictrack.validation.blind.benchmark import write_study
 from frictrack.validation.blind.truth_sampling import draw_truth
 from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
@@ -675,6 +675,21 @@ def test_time_stamps_in_another_unit_than_the_stated_rate_are_an_error(factor, u
     assert (finding.grade, finding.correction) == (ERROR, f'columns = {{t = "t_s ({unit})"}}')
     (finding,) = implausible_clocks({"a": run, "b": run}, {"a": 4000.0, "b": 4000.0})
     assert finding.run == ""  # said once of all runs
+
+
+def test_a_column_of_forces_that_is_not_used_is_said(tmp_path):
+    """A slide in closed form beside a force that no key names: it may be the drive."""
+    t = np.arange(400) / 400
+    x = 0.8 * t - 0.35 * t**2 + 1e-5 * np.random.default_rng(0).standard_normal(400)
+    table = np.c_[t, x, np.full(400, 0.2)]
+    np.savetxt(tmp_path / "m.csv", table, delimiter=",", header="Zeit [s],Weg [m],Kraft [N]", comments="")
+    text = '[study]\nmass = "0.2 kg"\n[[run]]\ntable = "m.csv"\ncolumns = {t = "Zeit [s]", x = "Weg [m]"%s}\n'
+    for more, said in (("", 1), (', drive = "Kraft [N]"', 0)):
+        (tmp_path / "study.toml").write_text(text % more)
+        session = Session(open_study(tmp_path / "study.toml"))
+        session.bring_up_to("friction")
+        assert sum('"Kraft [N]" that is not used' in one for one in session.findings.messages) == said
+    assert unnamed_force(["t (s)", "Normal (N)", "x (mm)"], ()) is None
 
 
 def test_swings_of_one_mass_with_other_origins(tmp_path):

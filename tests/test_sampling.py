@@ -525,4 +525,5 @@ def test_a_study_names_bad_samples_and_copies(tmp_path):
     ]
     found = session.fit()
     assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])
+    assert any(w["words"].startswith('run "again": it is the same recording as') for w in found["warnings"])
     assert abs(found["parameters"]["coulomb.F_c"]["value"] - 2.0) < 3 * found["parameters"]["coulomb.F_c"]["std"]

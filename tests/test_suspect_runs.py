@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import frictrack as ft
+from frictrack.diagnose.conclusion import Conclusion
 from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, one_way_remarks, suspect_run_remarks
 from frictrack.effects import LIBRARY
 
@@ -40,6 +42,14 @@ def test_the_run_whose_mass_is_wrong_is_named() -> None:
 
 
 @pytest.mark.slow
+def test_a_mass_that_explains_all_runs_is_asked_before_effects_are_named() -> None:
+    runs = [slide(v, m, 0.35) for v, m in zip((3.0, 4.0, 5.0, 6.0), (0.35, 0.35, 0.7, 0.35), strict=True)]
+    found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
+    assert (found.verdict, found.missing, found.undetermined[0].what) == ("undetermined", [], "the mass of v5")
+    assert found.undetermined[0].why.startswith("with 2 times its stated mass")
+
+
+@pytest.mark.slow
 def test_right_masses_are_not_doubted_and_long_records_are_left_out() -> None:
     assert remarks([0.35] * 4, [0.35] * 4) == []
     long = [slide(v, 0.35, 0.35, MAX_FRAMES // 3) for v in (30.0, 40.0, 50.0)]
@@ -54,6 +64,17 @@ def test_errors_of_a_camera_are_doubted_where_runs_are_tables() -> None:
     assert camera_remarks(runs, [LIBRARY["spring"]]) == []
     displacement = replace(runs[0].displacement, pixel_pitch=5e-4)
     assert camera_remarks([replace(runs[0], displacement=displacement)], named) == []
+
+
+@pytest.mark.parametrize(
+    ("pitch", "left", "names"), [(None, True, []), (None, False, ["lens"]), (5e-4, True, ["lens"])]
+)
+def test_what_a_camera_does_is_no_lead_where_no_camera_is_known(pitch, left, names) -> None:
+    lens = SimpleNamespace(effect=LIBRARY["lens"], objection="")
+    search = SimpleNamespace(last=SimpleNamespace(leaves_misfit=left), something_is_missing=True)
+    conclusion = Conclusion(SimpleNamespace(runs=[SimpleNamespace(pixel_pitch=pitch)]), search)
+    vars(conclusion).update(_named=[lens], _n_worth_adding=1)
+    assert conclusion._plausible_names == names
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from frictrack.diagnose.auxiliary_signals import (
     evidence_curves,
 )
 from frictrack.diagnose.compare import failing_spans
-from frictrack.diagnose.data_faults import remarks_on_named, rests_on_repairs, suspect_run_remarks
+from frictrack.diagnose.data_faults import doubted_mass, remarks_on_named, rests_on_repairs, suspect_run_remarks
 from frictrack.diagnose.diagnosis import Candidate, Diagnosis, Importance
 from frictrack.diagnose.effect_description import describe_effect
 from frictrack.diagnose.examination import ALPHA
@@ -199,8 +199,9 @@ class Conclusion:
         limits, curves = self._limits
         remarks = [*_describe_excluded(search.first.excluded), *self._observation.remarks(self.fit), *self.remarks]
         if self._named:
-            remarks += remarks_on_named(search.start, self._named, self.fit.runs)
-            plausible = [t.effect.title for t in self._named if not t.objection]
+            causes = [t for t in self._named if self._may_be_cause(t)]
+            remarks += remarks_on_named(search.start, self._named[-1].law, causes, self.fit.runs)
+            plausible = [t.effect.title for t in causes]
             remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
         return Diagnosis(
             model=self.fit.model.names,
@@ -215,7 +216,7 @@ class Conclusion:
             candidates=self._candidates,
             unexplained=None if keeps_unexplained or formulas is None else formulas.summary,
             detection_limits=limits,
-            undetermined=list(grounds.gaps) if verdict == "undetermined" else [],
+            undetermined=[*grounds.doubted, *grounds.gaps] if verdict == "undetermined" else [],
             alternatives=self._alternatives if self._named else [],
             remarks=remarks,
             figures=dict(curves),
@@ -265,6 +266,7 @@ class Conclusion:
             error_ratio=after / before,
             reduced_chi2=self._noise[1],
             gaps=find_undetermined(self.fit, search.first, self._limits[1], found[-1].law if found else None),
+            doubted=doubted_mass(self.fit, search),
         )
 
     @cached_property
@@ -295,7 +297,12 @@ class Conclusion:
     @property
     def _plausible_names(self) -> list[str]:
         """The plausible effects among those worth adding."""
-        return [t.effect.title for t in self._named[: self._n_worth_adding] if not t.objection]
+        return [t.effect.title for t in self._named[: self._n_worth_adding] if self._may_be_cause(t)]
+
+    def _may_be_cause(self, t: RefinedCandidate) -> bool:
+        """Whether an effect has no objection; an error of a camera is no lead for tables that it does not explain."""
+        is_seen = not self.search.last.leaves_misfit or any(run.pixel_pitch is not None for run in self.fit.runs)
+        return not t.objection and (is_seen or not t.effect.of_camera)
 
     @property
     def _importance(self) -> list[Importance]:

@@ -13,16 +13,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from frictrack.base.errors import result_or_none
-from frictrack.base.number_format import format_number
+from frictrack.base.number_format import format_number, join_words
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
+from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.effects.models import Model
+from frictrack.fit import Fit, fit
+from frictrack.fit.least_squares import PieceResponse, Solution
+from frictrack.fit.stepwise import bic_penalty
+from frictrack.fit.uncertainty.reported import MIN_RATIO
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 
@@ -33,6 +41,8 @@ MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
+MASS_RATIOS = (-1.6, 1.6)  # logarithm of another mass of a run over the stated one
+TOLERANCE: Any = {"xatol": 0.002}  # of that logarithm
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
 Repaired = Sequence[NDArray[np.int8] | None]  # codes of the frames of every run; None where no frame was repaired
 
@@ -124,17 +134,75 @@ def suspect_run_remarks(last: Solution, runs: Sequence[Run], rng: np.random.Gene
     `last`: the model with the effects found. Returns at most one sentence. Empty where it leaves no significant misfit,
     for fewer than three runs, or where many runs or frames would make it slow.
     """
-    fitted = [run for run in runs if run.role != "validation"]
-    frames = sum(len(run.motion) for run in fitted)
-    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and last.problem.simulates):
-        return []
-    odd = [run.name for run in fitted if _may_be_odd(last, run.name) and _explains(_without(last, run.name), rng)]
-    if not odd or len(odd) == len(fitted) or _explains(last, rng):
+    odd = [run.name for run in _odd_runs(last, runs, rng)]
+    if not odd or len(odd) == sum(run.role != "validation" for run in runs) or _explains(last, rng):
         return []
     check = (
         f"check {'its' if len(odd) == 1 else 'their'} mass, frame rate and scale, and whether the surface was the same"
     )
     return [f"without {' or '.join(odd)} the model with the effects found explains all other runs: {check}"]
+
+
+def _odd_runs(law: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[Run]:
+    """The runs without each of which the model explains all others; none where many would make it slow."""
+    fitted = [run for run in runs if run.role != "validation"]
+    frames = sum(len(run.motion) for run in fitted)
+    if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and law.problem.simulates):
+        return []
+    odd = [run for run in fitted if _may_be_odd(law, run.name)]
+    return [run for run in odd if _explains(_refit(law.problem.model, [r for r in fitted if r is not run]), rng)]
+
+
+def _refit(model: Model, runs: Sequence[Run], mass: float | None = None) -> Solution | None:
+    found = result_or_none(fit, model, runs, reference_mass=mass)
+    return None if found is None else found.solution
+
+
+def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
+    """Return the run of which another mass explains all runs, with more evidence than the effects found.
+
+    It may stand in place of all of them, or of one.
+    """
+    last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
+    if not search.something_is_missing or n != fitted.solution.problem.n_frames:
+        return []
+
+    def with_mass(log_factor: float, model: Model, odd: Run) -> Solution | None:
+        mass = (odd.mass or 0.0) * float(np.exp(log_factor))
+        runs = [replace(run, mass=mass) if run is odd else run for run in fitted.runs]
+        return _refit(model, runs, fitted.reference.mass)
+
+    def misfit(log_factor: float, model: Model, odd: Run) -> float:
+        found = with_mass(log_factor, model, odd)
+        return np.inf if found is None else information_criterion(found)
+
+    less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
+    best = information_criterion(last) - bic_penalty(1, n)
+    for model in (fitted.model, *less):
+        law, doubted = search.first.solution if model is fitted.model else _refit(model, fitted.runs), None
+        for odd in _odd_runs(law, fitted.runs, rng) if law is not None else ():
+            least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
+            found = with_mass(least.x, model, odd) if least.fun < best else None
+            if found is not None and _explains(found, rng):
+                best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
+                doubted = _doubt(odd.name, float(np.exp(least.x)), found, lacks)
+        if doubted is not None:
+            return [doubted]
+    return []
+
+
+def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
+    """What to measure again of a run: its mass or, where its dry friction then differs from the others', its clock."""
+    layout = found.problem.layout
+    logs = dict(zip(layout.run_names, np.log(found.p[layout.levels]), strict=False))
+    friction = float(np.exp(logs.pop(run, 0.0) - np.mean([*logs.values()] or [0.0])))
+    rest = f"the model explains all runs, and {f'only {join_words(lacks)}' if lacks else 'no effect'} is missing"
+    if max(friction, 1 / friction) < MIN_RATIO:
+        why = f"with {mass_ratio:.3g} times its stated mass {rest}"
+        return Undetermined(f"the mass of {run}", why, f"weigh what slid in {run} again")
+    why = f"with {friction:.3g} times the dry friction of the others and {mass_ratio:.3g} times its mass {rest}"
+    rate = f"a frame rate that is {friction**0.5:.3g} times too high does this"
+    return Undetermined(f"the frame rate, mass and surface of {run}", f"{why}; {rate}", f"check them in {run}")
 
 
 def _may_be_odd(last: Solution, run: str) -> bool:
@@ -144,24 +212,17 @@ def _may_be_odd(last: Solution, run: str) -> bool:
     return bool(left - sum(len(r.r) for r in own) <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
 
 
-def _without(last: Solution, run: str) -> Solution | None:
-    """The same model refined for all runs but one; the unknowns of that run keep their values."""
-    problem = last.problem
-    kept = [i for i, piece in enumerate(problem.pieces) if problem.layout.run_names[piece.run] != run]
-    fewer = problem.rebuild(problem.layout, [problem.pieces[i] for i in kept])
-    fewer = fewer.beginning_at([last.responses[i] for i in kept])
-    return result_or_none(fit_with_scatter, fewer, last.p, [last.starts[i] for i in kept], last.tau)
-
-
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:
     """Whether a model leaves no significant misfit."""
     return found is not None and lack_of_fit(draw_null_ensemble(found, rng, N_DRAWS)) >= MIN_P_EXPLAINED
 
 
-def remarks_on_named(model: Solution, found: Sequence[RefinedCandidate], runs: Sequence[Run]) -> list[str]:
-    """Return remarks on the effects found."""
+def remarks_on_named(
+    model: Solution, law: Solution, found: Sequence[RefinedCandidate], runs: Sequence[Run]
+) -> list[str]:
+    """Return remarks on the effects found; `law` is the model with them."""
     named = [t.effect for t in found]
-    return [*held_remarks(model, found[-1].law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
+    return [*held_remarks(model, law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
 
 
 def held_remarks(model: Solution, grown: Solution) -> list[str]:

@@ -360,8 +360,8 @@ class Explanations:
     def pair_instead(self, best: Explanation, examined: Examination) -> Explanation:
         """Return a set in which two effects, in place of one, explain decisively more than the best one, or that one.
 
-        An effect with another incline is one cause too, and only has to explain a little more. One effect more beside
-        all of the best set is none that chance explains as well, in the draws of its examination.
+        An effect with another incline is one cause too, and only has to explain a little more. None of its effects is
+        one that chance adds as well to the rest, in the draws of its examination.
         """
         decisive, near = best.criterion - MIN_CHI2_SEPARATED, best.criterion + MAX_BIC_EQUAL
 
@@ -370,8 +370,8 @@ class Explanations:
             return near if in_its_place and sum(not e.of_record for e in effects) <= best.n_causes else decisive
 
         def is_chance(one: Explanation) -> bool:
-            more = [e for e in one.effects if e.title not in best.names]
-            return len(more) == 1 and examined.p_of_excess(more[0].title, one.gain(best, more[0])) > MAX_P_ONE_MORE
+            rests = [(r, e) for r in self.subsets(one) if r.is_law for e in one.effects if e.title not in r.names]
+            return any(examined.p_of_excess(e.title, one.gain(r, e)) > MAX_P_ONE_MORE for r, e in rests)
 
         size = len(best.effects) + 1
         for rest in self.subsets(best):

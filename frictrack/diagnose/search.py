@@ -29,12 +29,7 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.model_selection import (
-    MAX_CHI2_NEAR,
-    PRIOR_CAMERA,
-    information_criterion,
-    objection,
-)
+from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, PRIOR_CAMERA, information_criterion, objection
 from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.cutting import has_known_history, pieces_of

@@ -36,6 +36,8 @@ class Grounds:
         Of the model without them.
     gaps
         What the runs could not have shown, and parameters of the model that they do not determine.
+    doubted
+        The run of which another mass explains more than the effects found.
 
     """
 
@@ -48,6 +50,7 @@ class Grounds:
     error_ratio: float = 0.0
     reduced_chi2: float = 1.0
     gaps: Sequence[Undetermined] = ()
+    doubted: Sequence[Undetermined] = ()
 
 
 def judge(grounds: Grounds) -> str:
@@ -63,6 +66,8 @@ def judge(grounds: Grounds) -> str:
     """
     if not grounds.something_missing:
         return "undetermined" if grounds.gaps else "complete"
+    if grounds.doubted:
+        return "undetermined"
     is_explained = (
         grounds.n_found > 0
         and not grounds.misfit_left

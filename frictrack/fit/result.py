@@ -403,6 +403,7 @@ class Fit(FittedRuns, StorableFit):
     def summary(self) -> FitSummary:
         """Return the JSON of `frictrack fit`, a dictionary that prints itself as a table."""
         agreement, searched = self.prior_agreement, self.found.searched
+        groups = [run.group for run in self.runs]
         scatter = self.solution.tau if len(self.solution.problem.layout.levels) >= MIN_RUNS_FOR_SCATTER else None
         return FitSummary(
             {
@@ -420,7 +421,7 @@ class Fit(FittedRuns, StorableFit):
                     *(() if self.measured else (*rolling_remarks(self), *noise_free_remark(self.runs))),
                     *([searched.remark] if searched is not None and searched.remark else []),
                     *self.estimates.remarks,
-                    *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2),
+                    *level_remarks(self.solution, self.estimates.covariance, self.reduced_chi2, groups),
                     *(() if agreement is None else agreement.remarks()),
                 ],
                 "law": self.law,

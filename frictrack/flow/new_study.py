@@ -145,7 +145,7 @@ def _survey_runs(path: Path, table: study.TableFile, runs: list[Mapping[str, str
     for one in runs[:MAX_TRACKS_SHOWN] if any(runs) else ():
         words += "; " + ", ".join(f'{key} is "{header}"' for key, header in one.items())
     known = {header for header, _ in COLUMNS.values()} | {header for one in runs for header in one.values()}
-    force = next((h for h in heads if stated_unit(h) and study.may_hold(h, "friction") and h not in known), None)
+    force = study.unnamed_force(heads, known)
     if measured:
         words += '; friction is measured: no mass is needed, and normal_load = "5 N" gives its coefficient'
     elif force:

@@ -6,7 +6,7 @@ import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,9 @@ class Findings:
         # the clock of a film is checked with its header
         stated = {pipeline.run.name: pipeline.run.fps for pipeline in pipelines if pipeline.run.table}
         sensors = {w.run.name: w.get("sensors").clocks.get("a", {}) for w in pipelines if w.run.sensor is not None}
+        twice = partial(measure.plausibility.Finding, "copy", check=("table",))
+        copies = partial(find_duplicate_runs, pipelines)
+        self._check_once("copies", lambda: [twice(f"it is {note}", run=name) for name, note in copies().items()])
         self._check_once("all", lambda: measure.plausibility.implausible_masses(list(runs.values())))
         if not any(one.effect == "spring" and "x_0" in one.per_run for one in self.study.effects):
             self._check_once("origins", lambda: measure.plausibility.different_origins(runs))
@@ -160,7 +163,18 @@ def slide_findings(pipeline: RunPipeline) -> tuple[measure.plausibility.Finding,
         written = run.columns.get(key, COLUMNS[key][0])
         return study.find_header(written.lstrip("-"), present()) or written
 
-    return measure.plausibility.implausible_slide(pipeline.to_run(), film=bool(run.video), header=header)
+    record = pipeline.to_run()
+    found = measure.plausibility.implausible_slide(record, film=bool(run.video), header=header)
+    if run.drive is not None or run.sensor is not None or measure.friction.has_measured_force(record):
+        return found
+    force = study.unnamed_force(present(), {header(key) for key in run.columns})
+    if force is None:
+        return found
+    words = (
+        f'its table has a column "{force}" that is not used, so the mass is taken to move freely; if it is the drive, '
+        f'add drive = "{force}" to columns; if the friction, friction = "{force}"'
+    )
+    return (*found, measure.plausibility.Finding("drive", words, run=run.name, check=("columns",)))
 
 
 def acceleration_findings(pipeline: RunPipeline) -> list[measure.plausibility.Finding]:

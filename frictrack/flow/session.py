@@ -308,7 +308,8 @@ class Session:
     def _tried_model(self, group: str) -> dict[str, Any]:
         """Return the entry of a model: name, effects, settings and errors."""
         summary, request = self.models.summary(group), self.models.request(group)
-        settings = request.model(self.study.effects).settings
+        is_lost = bool(request.lost(self.study.effects))
+        settings = {} if is_lost else request.model(self.study.effects).settings
         return {"name": group, "model": summary["model"], "settings": settings, "errors": summary["errors"]}
 
     @exclusive
@@ -485,9 +486,10 @@ class Session:
 
     def _change_model(self, sign: str, effect: str, seed: int | None) -> dict[str, Any]:
         """Fit the current model with one edit."""
-        effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
-        self.bring_up_to("friction")
         group, request = self.models.current()
+        if sign == "+" or effect not in request.lost(self.study.effects):
+            effects.get(effect, user_effects(self.study.effects))  # an unknown name is refused before any work
+        self.bring_up_to("friction")
         request = request.edited(sign + effect) if seed is None else replace(request.edited(sign + effect), seed=seed)
         request.model(self.study.effects)
         before, command = self.models.summary(group), "add" if sign == "+" else "remove"

@@ -327,7 +327,7 @@ def _with_fitted_mass(run: Run) -> tuple[Run, str]:
     """Return a run of unknown mass with the mass that its drive determines, and a sentence for the user."""
     from frictrack.fit import fit  # noqa: PLC0415 - a second that runs of known mass need not wait for
 
-    found = fit(models.parse(MASS_FIT_MODEL), [run]).parameters["mass.m"]
+    found = fit(models.parse(MASS_FIT_MODEL), [replace(run, role="fit")]).parameters["mass.m"]
     if found.value is None or found.std is None:
         raise FrictrackError(f'mass = "fit": {found.reason}')
     says = f"mass {found.value:.4g} ± {found.std:.2g} kg, fitted to the drive with Coulomb and viscous friction"

@@ -82,6 +82,11 @@ class FitRequest:
     def model(self, tables: Iterable[EffectTable] = ()) -> Model:
         """Return the model, with the settings of the study's `[[effect]]` tables."""
         own = user_effects(tables)
+        for effect in self.lost(tables):
+            raise UsageError(
+                f'the model {self.name} has an effect "{effect}" that the study file no longer defines; write its '
+                f"[[effect]] table again, or take it out of the model: frictrack remove STUDY {effect}"
+            )
         model = models.parse(self.base, own)
         for edit in self.edits:
             inside = edit[1:].partition(".")[0] in model
@@ -90,6 +95,11 @@ class FitRequest:
         adjusted = model.adjusted(_settings(tables))
         check_ties(adjusted.effects)
         return adjusted
+
+    def lost(self, tables: Iterable[EffectTable]) -> list[str]:
+        """Return the effects that were added and that neither the library nor an `[[effect]]` table defines now."""
+        own, added = user_effects(tables), [edit[1:] for edit in self.edits if edit[0] == "+"]
+        return [name for name in added if result_or_none(effects.get, name, own) is None]
 
     @property
     def name(self) -> str:
@@ -296,8 +306,8 @@ class TriedModels:
         return restore(self.runs, store.read(self.path, f"models/{group}")["state"])
 
     def bring_up_to_date(self, group: str) -> None:
-        """Fit a model again if it is outdated."""
-        if self.is_outdated(group):
+        """Fit a model again if it is outdated; one with an effect that is no longer defined stays as it was."""
+        if self.is_outdated(group) and not self.request(group).lost(self.study.effects):
             entry = self._fitted(self.request(group), current=group == self.current_group)
             removed = ("diagnosis",)  # a link into the group that is replaced
             store.write(self.path, {f"models/{group}": entry}, remove=removed, links=self._run_links())

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         has_units,
         may_hold,
         stated_unit,
+        unnamed_force,
     )
     from frictrack.study.loading import Study, load, name_of_table, parse, read_toml, results_folder
     from frictrack.study.reading_tables import (

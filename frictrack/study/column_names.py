@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 
 from frictrack.base.errors import result_or_none
@@ -247,6 +247,12 @@ def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name
         if len(alike) == 1 or (alike and key in REQUIRED and alike[0].endswith("/X")):
             found[key] = alike[0]
     return found
+
+
+def unnamed_force(heads: Sequence[str], named: Collection[str]) -> str | None:
+    """Return the first header of a force along the course that no short name stands for; None if there is none."""
+    forces = (h for h in heads if h not in named and stated_unit(h) and may_hold(h, "friction"))
+    return next((h for h in forces if not re.match(r"normal|load|f_?[nz]\b", base_name(h), re.IGNORECASE)), None)
 
 
 def may_hold(header: str, key: str) -> bool:

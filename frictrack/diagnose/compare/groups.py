@@ -191,8 +191,7 @@ def _with_value_per_run(model: Model, parameter: str) -> Model:
             f'expected a parameter of the model that is fitted but got "{parameter}"; it has {", ".join(known)}'
         )
     return replace(
-        model,
-        effects=tuple(e.adjusted(**{name: {"per_run": True}}) if e.name == effect else e for e in model.effects),
+        model, effects=tuple(e.adjusted(**{name: {"per_run": True}}) if e.name == effect else e for e in model.effects)
     )
 
 

@@ -15,7 +15,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from frictrack.base.distributions import student_sf
 from frictrack.base.errors import UsageError
 from frictrack.base.number_format import format_length, format_number, join_words, lower_first
 from frictrack.effects import Effect
@@ -31,6 +33,7 @@ MAX_NAMES_LISTED = 6  # parameters listed of one group
 NEGATIVE_STD = 3.0  # standard deviations below zero: significantly negative
 MIN_OTHER_RUNS = 2  # that agree with each other
 MIN_RATIO = 1.3  # of friction levels; smaller differences are usual between repeats of a run
+ALPHA_GROUPS = 0.01  # significance level of a difference between groups of runs
 MIN_SPREADS = 5.0  # of the other runs, and standard deviations of the difference
 MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction from that of a shape
 MIN_ROLLING_FRAMES, MIN_ROLLING_TURN = 16, 0.5  # frames, and rad, from which a turn is judged
@@ -257,8 +260,8 @@ def drive_noise_remark(solution: Solution) -> Iterator[str]:
         )
 
 
-def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float) -> Iterator[str]:
-    """State which run has another level of dry friction than all others, and what may cause that.
+def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float, groups: Sequence[str]) -> Iterator[str]:
+    """State which run, or group of runs, has another level of dry friction than others, and what may cause that.
 
     The covariance (P, P) is for noise alone; a misfit widens the standard deviations by the root of `reduced_chi2`.
     """
@@ -267,6 +270,23 @@ def level_remarks(solution: Solution, covariance: Array, reduced_chi2: float) ->
     levels = solution.p[at]
     within = covariance[np.ix_(at, at)] * max(1.0, reduced_chi2) / np.outer(levels, levels)
     yield from describe_level_outliers(layout.run_names, levels, within)
+    yield from _differing_groups(np.array(groups), np.log(levels), within)
+
+
+def _differing_groups(groups: NDArray[np.str_], logs: Array, covariance: Array) -> Iterator[str]:
+    """Say which two groups of runs differ most in the level of dry friction, if that is no chance (Student's t)."""
+    members = {str(g): groups == g for g in np.unique(groups) if g and len(groups) == len(logs)}
+    if len(members) < 2 or (free := sum(int(np.sum(own)) - 1 for own in members.values())) < 1:
+        return
+    low, *_, high = sorted(members, key=lambda g: float(np.mean(logs[members[g]])))
+    spread = sum(float(np.sum((logs[own] - np.mean(logs[own])) ** 2)) for own in members.values()) / free
+    contrast = members[high] / np.sum(members[high]) - members[low] / np.sum(members[low])
+    departure = float(contrast @ logs) / float(np.sqrt(contrast @ (covariance + spread * np.eye(len(logs))) @ contrast))
+    if len(members) * (len(members) - 1) * student_sf(departure, free) < ALPHA_GROUPS:
+        yield (
+            f"dry friction in the group {high} is {np.exp(contrast @ logs):.3g} times that in the group {low}, so that "
+            "one value for all runs holds for neither: frictrack fit --per group fits each"
+        )
 
 
 def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Array) -> Iterator[str]:

@@ -253,11 +253,7 @@ def _modification_times(paths: tuple[Path, ...]) -> tuple[int, ...]:
 
 @lru_cache(maxsize=16)
 def _cached_views(
-    paths: tuple[Path, ...],
-    _: tuple[int, ...],
-    plane: int | None,
-    board: Board,
-    shape: tuple[int, int] | None,
+    paths: tuple[Path, ...], _: tuple[int, ...], plane: int | None, board: Board, shape: tuple[int, int] | None
 ) -> FoundViews:
     film = _is_film(paths)
     if plane is None and not film:

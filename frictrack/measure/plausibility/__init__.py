@@ -2,8 +2,8 @@
 
 `implausible_entries` checks the study file alone; `implausible_slide`, `missing_incline` and `wrong_incline` check one
 measured run; `implausible_inclines`, `implausible_masses`, `implausible_clocks`, `implausible_sensors` and
-`different_origins` check all runs together. Every finding states what was read, why it is implausible, and what to
-enter instead. The plausible ranges and their sources are in `findings`.
+`different_origins` check all runs together. Every finding states what was read, why it is
+implausible, and what to enter instead.
 """
 
 # ruff: noqa: F401 - the imports are the interface

@@ -80,10 +80,7 @@ def fit(model: AnyModel, runs: Sequence[AnyRun]) -> Figure:
 
 @styled
 def failing(
-    model: AnyModel,
-    runs: Sequence[AnyRun],
-    spans: Sequence[dict[str, Any]],
-    better: AnyModel | None = None,
+    model: AnyModel, runs: Sequence[AnyRun], spans: Sequence[dict[str, Any]], better: AnyModel | None = None
 ) -> Figure:
     """Draw the residual of every run, with the spans where the model fails.
 
