@@ -25,7 +25,6 @@ from frictrack.study.schema import (
     SearchTable,
     StudyTable,
 )
-from frictrack.study.writing import CAMERA
 
 SECTIONS: dict[str, type[Keys]] = {
     "[study]": StudyTable,
@@ -44,7 +43,8 @@ TYPES = {
     "FrameRate": ("number or text with unit, above 0", "Hz", "4000"),
     "Frequency": ("number or text with unit, above 0", "Hz", "4000"),
     "FrameLimit": ("whole number of at least 30; inf: any", "", "1000"),
-    "Cost": ("number of at least 0; inf: not possible", "", "5"),
+    "Cost": ("number above 0; inf: not possible", "", "5"),
+    "CostOfChange": ("number of at least 0; inf: not possible", "", "5"),
     "Speeds": ("[slowest, fastest]", "m/s", "[2, 8]"),
     "Masses": ("list of numbers or texts with unit", "kg", '["0.35 kg", "0.70 kg"]'),
     "Place": ("number or text with unit", "m", '"-12 mm"'),
@@ -221,7 +221,9 @@ def described(kind: type[Keys]) -> dict[str, str]:
 def _scale() -> str:
     """Return the section on the forms of `scale`, from the comments that a new study file has."""
     keys = ", ".join(f"`{key}`" for key in SCALE)
-    return f"## Forms of scale\n\n```text\n{CAMERA['scale'][1]}\n```\n\nKeys of the table: {keys}.\n"
+    template = (Path(schema.__file__).parent / "first_keys.toml").read_text()
+    lines = template.partition("# <scale>")[2].partition("\n# scale = ")[0].replace("\n# ", "\n")
+    return f"## Forms of scale\n\n```text\n{lines}\n```\n\nKeys of the table: {keys}.\n"
 
 
 def _tables() -> str:

@@ -30,7 +30,7 @@ from frictrack.effects.models import Model
 from frictrack.fit import Fit, fit
 from frictrack.fit.least_squares import PieceResponse, Solution
 from frictrack.fit.stepwise import bic_penalty
-from frictrack.fit.uncertainty.reported import MIN_RATIO
+from frictrack.fit.uncertainty import MIN_RATIO
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 

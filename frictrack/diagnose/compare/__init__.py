@@ -106,7 +106,7 @@ def compare(fits: Fit | Sequence[Fit], current: int = -1) -> Comparison:
     >>> fit = ft.fit(["coulomb", "viscous"], ft.samples.runs()[:2])
     >>> place = ft.compare(fit).fails_at[0]
     >>> place["run"], [round(x, 2) for x in place["x"]]
-    ('slow', [0.09, 0.11])
+    ('slow', [0.09, 0.12])
 
     """
     tried = [fits] if isinstance(fits, Fit) else list(fits)
