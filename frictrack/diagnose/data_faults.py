@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from frictrack.base.errors import result_or_none
 from frictrack.base.number_format import format_number, join_words
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
-from frictrack.diagnose.model_selection import information_criterion
+from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
@@ -159,7 +159,7 @@ def _refit(model: Model, runs: Sequence[Run], mass: float | None = None) -> Solu
 
 
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
-    """Return the run of which another mass explains all runs, with more evidence than the effects found.
+    """Return the run of which another mass explains all runs, with decisively more evidence than the effects found.
 
     It may stand in place of all of them, or of one.
     """
@@ -177,7 +177,7 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
         return np.inf if found is None else information_criterion(found)
 
     less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
-    best = information_criterion(last) - bic_penalty(1, n)
+    best = information_criterion(last) - bic_penalty(1, n) - MIN_CHI2_SEPARATED
     for model in (fitted.model, *less):
         law, doubted = search.first.solution if model is fitted.model else _refit(model, fitted.runs), None
         for odd in _odd_runs(law, fitted.runs, rng) if law is not None else ():
