@@ -66,7 +66,8 @@ def test_defaults_rate_every_film_alike_and_a_sensor_like_ten():
         ("film = true", "film: expected a valid number but got True"),
         ("speeds = [8, 2]", "expected the slowest speed first but got [8, 2]"),
         ("masses = []", "masses: tuple should have at least 1 item"),
-        ("frames = 12", "frames: expected greater than or equal to 30 but got 12"),
+        ("frames = 12", "expected frames as a whole number of at least 30, or inf, but got 12"),
+        ("frames = 99.5", "expected frames as a whole number of at least 30, or inf, but got 99.5"),
         ("fil = 1", 'unknown key "fil"; did you mean "film"?'),
     ],
 )

@@ -399,6 +399,14 @@ def needs_film(scale: Any) -> bool:
     return isinstance(first, dict) and "length" not in first
 
 
+def _frame_limit(raw: Any) -> float:
+    """Read the largest number of frames in one film; `inf` for any number."""
+    is_whole = type(raw) is int or raw == math.inf
+    if not (is_whole and raw >= MIN_FRAMES_OF_FILM):
+        raise ValueError(f"expected frames as a whole number of at least {MIN_FRAMES_OF_FILM}, or inf, but got {raw!r}")
+    return float(raw)
+
+
 SCALE = (
     "points", "length", "click", "plane", "unit", "target", "board", "squares", "square", "dictionary", "marker",
 )  # fmt: skip
@@ -447,7 +455,7 @@ Speeds = Annotated[
     Pair, _pair("m/s", "speeds = [slowest, fastest] in m/s", "the slowest speed first", may_be_equal=True, above=0.0)
 ]
 Masses = Annotated[tuple[Annotated[float, _number("kg", above=0.0)], ...], Field(min_length=1)]
-FrameLimit = Annotated[float, Field(ge=MIN_FRAMES_OF_FILM, strict=True)]
+FrameLimit = Annotated[float, BeforeValidator(_frame_limit)]
 
 
 class Keys(BaseModel):
