@@ -26,10 +26,10 @@ from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_c
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
-from frictrack.effects.models import Model
-from frictrack.fit import Fit, fit
-from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.fit.stepwise import bic_penalty
+from frictrack.fit import Fit
+from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.fit.pieces import Piece
+from frictrack.fit.stepwise import bic_penalty, remove_effect
 from frictrack.fit.uncertainty import MIN_RATIO
 from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
@@ -150,12 +150,23 @@ def _odd_runs(law: Solution, runs: Sequence[Run], rng: np.random.Generator) -> l
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and law.problem.simulates):
         return []
     odd = [run for run in fitted if _may_be_odd(law, run.name)]
-    return [run for run in odd if _explains(_refit(law.problem.model, [r for r in fitted if r is not run]), rng)]
+    return [run for run in odd if _explains(_refit(law, run), rng)]
 
 
-def _refit(model: Model, runs: Sequence[Run], mass: float | None = None) -> Solution | None:
-    found = result_or_none(fit, model, runs, reference_mass=mass)
-    return None if found is None else found.solution
+def _run_of(law: Solution, piece: Piece) -> str:
+    return law.problem.layout.run_names[piece.run]
+
+
+def _refit(law: Solution, odd: Run, mass_ratio: float | None = None) -> Solution | None:
+    """A model fitted again from where it is, with one run left out, or with so many times its mass."""
+    kept = list(zip(law.problem.pieces, law.starts, strict=True))
+    if mass_ratio is None:
+        kept = [(piece, start) for piece, start in kept if _run_of(law, piece) != odd.name]
+    else:
+        load_ratio = (replace(odd, mass=(odd.mass or 0.0) * mass_ratio).load or 1.0) / (odd.load or 1.0)
+        kept = [(p.of_mass(mass_ratio, load_ratio) if _run_of(law, p) == odd.name else p, start) for p, start in kept]
+    problem = law.problem.rebuild(law.problem.layout, [piece for piece, _ in kept])
+    return result_or_none(fit_with_scatter, problem, law.p, [start for _, start in kept], law.tau or 0.03)
 
 
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
@@ -167,25 +178,22 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     if not search.something_is_missing or n != fitted.solution.problem.n_frames:
         return []
 
-    def with_mass(log_factor: float, model: Model, odd: Run) -> Solution | None:
-        mass = (odd.mass or 0.0) * float(np.exp(log_factor))
-        runs = [replace(run, mass=mass) if run is odd else run for run in fitted.runs]
-        return _refit(model, runs, fitted.reference.mass)
-
-    def misfit(log_factor: float, model: Model, odd: Run) -> float:
-        found = with_mass(log_factor, model, odd)
+    def misfit(log_ratio: float, law: Solution, odd: Run) -> float:
+        found = _refit(law, odd, float(np.exp(log_ratio)))
         return np.inf if found is None else information_criterion(found)
 
-    less = [last.problem.model - t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
+    less = [t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
     best = information_criterion(last) - bic_penalty(1, n) - MIN_CHI2_SEPARATED
-    for model in (fitted.model, *less):
-        law, doubted = search.first.solution if model is fitted.model else _refit(model, fitted.runs), None
-        for odd in _odd_runs(law, fitted.runs, rng) if law is not None else ():
-            least = minimize_scalar(misfit, args=(model, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
-            found = with_mass(least.x, model, odd) if least.fun < best else None
+    laws = (search.first.solution, *(result_or_none(remove_effect, last, name) for name in less))
+    for law in filter(None, laws):
+        doubted = None
+        for odd in _odd_runs(law, fitted.runs, rng):
+            least = minimize_scalar(misfit, args=(law, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
+            ratio = float(np.exp(least.x))
+            found = _refit(law, odd, ratio) if least.fun < best else None
             if found is not None and _explains(found, rng):
-                best, lacks = least.fun, [name for name in model.names if name not in fitted.model.names]
-                doubted = _doubt(odd.name, float(np.exp(least.x)), found, lacks)
+                lacks = [name for name in law.problem.model.names if name not in fitted.model.names]
+                best, doubted = least.fun, _doubt(odd.name, ratio, found, lacks)
         if doubted is not None:
             return [doubted]
     return []
@@ -207,7 +215,7 @@ def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -
 
 def _may_be_odd(last: Solution, run: str) -> bool:
     """Whether the other runs agree far better without one, in linear approximation; a refit shows by how much."""
-    own = [r for r in last.responses if last.problem.layout.run_names[r.piece.run] != run]
+    own = [r for r in last.responses if _run_of(last, r.piece) != run]
     left = chi2_without(replace(last, responses=own), [None] * len(last.problem.layout.run_names))
     return bool(left - sum(len(r.r) for r in own) <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
 

@@ -289,6 +289,18 @@ class Piece:
         push = self.push * (self.mass / mass) ** 2
         return replace(self, mass=mass, push=push, known=self.known - drive / self.mass + drive / mass)
 
+    def of_mass(self, ratio: float, load_ratio: float) -> Piece:
+        """Return the same piece of a run whose mass and normal load are so many times the stated ones."""
+        path = self.path
+        path = replace(
+            path,
+            load=path.load * load_ratio,
+            gravity=path.gravity * load_ratio / ratio,
+            mass_ratio=path.mass_ratio * ratio,
+            mass=None if path.mass is None else path.mass * ratio,
+        )
+        return replace(self.in_mass_units(self.mass * ratio), path=path)
+
     def part(self, start: int, stop: int) -> Piece:
         """Return the frames from `start` up to `stop` as a piece."""
         low, high = int(self.at[start]), int(self.at[stop - 1])
