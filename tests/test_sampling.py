@@ -520,8 +520,7 @@ def test_a_study_names_bad_samples_and_copies(tmp_path):
     assert rows["good"] == []
     assert "off their course (frames 50, 300): left out" in rows["spiky"][0]
     assert rows["again"] == [
-        'the same recording as run "good": it counts twice, so that deviations are too small and a held-out error '
-        "too low; remove one of them"
+        'the same recording as run "good": it is left out, because it tells nothing more'
     ]
     found = session.fit()
     assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])

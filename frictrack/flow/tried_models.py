@@ -23,6 +23,7 @@ from frictrack.effects.models import Model
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress
+from frictrack.flow.plausibility_checks import find_duplicate_runs
 from frictrack.flow.stages import run_pipeline
 from frictrack.flow.store import GroupContent, Provenance
 from frictrack.records import Curve, ModelledMotion, Run
@@ -157,9 +158,10 @@ class TriedModels:
 
     @cached_property
     def runs(self) -> list[Run]:
-        """All runs, brought up to date."""
-        pauses = [pipeline.run.pause for pipeline in self.pipelines]
-        return measure.friction.with_earlier_runs([pipeline.to_run() for pipeline in self.pipelines], pauses)
+        """All runs, brought up to date; a recording that is given twice counts once."""
+        runs, twice = [pipeline.to_run() for pipeline in self.pipelines], find_duplicate_runs(self.pipelines)
+        once = [(run, p.run.pause) for run, p in zip(runs, self.pipelines, strict=True) if run.name not in twice]
+        return measure.friction.with_earlier_runs([run for run, _ in once], [pause for _, pause in once])
 
     # --- which models there are
 
