@@ -54,11 +54,11 @@ from frictrack.fit.least_squares import (
     refine,
     white_noise_covariance,
 )
-from frictrack.fit.linearised import has_per_run_coefficients
+from frictrack.fit.linearised import has_per_run_coefficients, linearise
 from frictrack.fit.parameters import LEVEL, ParameterLayout
 from frictrack.fit.penalties import penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
-from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained
+from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained, refine_on_measured_motion
 from frictrack.records import Array
 from frictrack.results.names import AXES
 
@@ -197,6 +197,7 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     # from no curve: the smooth force itself holds parts that the model takes up, with other values of its parameters
     p, tau = layout.unknowns(old.by_address(solution.p), np.zeros(len(layout.slots))), solution.tau_of_other_runs
+    p = refine_on_measured_motion(linearise(solution), layout, p)
     problem = solution.problem.rebuild(layout)
     return refine(problem, p, solution.starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 

@@ -23,6 +23,7 @@ from frictrack.fit.stepwise.trial import (
     is_unconstrained,
     misfit_left_by_other,
     most_by_smaller_scatter,
+    refine_on_measured_motion,
     scan_effect,
     scan_effects,
     ties_are_resolved,
