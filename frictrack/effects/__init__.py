@@ -16,7 +16,7 @@ from frictrack.effects.definition import (
     Path,
     TestDraw,
     carries_over,
-    joined_earlier,
+    joined_paths,
     scales_with_load,
 )
 from frictrack.effects.memory import direction_of_motion

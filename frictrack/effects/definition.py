@@ -107,10 +107,40 @@ class Path:
         return np.repeat(values, np.diff([*self.starts, len(self.t)]))
 
 
-def joined_earlier(paths: Sequence[Path]) -> tuple[EarlierRuns, ...] | None:
-    """The runs before each stretch of paths that are laid end to end; None where those of one are not known."""
-    each = [path.earlier for path in paths if path.earlier is not None]
-    return tuple(own for earlier in each for own in earlier) if len(each) == len(paths) else None
+def joined_paths(paths: Sequence[Path]) -> Path:
+    """Lay paths end to end: a series that one of them lacks is zero there, a number that of the first.
+
+    Examples
+    --------
+    >>> one = Path(*np.zeros((4, 2)), load=1.0)
+    >>> joined_paths([one, replace(one, load=1.5)]).load
+    array([1. , 1. , 1.5, 1.5])
+
+    """
+    if len(paths) == 1:
+        return paths[0]
+    counts = [len(path.t) for path in paths]
+    joined: dict[str, Any] = {name: np.concatenate([getattr(path, name) for path in paths]) for name in "txvs"}
+    for name in ("drive", "lift", "angle"):
+        series = [getattr(path, name) for path in paths]
+        if any(own is not None for own in series):
+            pairs = zip(series, counts, strict=True)
+            joined[name] = np.concatenate([np.zeros(n) if own is None else own for own, n in pairs])
+    for group in (("load",), ("mass_ratio",), ("gravity",), ("mass",), ("travelled", "begins")):
+        for name in group if all(getattr(path, group[-1]) is not None for path in paths) else ():
+            values = [getattr(path, name) for path in paths]
+            parts = [np.broadcast_to(value, n) for value, n in zip(values, counts, strict=True)]
+            are_equal = all(isinstance(value, float) and value == values[0] for value in values)
+            joined[name] = values[0] if are_equal else np.concatenate(parts)
+    earlier = [path.earlier for path in paths if path.earlier is not None]
+    begins = np.cumsum([0, *counts]).tolist()
+    return replace(
+        paths[0],
+        **joined,
+        before=None,
+        earlier=tuple(own for each in earlier for own in each) if len(earlier) == len(paths) else None,
+        starts=tuple(begin + start for begin, path in zip(begins, paths, strict=False) for start in path.starts),
+    )
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,14 @@ from frictrack.fit.observations import fit_starts, linearise_accelerations, thro
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form
 from frictrack.fit.penalties import prior_misfit
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
-from frictrack.fit.separable.model import DataBlock, SeparableModel, repeat_values, tiled_path
+from frictrack.fit.separable.model import (
+    DataBlock,
+    SeparableModel,
+    at_samples,
+    joined_blocks,
+    repeat_values,
+    tiled_path,
+)
 from frictrack.fit.separable.projected import bounded_population
 from frictrack.fit.smooth_functions import rms
 from frictrack.fit.stepwise import refit_until_stop
@@ -347,8 +355,10 @@ def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> Popula
 
     It is chi-squared of the displacement, or the sum of squared residuals of acceleration or friction, in their unit.
     """
-    kind = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit
-    return kind(problem.layout, problem.blocks, unit=problem.noise**2)
+    kind, blocks = ReducedPopulationMisfit if over == "nonlinear" else PopulationMisfit, problem.blocks
+    if at_samples(problem.model):  # the many pieces of a long run at once
+        blocks = [joined_blocks(list(own)) for _, own in groupby(blocks, key=lambda block: block.run)]
+    return kind(problem.layout, blocks, unit=problem.noise**2)
 
 
 def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:

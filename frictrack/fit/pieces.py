@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cholesky_banded, solve_banded
 
-from frictrack.effects import Path, Span, direction_of_motion, joined_earlier
+from frictrack.effects import Path, Span, direction_of_motion, joined_paths
 from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions, mean_directions
 
@@ -567,30 +567,8 @@ class JoinedPieces:
         if len(self.pieces) == 1:
             return self.pieces[0].path
         paths = [piece.path for piece in self.pieces]
-        joined: dict[str, Any] = {name: self._joined_series([getattr(path, name) for path in paths]) for name in SERIES}
-        for group in (("mass_ratio",), ("gravity",), ("mass",), ("travelled", "begins")):  # a run may lack them
-            if all(getattr(path, group[-1]) is not None for path in paths):
-                joined |= {name: self.spread([getattr(path, name) for path in paths]) for name in group}
         zeros = np.zeros(len(self.panels.t))
-        return replace(
-            paths[0],
-            **joined,
-            t=self.panels.t,
-            x=zeros,
-            v=zeros,
-            s=np.concatenate([path.s for path in paths]),
-            before=None,
-            earlier=joined_earlier(paths),
-            starts=tuple(rows.start for rows in self.nodes),
-            runs=tuple(paths),
-        )
-
-    def _joined_series(self, series: Sequence[Array | None]) -> Array | None:
-        """A series of every piece, end to end; zero where a piece has none, None where no piece has it."""
-        if all(own is None for own in series):
-            return None
-        pairs = zip(series, self.nodes, strict=True)
-        return np.concatenate([np.zeros(rows.stop - rows.start) if own is None else own for own, rows in pairs])
+        return replace(joined_paths(paths), t=self.panels.t, x=zeros, v=zeros, runs=tuple(paths))
 
 
 def consecutive_slices(counts: Iterable[int]) -> list[slice]:

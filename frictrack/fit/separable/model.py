@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from frictrack.effects import Effect, Path, Tie
+from frictrack.effects import Effect, Path, Tie, joined_paths
 from frictrack.effects.models import Model
 from frictrack.fit.parameters import LEVEL, ParameterLayout, apply_constraints, canonical_form
 from frictrack.fit.pieces import Piece, consecutive_slices
@@ -75,6 +76,27 @@ class DataBlock:
     def evaluation_path(self, has_memory: bool) -> Path:
         """Return the path on which effects are evaluated: those without memory at the compared samples only."""
         return self.path if self.compared_path is None or has_memory else self.compared_path
+
+
+def at_samples(model: Model) -> bool:
+    """Return whether the columns of all effects at a sample depend on nothing before it."""
+    return all(e.varies_with is not None and not e.memory for e in model.effects)
+
+
+def joined_blocks(blocks: Sequence[DataBlock]) -> DataBlock:
+    """Return blocks end to end as one, for effects whose columns at a sample depend on nothing before it."""
+    paths = [block.evaluation_path(False) for block in blocks]
+    pairs = list(zip(blocks, consecutive_slices(len(path.t) for path in paths), strict=True))
+    return replace(
+        blocks[0],
+        path=joined_paths(paths),
+        compared_path=None,
+        data=np.concatenate([block.data for block in blocks]),
+        forward=lambda rows: np.concatenate([block.forward(rows[..., cut]) for block, cut in pairs], axis=-1),
+        picture=lambda rows: np.concatenate([block.picture(rows[..., cut]) for block, cut in pairs], axis=-1),
+        friction=np.concatenate([block.friction for block in blocks]),
+        rest=sum(block.rest for block in blocks),
+    )
 
 
 def displacement_block(piece: Piece) -> DataBlock:
@@ -170,7 +192,7 @@ def tiled_path(path: Path, count: int) -> Path:
         for one in fields(path)
         if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
     }
-    tiled = replace(path, starts=tuple(n * i for i in range(count)), **repeated)
+    tiled = replace(path, starts=tuple(n * i + start for i in range(count) for start in path.starts), **repeated)
     if n * count <= MAX_SAMPLES_KEPT:
         vars(path)["_tiled"] = count, tiled
     return tiled
@@ -293,6 +315,7 @@ class SeparableModel:
             e.name: {q.name: self.layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters}
             for e in self.layout.model.effects
         }
+        self._evaluated = [self._blocks_of(g) for g in range(len(self.groups))]
         self.responses: dict[int, list[tuple[int, int, int | None]]] = {}
         for g, group in enumerate(self.groups):
             names = list(places[g][0])
@@ -387,16 +410,26 @@ class SeparableModel:
 
     # --- evaluation
 
+    @cached_property
+    def _whole(self) -> DataBlock:
+        """All blocks as one."""
+        return joined_blocks(self.blocks)
+
+    def _blocks_of(self, g: int) -> Sequence[DataBlock]:
+        """The blocks in which a group is evaluated: all as one if it is the same at all samples of equal motion."""
+        alike = all(len(set(own[self.runs].tolist())) == 1 for own in self._sources[g].values())
+        return [self._whole] if alike and len(self.blocks) > 1 and at_samples(self.groups[g].model) else self.blocks
+
     def columns(self, g: int, nonlinear_values: Array, steps: Array) -> Array:
         """Compute the columns of a group at level one, and their derivatives by its q non-linear parameters."""
         parts = []
-        for b, block in enumerate(self.blocks):
+        for block in self._evaluated[g]:
             places = self.places[g].reshape(-1, len(self.layout.run_names))[:, block.run]
             own = np.where(places < 0, 1.0, steps[places])
             moved = np.tile(nonlinear_values, (1 + len(places), 1))
             j = np.flatnonzero(places >= 0)
             moved[1 + j, places[j]] += own[j]
-            made = self.rows(g, b, moved)
+            made = self.rows_in(block, g, moved)
             made[1:] -= made[0]
             made[1:] /= own[:, None, None]
             parts.append(made)
@@ -407,7 +440,11 @@ class SeparableModel:
 
         Q is 1 if the group has no non-linear parameters.
         """
-        group, block = self.groups[g], self.blocks[b]
+        return self.rows_in(self.blocks[b], g, nonlinear_values)
+
+    def rows_in(self, block: DataBlock, g: int, nonlinear_values: Array) -> Array:
+        """Compute the same rows in any block of the same runs."""
+        group = self.groups[g]
         p = len(nonlinear_values) if group.nonlinear_slots else 1
         forward = block.picture if group.is_measurement else block.forward
         path = tiled_path(block.evaluation_path(group.model.memory), (1 + group.is_sinusoid) * p)
