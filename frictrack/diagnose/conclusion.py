@@ -257,7 +257,7 @@ class Conclusion:
         search, found = self.search, self.search.found
         # with all effects found: one alone need not lower the error where others are missing too
         before, after, _ = self._heldout(found[-1].law) if found else (1.0, 0.0, "")
-        return Grounds(
+        grounds = Grounds(
             something_missing=search.something_is_missing,
             n_found=len(found),
             misfit_left=search.last.leaves_misfit,
@@ -265,9 +265,12 @@ class Conclusion:
             has_rivals=any(t.indistinguishable_from for t in found[: self._n_worth_adding]) or bool(self._alternatives),
             error_ratio=after / before,
             reduced_chi2=self._noise[1],
-            gaps=find_undetermined(self.fit, search.first, self._limits[1], found[-1].law if found else None),
             doubted=doubted_mass(self.fit, search),
         )
+        if grounds.is_clear:
+            return grounds
+        gaps = find_undetermined(self.fit, search.first, self._limits[1], found[-1].law if found else None)
+        return replace(grounds, gaps=gaps)
 
     @cached_property
     def _verdict_of_effects(self) -> str:

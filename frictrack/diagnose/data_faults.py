@@ -35,7 +35,7 @@ from frictrack.records import Mask, Run
 from frictrack.settings.repairs import TRACKED_AGAIN
 
 MIN_EXCESS_SIGMAS = 4.0  # of chi-squared above its expectation, for a misfit to stand without the repaired frames
-MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames, or on one run
+MAX_SHARE_LEFT = 0.5  # of the misfit, up to which it rests on the repaired frames
 ADVICE = 'look at them in the film, or repair them with how = "leave_out", and diagnose again'
 MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
@@ -214,10 +214,12 @@ def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -
 
 
 def _may_be_odd(last: Solution, run: str) -> bool:
-    """Whether the other runs agree far better without one, in linear approximation; a refit shows by how much."""
+    """Whether the other runs nearly agree without one, in linear approximation; a refit shows whether they do."""
     own = [r for r in last.responses if _run_of(last, r.piece) != run]
     left = chi2_without(replace(last, responses=own), [None] * len(last.problem.layout.run_names))
-    return bool(left - sum(len(r.r) for r in own) <= MAX_SHARE_LEFT * (last.chi2 - last.problem.n_frames))
+    n, frames = last.problem.n_frames, sum(len(r.r) for r in own)
+    # errors of the approximation are of second order: a refit brings a misfit from half way, in logarithms, to noise
+    return bool(left - frames <= np.sqrt(max(last.chi2 - n, 0.0) * np.sqrt(2.0 * n)))
 
 
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:

@@ -52,6 +52,17 @@ class Grounds:
     gaps: Sequence[Undetermined] = ()
     doubted: Sequence[Undetermined] = ()
 
+    @property
+    def is_explained(self) -> bool:
+        """Whether the effects found are plausible, leave no misfit and lower the held-out error."""
+        is_cause = self.n_found > 0 and not self.has_objection
+        return is_cause and not self.misfit_left and self.error_ratio < MAX_ERROR_RATIO
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether something is missing that nothing explains, whatever the runs leave open."""
+        return self.something_missing and not self.is_explained and self.reduced_chi2 >= 1
+
 
 def judge(grounds: Grounds) -> str:
     """Return the verdict: complete, missing, ambiguous, unexplained or undetermined.
@@ -68,22 +79,14 @@ def judge(grounds: Grounds) -> str:
         return "undetermined" if grounds.gaps else "complete"
     if grounds.doubted:
         return "undetermined"
-    is_explained = (
-        grounds.n_found > 0
-        and not grounds.misfit_left
-        and not grounds.has_objection
-        and grounds.error_ratio < MAX_ERROR_RATIO
-    )
-    if grounds.gaps and not _is_clear(grounds, is_explained):
+    if grounds.gaps and not (grounds.is_clear or _is_decisive(grounds)):
         return "undetermined"
-    if grounds.is_formula or not is_explained:
+    if grounds.is_formula or not grounds.is_explained:
         return "unexplained"
     return "ambiguous" if grounds.has_rivals else "missing"
 
 
-def _is_clear(grounds: Grounds, is_explained: bool) -> bool:
-    """Whether something is missing, whatever the runs leave open."""
-    if not is_explained:
-        return grounds.reduced_chi2 >= 1
+def _is_decisive(grounds: Grounds) -> bool:
+    """Whether the effects found are missing, whatever the runs leave open."""
     model_is_determined = all(gap.uncertainty is None for gap in grounds.gaps)
-    return model_is_determined or grounds.error_ratio < MAX_ERROR_RATIO_DECISIVE
+    return grounds.is_explained and (model_is_determined or grounds.error_ratio < MAX_ERROR_RATIO_DECISIVE)
