@@ -480,9 +480,10 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     _fill_noise(law, data[:, 1:], rng)
     levels = fitted.problem.layout.levels
     if basis.random:
-        scatter = fitted.tau * rng.standard_normal((len(levels), draws))
+        scatter = rng.standard_normal((len(levels) + len(law.parts.runs), draws))
         for rows in law.rows:
-            data[rows, 1:] += (fitted.jac[rows][:, levels] @ scatter).astype(np.float32)
+            columns = np.column_stack([fitted.tau * fitted.jac[rows][:, levels], law.parts.columns[rows]])
+            data[rows, 1:] += (columns @ scatter).astype(np.float32)
     coordinates = law.coordinates(data)
     taus = np.append(TAU_GRID, fitted.tau) if basis.random else np.array([1.0])
     on_basis = law.basis_coordinates.T @ coordinates
