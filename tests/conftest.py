@@ -27,7 +27,7 @@ MASS, F_C, F_V = 0.35, 1.2, 0.4  # kg, N, N s/m
 SPEEDS = {"slow": 2.0, "middle": 3.0, "fast": 3.5}  # m/s
 NOISE = 10e-6  # m
 WHOLE_PAPERS_ROUTE = TriedModels.fit_papers_route
-SHARES = 40  # of the slow tests, for CI
+SHARES = 80  # of the slow tests, for CI
 
 STUDY = """
 [study]
@@ -47,7 +47,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--share",
         metavar="COMMIT",
-        help=f"only the one of {SHARES} shares that this hash of a commit chooses",
+        help=f"of the slow tests only the one of {SHARES} shares that this hash of a commit chooses",
     )
 
 
@@ -59,9 +59,9 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the further cases of `few` tests as slow, and keep only a share of all tests if asked.
+    """Mark the further cases of `few` tests as slow, and keep only a share of the slow tests if asked.
 
-    Every test is in one of the shares, but for those that take minutes alone.
+    Every slow test is in one of the shares, but for those that take minutes alone.
     """
     families: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -79,7 +79,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         others = {
             item
             for item in items
-            if zlib.crc32(item.nodeid.encode()) % SHARES != turn or item.get_closest_marker("release")
+            if item.get_closest_marker("slow")
+            and (zlib.crc32(item.nodeid.encode()) % SHARES != turn or item.get_closest_marker("release"))
         }
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]
