@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -61,7 +60,8 @@ def pytest_configure() -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the further cases of `few` tests as slow, and keep only a share of the slow tests if asked.
 
-    Every slow test is in one of the shares, but for those that take minutes alone.
+    Every slow test is in one of the shares, but for those that take minutes alone. Each has some of every large file
+    and table of cases, so that all cost about the same.
     """
     families: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -75,13 +75,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 case.add_marker("slow")
     commit = config.getoption("--share")
     if commit:
-        turn = int(commit, 16) % SHARES
-        others = {
-            item
-            for item in items
-            if item.get_closest_marker("slow")
-            and (zlib.crc32(item.nodeid.encode()) % SHARES != turn or item.get_closest_marker("release"))
-        }
+        slow = [item for item in items if item.get_closest_marker("slow")]
+        lot = [item for item in slow if not item.get_closest_marker("release")]
+        others = set(slow) - set(lot[int(commit, 16) % SHARES :: SHARES])
         config.hook.pytest_deselected(items=list(others))
         items[:] = [item for item in items if item not in others]
 
