@@ -23,7 +23,7 @@ from frictrack.simulate import Conditions, Trajectory, simulate, trajectory
 Values = Mapping[str, Mapping[str, float]]
 
 MASS_KG = 0.35
-FPS = 1000.0
+FPS = 500.0
 PITCH_M = 5e-4
 NOISE_M = 1e-6
 AGREEMENT_M = 1e-7  # of simulated motions: a tenth of the noise, where `simulate` asks for a ten-thousandth

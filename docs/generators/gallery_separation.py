@@ -12,6 +12,7 @@ from frictrack.diagnose.experiments import ExperimentSetup
 from frictrack.diagnose.experiments.evidence import EvidenceTables, tabulate_evidence
 from frictrack.diagnose.experiments.selection import REFERENCE_INSTRUCTION
 from frictrack.effects import models
+from frictrack.records import Array
 
 FIRST_RUN = "4 m/s"  # key of the run that has been filmed already
 
@@ -59,20 +60,26 @@ def separating_run(effect: str, rival: str) -> Separation | None:
         return None
     keys = [run.design.key for run in tables.runs]
     first = keys.index(FIRST_RUN)
-    options = {tables.runs[i].design.words: ([first, i], False) for i in range(len(keys)) if i != first}
-    options[REFERENCE_INSTRUCTION] = [first], True
+    options = {tables.runs[i].design.words: ((first, i), False) for i in range(len(keys)) if i != first}
+    options[REFERENCE_INSTRUCTION] = (first,), True
     evidence = {words: _evidence(effect, rival, *option) for words, option in options.items()}
     best = max(evidence, key=lambda words: evidence[words])
-    before = _evidence(effect, rival, [first], False)
+    before = _evidence(effect, rival, (first,), False)
     return Separation(tables.runs[first].design.words, best, before, evidence[best])
 
 
-def _evidence(effect: str, rival: str, runs: list[int], reference: bool) -> float:
+def _evidence(effect: str, rival: str, runs: tuple[int, ...], reference: bool) -> float:
     """Expected chi-squared between two effects, whichever is true."""
     tables = _tables()
     a, b = tables.names.index(effect), tables.names.index(rival)
-    found = tables.evidence(runs, reference=reference)
+    found = _of_all_pairs(runs, reference)
     return float(min(found[a, b], found[b, a]))
+
+
+@cache
+def _of_all_pairs(runs: tuple[int, ...], reference: bool) -> Array:
+    """Expected chi-squared between any two effects; the pages of all effects ask for the same few runs."""
+    return _tables().evidence(list(runs), reference=reference)
 
 
 @cache
