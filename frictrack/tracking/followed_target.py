@@ -95,7 +95,6 @@ def _remeasure(
     changed = np.all(off < MAX_PREDICTION_SIGMAS, axis=1) & (share[rows] <= share[nearest] + MAX_UNEXPLAINED_SHARE)
     typical = max(target_model.typical_misfit, target_model.template.min_misfit)
     corner, fit = refine_predicted(film, rows, predicted, raw_track.fit[nearest], target_model, typical)
-    fit = replace(fit, sigma=fit.sigma * target_model.sigma_inflation)
     accepted = (
         fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical) & np.all(np.abs(fit.position) < MAX_SHIFT_PX, axis=1)
     )
@@ -146,7 +145,6 @@ def measure_all(
     """
     size = target_model.template.weight.shape
     max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
-    raw_track.fit.sigma[:] *= target_model.sigma_inflation
     parts = [rows[at : at + SEGMENT_FRAMES] for at in range(0, len(rows), SEGMENT_FRAMES)]
     measured = work.run(_measure_rows, [(film, part, raw_track[part], target_model) for part in parts], "measure")
     for part, found in zip(parts, measured, strict=True):
@@ -280,7 +278,7 @@ def _path_direction(track: Track) -> Array:
 
 def _with_systematic_error(track: Track, target_model: TargetModel, direction: Array) -> Track:
     """Add the systematic error along the path, with a note where the target's appearance changes."""
-    systematic = float(np.sqrt(max(direction @ target_model.systematic_covariance @ direction, 0.0)))
+    systematic = float(np.sqrt(max(float(direction @ target_model.systematic_covariance @ direction), 0.0)))
     min_systematic = float(np.hypot(SYSTEMATIC_SHARE * np.nanmedian(track.sigma_px), MIN_SYSTEMATIC_PX))
     if systematic < min_systematic:
         return replace(track, systematic=min_systematic)

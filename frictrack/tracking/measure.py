@@ -71,7 +71,7 @@ def measure_frames(
         refitted = suspect[better.converged]
         share[refitted] = kept_share[better.converged]
         fit.put(refitted, better[better.converged])
-    return replace(fit, sigma=fit.sigma * target_model.sigma_inflation), share
+    return fit, share
 
 
 def refine_robust(

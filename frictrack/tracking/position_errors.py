@@ -1,20 +1,16 @@
 """Estimate position errors beyond those of white pixel noise.
 
-A position is a sum over pixels of slope times residual. Where the residuals of neighbours are correlated (blocks of a
-codec, light that moves over the target, a lens), this sum scatters more than with independent noise. Its variance comes
-from sums over square blocks, each block one draw: the clustered sandwich estimator (White 1980, Econometrica 48:817;
-Liang & Zeger 1986, Biometrika 73:13), averaged over frames.
-
 An error of all pixels together leaves no residual, whatever its size. Two things show it. It scatters about any smooth
-motion, as the errors of a target that is sharper than the sensor resolves do. And a codec such as MPEG-4 or H.264 makes
-each frame of the one before, moved by steps of a half or a quarter of a pixel, and corrects what is off by more than
-its quantisation. So it repeats residuals on the target from frame to frame, which no camera does, and it leaves the
-target displaced by so much that the picture differs by a share of the same size.
+motion: so do errors of blocks of a codec, and of a target that is sharper than the sensor resolves. And a codec such as
+MPEG-4 or H.264 makes each frame of the one before, moved by steps of a half or a quarter of a pixel, and corrects what
+is off by more than its quantisation. So it repeats residuals on the target from frame to frame, which no camera does,
+and it leaves the target displaced by so much that the picture differs by a share of the same size.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,8 +25,6 @@ from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit
 from frictrack.tracking.template import TargetModel, Template
 from frictrack.tracking.template_learning import pixel_harmonics
 
-BLOCK_SIDES_PX = (4, 8, 16)  # px
-MIN_BLOCKS = 8  # whose scatter is an estimate
 N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
 PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
 MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
@@ -84,7 +78,7 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
     What of the shift does not scatter from frame to frame along the path, whose `direction` is a unit vector (2,), is
     its slow error.
     """
-    columns: dict[str, Array] = {}
+    columns: dict[str, Any] = {}
     for name, series in (("sigma_px", track.x_px), ("sigma_y_px", track.y_px), ("sigma_angle", track.angle)):
         stated = getattr(track, name)
         usual, (scatter, error) = float(np.nanmedian(stated)), noise_of_smooth(series, track.t)
@@ -107,53 +101,14 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
 Rows = NDArray[np.intp]
 
 
-def sigma_inflation(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:
-    """Compute how far the standard deviations exceed those of white noise.
-
-    Parameters
-    ----------
-    cuts : array (n, h, w)
-        Grey values.
-    fit : SubpixelFit
-        Fit on the cut-outs.
-    template : Template
-        Learnt template.
-    share : array (n, h, w), optional
-        Share of its weight that each pixel kept.
-
-    Returns
-    -------
-    array (3,)
-        Factors for x, y and the angle; 1 where no excess is significant.
-
-    """
-    slopes = template.design(fit.unrotated())[:, 2:5] @ template.basis_images  # (n, 3, h w)
-    residuals = residual_images(cuts, fit, template) if share is None else residual_images(cuts, fit, template) * share
-    pulls = slopes * (residuals.reshape(len(cuts), 1, -1) * template.root_weight)
-    white_variance = np.sum(pulls**2, axis=(0, 2))
-    factor = np.ones(3)
-    for block in BLOCK_SIDES_PX:
-        sums = _block_sums(pulls.reshape(-1, *cuts.shape[1:]), block).reshape(len(cuts), 3, -1)
-        count = sums.shape[2]
-        if count < MIN_BLOCKS:
-            break
-        # The fit makes the sum over each frame zero: one of `count` degrees of freedom is lost.
-        ratio = np.sum(sums**2, axis=(0, 2)) / white_variance * count / (count - 1)
-        significant = ratio - 1 > MIN_SIGNIFICANCE * np.sqrt(2 / (len(cuts) * count))
-        factor = np.where(significant, np.maximum(factor, ratio), factor)
-    return np.sqrt(factor)
-
-
 def systematic_covariance(cuts: Patch, fit: SubpixelFit, template: Template, share: Patch | None = None) -> Array:
     """Estimate slow position errors that arise because the appearance of the target changes along its path.
 
     Light from another direction, a highlight that moves over the body, or background at its edge leaves the same
-    residual
-    in neighbouring frames. Every part of the target then implies a different position. The scatter over the parts is
-    the
-    error, as in `sigma_inflation`, but for the mean residual of a stretch of the path. Noise, which the frames of a
-    stretch
-    do not share, is subtracted: with C of one frame and C_m of the mean of n, the slow part is (n C_m - C) / (n - 1).
+    residual in neighbouring frames. Every part of the target then implies a different position. The scatter over the
+    parts is the error (the clustered sandwich estimator: White 1980, Econometrica 48:817), for the mean residual of a
+    stretch of the path. Noise, which the frames of a stretch do not share, is subtracted: with C of one frame and C_m
+    of the mean of n, the slow part is (n C_m - C) / (n - 1).
 
     Parameters
     ----------
@@ -216,9 +171,3 @@ def _block_covariance(pulls: Array, of_mean: bool) -> Array:
     sums = np.add.reduceat(np.add.reduceat(pulls, rows, axis=2), cols, axis=3).reshape(len(pulls), 2, -1)
     count = sums.shape[2]
     return np.asarray(np.einsum("nib,njb->ij", sums, sums) / len(pulls) * count / (count - 1))
-
-
-def _block_sums(pictures: Array, block: int) -> Array:
-    """Sums over squares of `block` px (n, blocks); the last ones may be smaller."""
-    rows, cols = (np.arange(0, s, block) for s in pictures.shape[1:])
-    return np.add.reduceat(np.add.reduceat(pictures, rows, axis=1), cols, axis=2).reshape(len(pictures), -1)
