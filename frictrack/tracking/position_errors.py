@@ -88,6 +88,10 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
     slow = np.sqrt(float(direction**2 @ np.maximum(shift**2 - np.square(level), (LASTING_SHARE * shift) ** 2)))
     for name, usual, whole in zip(("sigma_px", "sigma_y_px"), level, shift, strict=True):
         columns[name] = columns[name] * max(np.sqrt(max(whole**2 - slow**2, 0.0)) / usual, 1.0)
+    before, after = (
+        float(direction**2 @ [np.nanmedian(one) ** 2 for one in pair])
+        for pair in ((track.sigma_px, track.sigma_y_px), (columns["sigma_px"], columns["sigma_y_px"]))
+    )
     notes = track.notes
     if np.any(shift):
         notes += (
@@ -95,7 +99,8 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
             f"displaced by {np.hypot(slow, level[0]):.2g} px rms, of which {slow:.2g} px last for many frames; an "
             "uncompressed film, or one by MJPEG, has no such errors",
         )
-    return replace(track, **columns, systematic=float(np.hypot(track.systematic, slow)), notes=notes)
+    slow_error = float(np.hypot(track.systematic, slow))
+    return replace(track, **columns, systematic=slow_error, raised=float(np.sqrt(after / before)), notes=notes)
 
 
 Rows = NDArray[np.intp]
