@@ -143,6 +143,9 @@ TEXTS = {
     "summary": ("t (s),x (mm)", lambda t, x, i: (f"{t:.4f}", mm(x)), {"below": ["Mean,1.3", "End of data"]}),
     "no header": ("", lambda t, x, i: (f"{t:.4f}", mm(x)), {}),
     "full width": ("时间（s）,位移（mm）", lambda t, x, i: (f"{t:.4f}", mm(x)), {}),
+    "japanese": ("時間 (s),変位 (mm)", lambda t, x, i: (f"{t:.4f}", mm(x)), {"encoding": "cp932"}),
+    "units written out": ("Time (Seconds),X (Meters),Distance", lambda t, x, i: (f"{t:.4f}", f"{x:.7f}", "-1"), {}),
+    "unnamed rows": (",Slice n° (frames),x (mm)", lambda t, x, i: (str(i + 1), str(i + 1), mm(x)), {}),
     "chinese": ("时间(s),位移(mm)", lambda t, x, i: (f"{t:.4f}", mm(x)), {"encoding": "gb18030"}),
 }
 
@@ -153,7 +156,21 @@ def test_texts_of_instruments(tmp_path: Path, name: str) -> None:
     header, cells, how = TEXTS[name]
     write(tmp_path, header, cells, **how)
     units = {'"column 1 (s)"': '"column 1 (s)"', '"column 2 (m)"': '"column 2 (mm)"'} if name == "no header" else {}
-    assert_law(law(tmp_path, units=units))
+    assert_law(law(tmp_path, units=units, fps=200 if name == "unnamed rows" else None))
+
+
+def test_a_log_of_an_arduino_is_a_table(tmp_path: Path) -> None:
+    write(tmp_path, "micros,pos_mm", lambda t, x, i: (f"{1e6 * t + 4294000000:.0f}", mm(x)))
+    for path in tmp_path.glob("*.csv"):
+        path.rename(path.with_suffix(".log"))
+    assert_law(law(tmp_path))
+
+
+def test_a_letter_in_japanese_is_read_as_it_was_written(tmp_path: Path) -> None:
+    write(tmp_path, *TEXTS["japanese"][:2], encoding="cp932")
+    assert "変位 (mm)" in Path(
+        propose_study(tmp_path, {"mass": "1 kg", "scale": None, "fps": None})["study"]
+    ).read_text("utf-8")
 
 
 def test_sheets_of_a_workbook_and_columns_beside_one_clock_are_runs(tmp_path: Path) -> None:

@@ -352,7 +352,8 @@ def _pixel_locked_share(run: Run, rows: Rows, noise: Array) -> float:
     """Share of the measured variance of a film beyond what its tracker states; 0 for a table."""
     if not run.displacement.systematic or not run.pixel_pitch:
         return 0.0
-    return max(0.0, 1 - float(np.mean(run.displacement.sigma_x[rows] ** 2) / np.mean(noise[rows] ** 2)))
+    stated = run.displacement.sigma_x[rows] / run.displacement.raised
+    return max(0.0, 1 - float(np.mean(stated**2) / np.mean(noise[rows] ** 2)))
 
 
 def _noise_stretch(run: Run, positions: Array) -> NoiseStretch:

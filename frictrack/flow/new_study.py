@@ -185,7 +185,10 @@ def _without_positions(path: Path, heads: Sequence[str]) -> Surveyed:
     if COLUMNS["t"][0] in heads and kind:
         use = f'write {kind} = "{path.name}" in the [[run]] that it belongs to'
         return Surveyed(path, problem=f"{shown}: a {kind} with its own clock; {use}", sensor=kind)
-    return Surveyed(path, problem=f"no column of times and no column of positions in it, but {shown}")
+    units = [stated_unit(head) for head in heads]
+    forces = any(unit == "g" or study.may_hold(f"({unit})", key) for unit in units if unit for key in ("friction", "a"))
+    also = "; a force or an acceleration needs positions of the same run beside it, in columns or a table of their own"
+    return Surveyed(path, problem=f"no column of times and no column of positions in it, but {shown}{also * forces}")
 
 
 def _with_sensors(found: Sequence[Surveyed], sensors: Sequence[Surveyed]) -> Iterator[Surveyed]:

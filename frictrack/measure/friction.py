@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import noise_of_smooth, white_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
+from frictrack.sampling import noise_of_smooth, white_noise
 
 MIN_MOVING_SIGMAS = 3.0  # |v| over sigma_v from which a frame counts as moving
 MIN_SHARE_OF_NEIGHBOURS = 0.5  # of the speed around them, with which frames of uncertain velocity move too
@@ -262,7 +262,7 @@ def drive_noise(run: Run) -> float:
     """White noise of the drive of a run, N, as stated, else what it scatters about any smooth course."""
     if run.drive is None or run.sigma_drive is not None:
         return run.sigma_drive or 0.0
-    return noise_of_smooth(np.asarray(run.drive, dtype=float))
+    return float(np.nan_to_num(noise_of_smooth(np.asarray(run.drive, dtype=float))[0]))
 
 
 def has_measured_force(run: Run) -> bool:

@@ -275,6 +275,7 @@ class Track(FrameTable):
     template: int = 0  # number of the frame in which `target` stands
     picture: Array | None = None  # the target averaged over the run, grey values
     systematic: float = scalar("px", default=0.0)  # rms of the slowly varying error of the positions, besides the noise
+    raised: float = scalar("1", default=1.0)  # factor on the deviations by the scatter of positions along the path
     notes: tuple[str, ...] = ()  # notes on the measurement
     sigma_angle: Array | None = column("rad", nan=True, default=None)
     outline: tuple[Point, ...] = ()  # corners of the target in frame `template`, px, if it is not a rectangle
@@ -336,6 +337,7 @@ class Displacement(FrameTable):
     pixel_pitch: float | None = scalar("m", default=None)
     relative_scale_error: float = scalar("1", default=0.0)
     systematic: float = scalar("m", default=0.0)  # rms of the slowly varying error of the tracker, besides its noise
+    raised: float = scalar("1", default=1.0)  # factor on sigma_x by scatter that the picture does not tell of
     shake: tuple[float, ...] = ()  # camera shake that may be left: frequency in Hz, rms along x in m
     notes: tuple[str, ...] = ()
     resolution: float = scalar("m", default=0.0)  # step of which all x are multiples, if it exceeds the noise

@@ -1,4 +1,4 @@
-"""Check the samples of a displacement: outliers, rounding, repeated and missing frames, clock, copies of a record."""
+"""Check the samples of a displacement: noise, outliers, rounding, repeated or missing frames, clock, copied records."""
 
 # ruff: noqa: F401 - the imports are the interface
 
@@ -16,9 +16,18 @@ from frictrack.sampling.clock import (
     rounded_clock,
     rounding_noise,
     stamp_rounding,
-    uneven_noise,
     unevenness,
     unwrapped,
+)
+from frictrack.sampling.noise_level import (
+    CORRELATION_COST,
+    DIFFERENCE_ORDER,
+    FALLBACK_ORDER,
+    difference_order,
+    difference_variance,
+    noise_level,
+    noise_of_smooth,
+    white_noise,
 )
 from frictrack.sampling.screen import (
     copies,

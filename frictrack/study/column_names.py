@@ -25,12 +25,13 @@ _RUN_LABEL = re.compile(rf"^.*:|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGN
 _COUNT = re.compile(
     r"\s*/?\s*\b(counts?|cts?|inc(rements?)?|inkremente?|pulses?|imp(ulse)?|ticks?|digits?|lsb|steps?)\b", re.I
 )
+_WRITTEN_OUT = re.compile(r"[A-Z][a-z]{4,}")  # "Meters", as LabVIEW has it
 _DEGREES = ("deg", "°", "degree", "degrees", "Grad")
 # Units of a position that is an angle, in rad.
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "rev": math.tau, "turns": math.tau} | dict.fromkeys(_DEGREES, math.pi / 180)
 # Usual names of a column, in English, German, French, Spanish, Chinese and Japanese; "/x" ends those of one program.
 _USUAL_NAMES = {
-    "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit(stempel)?|temps|tiempo|时间|時間"),
+    "t": re.compile(r"t|time|times?tamps?|elapsed time|time stamp|zeit(stempel)?|micros|millis|temps|tiempo|时间|時間"),
     "x": re.compile(
         r"x|pos(ition)?|x[ _]?pos(ition)?|pos(ition)?[ _]?x|disp(lacement)?|d[ée]placement|distance|weg|.*/x|x_target"
         r"|verschiebung|位移|位置|距离|変位"
@@ -69,7 +70,8 @@ def stated_unit(header: str) -> str | None:
 
     """
     found = UNIT.search(header) or _LAST_WORD_UNIT.search(header)
-    return (_COUNT.sub("", found[1]).strip() or None) if found else None
+    unit = _COUNT.sub("", found[1]).strip() if found else ""
+    return (unit.lower() if _WRITTEN_OUT.fullmatch(unit) else unit) or None
 
 
 def unit_size(unit: str, si: str, what: str) -> float:
@@ -244,6 +246,7 @@ def guess_columns(present: Sequence[str], name: Callable[[str], str] = base_name
     found = {}
     for key, names in _USUAL_NAMES.items():
         alike = [h for h in present if names.fullmatch(name(h).casefold()) and may_hold(h, key)]
+        alike = [h for h in alike if name(h).casefold() == key] or alike  # "X" beside a "Distance"
         if len(alike) == 1 or (alike and key in REQUIRED and alike[0].endswith("/X")):
             found[key] = alike[0]
     return found

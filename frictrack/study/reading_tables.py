@@ -45,8 +45,9 @@ _ISO_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d")
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]\d")
 _AFTERNOON = re.compile(r"\s*([ap])\.?m\.?$", re.IGNORECASE)
 _ROW_COUNTER = re.compile(
-    r"(frame|sample|image|picture|bild|index|row|point|nr|no)?s?[ _.]*(#|no\.?|nr\.?|number|id)?", re.I
+    r"(frame|sample|slice|image|picture|bild|index|row|point|nr|no)?s?[ _.]*(#|no\.?|nr\.?|n°|number|id)?", re.I
 )
+ARDUINO_CLOCKS = {"micros": "us", "millis": "ms"}  # by the functions that read them
 EPOCHS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 EPOCH_S = (9e8, 4.2e9)  # since 1970: the years 1998 to 2103
 MAX_EPOCH_STEP_S = 10.0  # between rows whose times count from 1970
@@ -377,7 +378,7 @@ def propose_columns(frame: pd.DataFrame, columns: Mapping[str, str] = NO_COLUMNS
     others = [header for header in present if header not in standard.values()]
     found = column_names.guess_columns(others) | standard | dict(columns)
     # by place: a header may be there twice
-    numbers = {i: header for i, header in enumerate(present) if _are_numbers(frame.iloc[:, i])}
+    numbers = {i: h for i, h in enumerate(present) if not h.startswith("Unnamed: ") and _are_numbers(frame.iloc[:, i])}
     clocks = [i for i, h in numbers.items() if column_names.may_hold(h, "t") and _rises_evenly(frame.iloc[:, i])]
     if "t" not in found and len(clocks) == 1:
         clock = present[clocks[0]]
@@ -401,6 +402,8 @@ def _clock_unit(series: pd.Series[Any]) -> str:
         return "s"  # dates and time codes are read as seconds
     times = _numbers(series)
     times = times[np.isfinite(times)]
+    if unit := ARDUINO_CLOCKS.get(str(series.name).strip().casefold()):
+        return unit
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     if 0 < step < MAX_STEP_OF_DAYS:
         return "d"

@@ -79,6 +79,7 @@ WHITESPACE = r"\s+"  # separator of columns that only spaces separate
 SEPARATORS = "\t;,"
 MIN_COLUMNS = 2
 FRACTION = re.compile(r'"?[+-]?\d*([.,])\d+(?:[eE][+-]?\d+)?"?$')  # a number with a decimal sign
+_FIRST_OF_GB2312 = 0xA1  # byte of its usual letters
 _ONLY_NUMBERS = re.compile(r'[\d+\-.,;:eE\s"]+')  # a line that is no header
 _QUOTED = re.compile(r'"[^"]*"')
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
@@ -163,7 +164,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def text_encoding(path: Path) -> str:
-    """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in China or the West.
+    """Return the encoding of a text: UTF-8, UTF-16 by its mark or its zeros, else that of Windows in Asia or the West.
 
     Instruments still write the letters of "µm" and "°" in the last one.
     """
@@ -177,9 +178,10 @@ def text_encoding(path: Path) -> str:
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
-        letters = re.findall(rb"[\x80-\xff]+", head)  # those of Chinese come in pairs, those of Europe mostly alone
-        chinese = all(len(one) % 2 == 0 for one in letters)
-        return "utf-8-sig" if b"\0" in head else "gb18030" if chinese else "cp1252"
+        letters = re.findall(rb"[\x80-\xff]+", head)  # those of Asia come in pairs, those of Europe mostly alone
+        pairs = all(len(one) % 2 == 0 for one in letters)
+        japanese = any(min(one[::2]) < _FIRST_OF_GB2312 for one in letters)
+        return "utf-8-sig" if b"\0" in head else "cp1252" if not pairs else "cp932" if japanese else "gb18030"
     return "utf-8-sig"
 
 

@@ -22,7 +22,7 @@ from frictrack.study.schema import COLUMNS
 
 SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
 TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
-MAYBE_TABLES = (".txt", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".npz", ".mat")
+MAYBE_TABLES = (".txt", ".log", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".npz", ".mat")
 TABLES = (*SURE_TABLES, *TRACKS, *MAYBE_TABLES)
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")

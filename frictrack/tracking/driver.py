@@ -22,7 +22,7 @@ from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, target_fault
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
-from frictrack.tracking.measure import residual_images, sigma_inflation, systematic_covariance
+from frictrack.tracking.measure import residual_images
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import (
     has_marks,
@@ -32,6 +32,7 @@ from frictrack.tracking.pose_tracker import (
     track_disc,
     track_rotating,
 )
+from frictrack.tracking.position_errors import systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, refine_positions, template_products
 from frictrack.tracking.template import TargetModel, Template
 from frictrack.tracking.template_learning import template_from_frame, without_border
@@ -164,7 +165,7 @@ def track_same_target(
     track : Track
         Positions of the same point of the body as in the other film.
     target_model : TargetModel
-        The model with the position errors of this film. None instead of both where the target looks different.
+        The known model. None instead of both where the target looks different.
 
     """
     if known.rotates or known.pattern is not None:
@@ -176,11 +177,10 @@ def track_same_target(
             return None
         placed = _rectangle_at(corner, known)
         raw_track = follow_film(BatchTracker(film, known.template), np.array(placed[:2]), template, work)
-        adapted = adapt_known_target(film, raw_track, known)
-        if adapted is None:
+        if not looks_the_same(film, raw_track, known):
             return None
-        followed = Followed(Areas(), placed, template, raw_track, adapted, remeasure=False)
-        return measure_track(recording, film, followed, "target", work), adapted
+        followed = Followed(Areas(), placed, template, raw_track, known, remeasure=False)
+        return measure_track(recording, film, followed, "target", work), known
 
 
 def _follow(film: Recording, drawn: Areas, template: int, known: TargetModel | None, work: Work) -> Followed:
@@ -386,38 +386,19 @@ def match_near(
     return BatchTracker(film, template).match_near(film.frame(frame), drawn[:2] + spare, reach)
 
 
-def adapt_known_target(film: Recording, raw_track: RawTrack, known: TargetModel) -> TargetModel | None:
-    """Adapt the model of a target to another film, in which it was followed.
-
-    Parameters
-    ----------
-    film : Recording
-        The other film, with random access.
-    raw_track : RawTrack
-        Track with the known template.
-    known : TargetModel
-        Model learnt from the first film.
-
-    Returns
-    -------
-    TargetModel or None
-        The same template with the position errors of this film; None where the target looks different.
-
-    """
+def looks_the_same(film: Recording, raw_track: RawTrack, known: TargetModel) -> bool:
+    """Whether a target that was followed with a model from another film looks the same in most frames of this one."""
     found = np.flatnonzero(raw_track.found & raw_track.fit.converged)
     if len(found) < MIN_FRAMES:
-        return None
+        return False
     rows = np.unique(found[np.linspace(0, len(found) - 1, MAX_FRAMES).astype(int)])
     size = known.template.weight.shape
     corner = nearest_corner(raw_track.position[rows], film.shape, size)
     fit = raw_track.fit[rows].moved(raw_track.corner[rows] - corner)
     cuts = film.cut(rows, corner, size)
-    if _mean_difference(residual_images(cuts, fit, known.template), known.template.weight) > MAX_DIFFERENCE:
-        return None
-    systematic = systematic_covariance(cuts, fit, known.template)
-    if np.any(systematic):  # the appearance changes along the path, which a template of its own follows better
-        return None
-    return replace(known, sigma_inflation=sigma_inflation(cuts, fit, known.template))
+    difference = _mean_difference(residual_images(cuts, fit, known.template), known.template.weight)
+    # where the appearance changes along the path, a template of its own follows it better
+    return difference <= MAX_DIFFERENCE and not np.any(systematic_covariance(cuts, fit, known.template))
 
 
 def _mean_difference(residuals: Array, weight: Array) -> float:

@@ -22,6 +22,7 @@ from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, SEGMENT_FRAMES, W
 from frictrack.tracking.checks import at_rest, interlacing_note
 from frictrack.tracking.correlation import Rectangle, nearest_corner
 from frictrack.tracking.measure import measure_frames, refine_predicted, unexplained_share
+from frictrack.tracking.position_errors import codec_shift, with_scatter
 from frictrack.tracking.subpixel_fit import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.template import MAX_SHIFT_PX, TargetModel
 from frictrack.tracking.template_learning import peak_locking_correction
@@ -94,7 +95,6 @@ def _remeasure(
     changed = np.all(off < MAX_PREDICTION_SIGMAS, axis=1) & (share[rows] <= share[nearest] + MAX_UNEXPLAINED_SHARE)
     typical = max(target_model.typical_misfit, target_model.template.min_misfit)
     corner, fit = refine_predicted(film, rows, predicted, raw_track.fit[nearest], target_model, typical)
-    fit = replace(fit, sigma=fit.sigma * target_model.sigma_inflation)
     accepted = (
         fit.converged & (fit.misfit < MAX_MISFIT_RATIO * typical) & np.all(np.abs(fit.position) < MAX_SHIFT_PX, axis=1)
     )
@@ -145,7 +145,6 @@ def measure_all(
     """
     size = target_model.template.weight.shape
     max_corner = np.array(film.shape[::-1]) - np.array(size[::-1])
-    raw_track.fit.sigma[:] *= target_model.sigma_inflation
     parts = [rows[at : at + SEGMENT_FRAMES] for at in range(0, len(rows), SEGMENT_FRAMES)]
     measured = work.run(_measure_rows, [(film, part, raw_track[part], target_model) for part in parts], "measure")
     for part, found in zip(parts, measured, strict=True):
@@ -215,7 +214,10 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
             f"{recording.path.name}: the target {list(followed.rectangle)} is found in fewer than two frames; "
             "choose a rectangle that fits the moving body, in a frame that shows it well"
         )
-    result = _with_systematic_error(_to_track(recording, measured, followed.rectangle, name), target_model)
+    result = _to_track(recording, measured, followed.rectangle, name)
+    direction = _path_direction(result)
+    result = _with_systematic_error(result, target_model, direction)
+    result = with_scatter(result, direction, codec_shift(film, measured, target_model))
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(
@@ -268,15 +270,16 @@ def _with_reference_sigma(track: Track, template: int) -> Track:
     return replace(track, **columns)
 
 
-def _with_systematic_error(track: Track, target_model: TargetModel) -> Track:
+def _path_direction(track: Track) -> Array:
+    """Unit vector (2,) along which a target that was found moves most."""
+    at = np.stack([track.x_px, track.y_px])[:, track.found]
+    return np.asarray(np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0])
+
+
+def _with_systematic_error(track: Track, target_model: TargetModel, direction: Array) -> Track:
     """Add the systematic error along the path, with a note where the target's appearance changes."""
-    found = track.found
-    sigma, at = track.sigma_px[found], np.stack([track.x_px, track.y_px])[:, found]
-    if not found.any():
-        return track
-    direction = np.linalg.svd(at - at.mean(axis=1, keepdims=True), full_matrices=False)[0][:, 0]
-    systematic = float(np.sqrt(max(direction @ target_model.systematic_covariance @ direction, 0.0)))
-    min_systematic = float(np.hypot(SYSTEMATIC_SHARE * np.median(sigma), MIN_SYSTEMATIC_PX))
+    systematic = float(np.sqrt(max(float(direction @ target_model.systematic_covariance @ direction), 0.0)))
+    min_systematic = float(np.hypot(SYSTEMATIC_SHARE * np.nanmedian(track.sigma_px), MIN_SYSTEMATIC_PX))
     if systematic < min_systematic:
         return replace(track, systematic=min_systematic)
     note = (

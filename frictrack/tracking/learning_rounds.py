@@ -11,7 +11,8 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.areas import with_obstacles
 from frictrack.tracking.correlation import Patch, nearest_corner
-from frictrack.tracking.measure import measure_frames, model_images, sigma_inflation, systematic_covariance
+from frictrack.tracking.measure import measure_frames, model_images
+from frictrack.tracking.position_errors import systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import MAX_SHIFT_PX, FixedPattern, TargetModel, Template, fit_pattern, pattern_sums
 from frictrack.tracking.template_learning import (
@@ -221,13 +222,11 @@ def _cross_validates(found: _Round, path: SmoothPath) -> bool:
 
 
 def _final_model(found: _Round, pattern: FixedPattern | None) -> TargetModel:
-    """Assemble the model of the last round, with the inflation of its standard deviations."""
+    """Assemble the model of the last round."""
     template = found.template if _border_slopes_known(found) else without_border(found.template, WIDE_RIM_PX)
     used = found[found.usable]
-    some = used[:: max(1, len(used.cuts) // RESIDUAL_FRAMES)]
-    factor = sigma_inflation(some.without(pattern), some.fit, template, some.share)
     systematic = systematic_covariance(used.without(pattern), used.fit, template, used.share)
-    return TargetModel(template, pattern, float(np.median(found.fit.misfit)), factor, systematic)
+    return TargetModel(template, pattern, float(np.median(found.fit.misfit)), systematic)
 
 
 def _border_slopes_known(found: _Round) -> bool:

@@ -542,8 +542,6 @@ class TargetModel:
         Flat-field errors, dirt and obstacles that stand still in the picture.
     typical_misfit : float
         Median misfit of a frame; NaN before it is known.
-    sigma_inflation : array (3,)
-        Factors on the standard deviations of x, y and the angle for correlated residuals (`position_errors`).
     systematic_covariance : array (2, 2)
         Covariance of slow position errors from a changing appearance, px^2.
     rotates : bool
@@ -556,8 +554,6 @@ class TargetModel:
     template: Template
     pattern: FixedPattern | None = None
     typical_misfit: float = np.nan  # nan: that of the frames at hand
-    # of the standard deviations, see `position_errors`
-    sigma_inflation: Array = field(default_factory=lambda: np.ones(3))
     # px^2, of what the target's changing look adds
     systematic_covariance: Array = field(default_factory=lambda: np.zeros((2, 2)))
     rotates: bool = False  # the target turns by more than small rotations

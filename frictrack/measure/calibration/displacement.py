@@ -571,6 +571,7 @@ def calibrate(
         valid=valid,
         pixel_pitch=pitch,
         systematic=track.systematic * pitch,
+        raised=track.raised,
         relative_scale_error=plane.length(ends)[1],
         notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
         repaired=repaired,

@@ -21,19 +21,16 @@ from frictrack.measure.motion.derivative import (
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
 from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
 from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
-from frictrack.measure.motion.noise import (
+from frictrack.measure.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, slow_spectrum
+from frictrack.measure.motion.smoother import FactoredSmoother, Structure
+from frictrack.sampling import (
     CORRELATION_COST,
     DIFFERENCE_ORDER,
     FALLBACK_ORDER,
-    CorrelatedNoise,
-    NoiseStretch,
-    correlated_noise,
     difference_order,
     difference_variance,
     noise_level,
     noise_of_smooth,
-    slow_spectrum,
     white_noise,
 )
-from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.settings.filters import METHOD_NAMES

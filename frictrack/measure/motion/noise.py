@@ -1,9 +1,4 @@
-"""Estimate the noise of a displacement series: its white level, and correlation between neighbouring frames.
-
-For white noise of variance s^2 the differences of order k have the variance C(2k, k) s^2 and the autocorrelations
-(-1)^j C(2k, k + j) / C(2k, k); a signal of frequency f enters them with (2 sin(pi f / fs))^k. Its level is estimated
-from fifth differences, which contain little slow signal. Third differences need shorter stretches and give a slightly
-more precise estimate, but contain jerks and the ripple of a tracker.
+"""Find noise of a displacement series that is correlated between neighbouring frames.
 
 Filters of a sensor, mains and air cause noise that is correlated between neighbouring frames, whatever the friction
 law. It is modelled as white noise plus a first-order autoregressive process of rms `s` and correlation time `tau`,
@@ -25,40 +20,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import comb
 
 import numpy as np
 import scipy
 
 from frictrack.base.distributions import chi2_isf, robust_std
-from frictrack.records import Array, Mask
-from frictrack.sampling import frame_numbers, uneven_noise
+from frictrack.records import Array
+from frictrack.sampling import DIFFERENCE_ORDER
 
-DIFFERENCE_ORDER = 5
-FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
-HIGHER_ORDERS, FALL_SIGMAS = (8, 12, 16, 24), 3.0  # tried while the level falls by more than its deviations
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
-MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from the usual one by more of it
 MIN_HALF_WAVE_FRAMES = 4  # frames in half a period of the fastest slow error
-
-
-def _is_uneven(t: Array) -> bool:
-    """Whether many intervals differ from the usual one, so that few rows in a row are evenly spaced."""
-    steps = np.diff(t) / np.median(np.diff(t)) if len(t) > 1 else np.ones(1)
-    return bool(np.mean(np.abs(steps - 1.0) > MAX_UNEVENNESS) > MAX_GAP_SHARE)
-
-
-def difference_variance(order: int) -> float:
-    """Variance of the differences of unit white noise, C(2k, k)."""
-    return float(comb(2 * order, order))
-
-
-def correlation_cost(order: int) -> float:
-    """Sum of the squared autocorrelations of the differences: frames per degree of freedom."""
-    return comb(4 * order, 2 * order) / comb(2 * order, order) ** 2
-
-
-CORRELATION_COST = correlation_cost(DIFFERENCE_ORDER)  # 2.91
 
 
 def slow_spectrum(n: int) -> Array:
@@ -79,115 +50,6 @@ def slow_spectrum(n: int) -> Array:
     """
     k = np.arange(1, max(n // MIN_HALF_WAVE_FRAMES, 2))
     return np.asarray(np.sqrt(n / np.sum(1 / k) / k))
-
-
-def noise_level(x: Array, valid: Mask, relative: Array | None = None, t: Array | None = None) -> tuple[float, float]:
-    """Estimate the standard deviation of the white noise of a series.
-
-    Differences over a missing frame, and outliers by an impact, are left out. From m fifth differences,
-    var(s^2) / s^4 = 2 * 2.91 / m, and half of its root for s.
-
-    Parameters
-    ----------
-    x
-        Values at evenly spaced frames in any unit, (n,).
-    valid
-        Frames that were measured, (n,).
-    relative
-        Relative standard deviations of the frames, (n,); the result then is that of a frame where they are 1.
-    t
-        Times, s, (n,), if intervals between frames may be longer than others.
-
-    Returns
-    -------
-    tuple of float
-        Standard deviation, and its relative standard deviation. NaN if fewer than four neighbouring frames are valid.
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).standard_normal(5000)
-    >>> sigma, _ = noise_level(np.linspace(0.0, 50.0, 5000) ** 2 + noise, np.ones(5000, dtype=bool))
-    >>> 0.95 < sigma < 1.05
-    True
-
-    """
-    steps = np.minimum(np.diff(frame_numbers(t)), 2.0) if t is not None and len(t) > 1 else np.ones(1)
-    if t is not None and _is_uneven(t) and np.sum(valid) > DIFFERENCE_ORDER:
-        scale = np.ones(len(x)) if relative is None else relative
-        level = uneven_noise(t[valid], x[valid], scale[valid])
-        return level, 0.5 * float(np.sqrt(2.0 * correlation_cost(4) / np.sum(valid)))
-    if np.any(steps > 1):
-        rows = np.repeat(np.arange(len(x)), np.append(steps, 1).astype(int))  # with a frame in every gap, not measured
-        measured = valid[rows] & np.append(True, np.diff(rows) > 0)
-        if np.any(_complete_differences(measured, FALLBACK_ORDER)):
-            return noise_level(x[rows], measured, None if relative is None else relative[rows])
-    complete = {order: _complete_differences(valid, order) for order in (DIFFERENCE_ORDER, FALLBACK_ORDER)}
-    order = difference_order(*(int(np.sum(whole)) for whole in complete.values()))
-    if not np.any(complete[order]):
-        return np.nan, np.nan
-    return _level_of_differences(x, valid, complete[order], relative)
-
-
-def _level_of_differences(x: Array, valid: Mask, whole: Mask, relative: Array | None = None) -> tuple[float, float]:
-    """White noise of a series (n,) from its complete differences of one order, and its relative standard deviation."""
-    order = len(x) - len(whole)
-    d = np.diff(np.where(valid, x, 0.0), order)[whole] / _expected(relative, valid, order)[whole]
-    kept = d[np.abs(d) <= OUTLIER_SIGMAS * robust_std(d)]
-    return float(np.sqrt(np.mean(kept**2))), 0.5 * float(np.sqrt(2.0 * correlation_cost(order) / len(kept)))
-
-
-def noise_of_smooth(x: Array) -> float:
-    """White noise of a series (n,) that may change fast: the order of differences rises while they hold signal."""
-    level, valid = white_noise(x), np.isfinite(x)
-    for order in HIGHER_ORDERS:
-        whole = _complete_differences(valid, order)
-        if np.sum(whole) < MIN_FRAMES:
-            break
-        higher, error = _level_of_differences(x, valid, whole)
-        if higher > (1 - FALL_SIGMAS * error) * level:  # of white noise, all orders find the same
-            break
-        level = higher
-    return level
-
-
-def white_noise(x: Array, valid: Mask | None = None) -> float:
-    """Estimate the white noise of a series (n,), as `noise_level`, by default of its finite values; 0 if that fails."""
-    return float(np.nan_to_num(noise_level(x, np.isfinite(x) if valid is None else valid)[0]))
-
-
-def difference_order(many: int, few: int) -> int:
-    """Choose the order of differences.
-
-    Parameters
-    ----------
-    many, few
-        Numbers of complete differences of `DIFFERENCE_ORDER` and `FALLBACK_ORDER`.
-
-    Returns
-    -------
-    int
-        `FALLBACK_ORDER` if missing frames leave too few differences of the higher order.
-
-    Examples
-    --------
-    >>> difference_order(100, 102), difference_order(10, 60)
-    (5, 3)
-
-    """
-    return DIFFERENCE_ORDER if 2 * many >= few else FALLBACK_ORDER
-
-
-def _expected(relative: Array | None, valid: Mask, order: int) -> Array:
-    """Standard deviation of the differences (n - order,) of independent noise with relative standard deviations."""
-    size = np.ones(len(valid)) if relative is None else np.where(valid, relative, 1.0)
-    weights = np.array([float(comb(order, k)) for k in range(order + 1)])
-    return np.sqrt(np.convolve(size**2, weights**2, mode="valid"))
-
-
-def _complete_differences(valid: Mask, order: int) -> Mask:
-    """Mask of the differences without a missing frame."""
-    count = max(len(valid) - order, 0)
-    return np.asarray(np.all([valid[k : k + count] for k in range(order + 1)], axis=0))
 
 
 MIN_FRAMES = 64  # of a stretch
