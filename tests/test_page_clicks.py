@@ -14,7 +14,9 @@ from browser import CHROMIUM, Open, Server, Tab
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
 FILM = Path(__file__).parent.parent / "sample_videos" / "slow.avi"
 SLOW_SOCKET = """const Socket = WebSocket;
-window.WebSocket = class extends Socket { set onmessage(f) { super.onmessage = (e) => setTimeout(() => f(e), 6000); } };"""
+window.WebSocket = class extends Socket {
+    set onmessage(f) { super.onmessage = (e) => setTimeout(() => f(e), 6000); }
+};"""
 
 
 @pytest.fixture
