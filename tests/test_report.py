@@ -178,7 +178,7 @@ def test_unexplained_shows_where_it_repeats(quick):
     page = Page(report.render(with_diagnosis(found)))
     assert "Tustin lacks something that no effect of the library explains" in page.words
     assert "The remaining misfit repeats best with place." in page.words
-    assert "does not pass" in page.words
+    assert "not significant" in page.words
 
 
 def test_complete_at_once():

@@ -25,6 +25,7 @@ from frictrack.results.verdicts import describe_lost, describe_predictions, desc
 
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
+BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
 
 
@@ -189,10 +190,10 @@ def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
     return filled_table(heads, cells)
 
 
-def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
-    """Return a table with one row per error and one column per model."""
+def errors(columns: Iterable[tuple[str, dict[str, Any]]], *, brief: bool = False) -> Table:
+    """Return a table with one row per error and one column per model; a brief one has only `BRIEF_ERRORS`."""
     titles, models = zip(*columns, strict=True)
-    found = (row for row in error_rows(models) if row.short)
+    found = (row for row in error_rows(models) if (row.short in BRIEF_ERRORS if brief else row.short))
     return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
 
 
@@ -246,9 +247,3 @@ def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     """Print spans of time, position and velocity with their share of the misfit."""
     if spans:
         out.print(table("fails in", *FAILING_HEADS, rows=failing_rows(spans)))
-
-
-def edit(out: Console, result: dict[str, Any]) -> None:
-    """Print the errors before and after an effect was added or removed."""
-    out.print(parameters(result["parameters"]))
-    out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))

@@ -22,7 +22,7 @@ from frictrack.results.names import AXES
 
 MAX_CANDIDATES = 12  # drawn; the table of the report has all
 LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
-FAILS: dict[str, Any] = {"label": "does not pass", "fc": "white", "ec": "#777777", "hatch": "////"}
+FAILS: dict[str, Any] = {"label": "explains less, or not significant", "fc": "white", "ec": "#777777", "hatch": "////"}
 LOOKS: dict[str, dict[str, Any]] = {
     "named": {"label": "found", "color": style.BLUE},
     "lead": {"label": "explains a part", "color": style.SKY},
@@ -162,7 +162,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
 
 
 def _setting_name(name: str) -> str:
-    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
+    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name)
 
 
 def parameter_unit(effect: str, name: str) -> str:

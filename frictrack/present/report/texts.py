@@ -361,7 +361,7 @@ def settings_table(results: Results) -> TextTable:
         mass = format_quantity(s["mass"][0], s["mass"][1], "kg") if run.mass is not None else str(s.get("mass") or "")
         fps, cutoff = s.get("fps"), run.motion.cutoff
         rates = (f"{fps:g} Hz" if fps else "", f"{cutoff:.0f} Hz" if np.isfinite(cutoff) else "")
-        more = {k: v for k, v in s.items() if k not in KEYS_WITH_COLUMN and (k, v) != ("reference", "auto")}
+        more = {k: v for k, v in s.items() if k not in KEYS_WITH_COLUMN and (v or k == "sigma_drive") and (k, v) != ("reference", "auto")}
         further = "; ".join(f"{k} = {v}" for k, v in more.items())
         rows.append((run.name, run.source, mass, rates[0], _scale(s.get("scale", "")), rates[1], further))
     return make_table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
