@@ -78,7 +78,10 @@ def test_every_surface_shows_the_same_order_and_words(found):
     assert at == sorted(at)
     for row in rows[:4]:
         assert row.standing in text
-    assert not_passing(rows) == "Of the others with some evidence, 2 explain less or are not significant and 1 is not plausible."
+    assert (
+        not_passing(rows)
+        == "Of the others with some evidence, 2 explain less or are not significant and 1 is not plausible."
+    )
     assert not_passing(rows) in text
 
 

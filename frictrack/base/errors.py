@@ -74,14 +74,16 @@ def raise_faults(faults: list[str], what: str) -> None:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
 
 
-EXPECTED = {  # kind of a fault of pydantic -> what was expected, with what it names
-    "string_type": "a text in quotes",
-    "float_type": "a number",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "finite_number": "a finite number",
-    "tuple_type": "a list [...]",
-    "dict_type": "a table {{name = value}}",
+EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expected, with what it names
+    "string": "a text in quotes",
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "finite": "a finite number",
+    "tuple": "a list [...]",
+    "list": "a list [...]",
+    "dict": "a table {{name = value}}",
+    "model": "a table {{name = value}}",
     "literal_error": "{expected}",
     "string_pattern_mismatch": "a name of letters and digits",
     "string_too_short": "a text of {min_length} or more characters",
@@ -92,10 +94,6 @@ EXPECTED = {  # kind of a fault of pydantic -> what was expected, with what it n
     "too_short": "a list of {min_length} or more values",
     "too_long": "a list of at most {max_length} values",
 }
-SAME_KIND = {
-    **{f"{kind}_parsing": f"{kind}_type" for kind in ("float", "int", "bool")},
-    **{"int_from_float": "int_type", "list_type": "tuple_type", "model_type": "dict_type"},
-}
 MAX_VALUE_LENGTH = 120  # characters
 
 
@@ -105,7 +103,7 @@ _KIND = re.compile(r"(str|int|float|bool)$|[\w-]*\[")  # which of several types 
 def describe_fault(fault: Mapping[str, Any], place: Sequence[str | int]) -> str:
     """Describe one fault of `pydantic.ValidationError.errors` in the value at a place, which the sentence names."""
     place = [part for part in place if isinstance(part, int) or not _KIND.match(part)]
-    kind, names = SAME_KIND.get(fault["type"], fault["type"]), [part for part in place if isinstance(part, str)]
+    kind, names = fault["type"], [part for part in place if isinstance(part, str)]
     if kind == "value_error":
         message = str(fault["ctx"]["error"])
         return message if not names or names[-1] in message else f"{_name(place)}: {message}"
@@ -116,7 +114,8 @@ def describe_fault(fault: Mapping[str, Any], place: Sequence[str | int]) -> str:
     if kind == "missing":
         *place, last = place
         kind, fault = "too_short", {**fault, "ctx": {"min_length": int(last) + 1}}
-    wanted = EXPECTED.get(kind, fault["msg"]).format(**fault.get("ctx", {})).replace("'", '"')
+    words = EXPECTED.get(kind) or EXPECTED.get(kind.partition("_")[0], fault["msg"])
+    wanted = words.format(**fault.get("ctx", {})).replace("'", '"')
     return f"expected {_name(place)}{' as ' if place else ''}{wanted} but got {_as_typed(fault['input'])}"
 
 

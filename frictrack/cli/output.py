@@ -178,17 +178,18 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS]
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
-    _brief_parameters(out, fitted["parameters"])
-    if fitted.get("misfit"):
-        out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
+    _brief_parameters(out, fitted)
 
 
-def _brief_parameters(out: Console, parameters: dict[str, Any]) -> None:
-    """Print the first parameters that all runs share."""
-    shared = [(name, one) for name, one in parameters.items() if "[" not in name][:MAX_PARAMETERS]
+def _brief_parameters(out: Console, result: dict[str, Any], most: int = MAX_PARAMETERS) -> None:
+    """Print the first parameters that all runs share and that were fitted, and what a dagger means."""
+    fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
+    shared = [(name, one) for name, one in fitted.items() if "[" not in name][:most]
     out.print(tables.parameters(dict(shared), brief=True))
-    if left_out := _more(len(parameters) - len(shared), "parameter"):
+    if left_out := _more(len(fitted) - len(shared), "parameter"):
         out.print(left_out.strip())
+    if result.get("misfit"):
+        out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
@@ -221,12 +222,12 @@ def demo(out: Console, result: dict[str, Any]) -> None:
         out.print(
             f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
         )
-        _brief_parameters(out, result["add"]["parameters"])
+        _brief_parameters(out, result["add"])
 
 
 def edit(out: Console, result: dict[str, Any]) -> None:
     """Print the parameters, and the errors before and after an effect was added or removed."""
-    _brief_parameters(out, result["parameters"])
+    _brief_parameters(out, result, MAX_PARAMETERS + 1)
     out.print(tables.errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True))
 
 

@@ -364,6 +364,7 @@ def legend_below(figure: Figure, *more: Any, **look: Any) -> None:
         return sum(max(widths[k : k + rows]) for k in range(0, len(labels), rows)) < figure.get_figwidth()
 
     columns = next((n for n in range(len(labels), 1, -1) if fits(n)), 1)
+    columns = -(-len(labels) // -(-len(labels) // columns))  # as few as the rows allow: rows of like length
     figure.legend([by_label[label] for label in labels], labels, loc="outside lower left", ncols=columns, **look)
 
 
