@@ -122,8 +122,8 @@ def plan(out: Console, result: dict[str, Any]) -> None:
         rows.add_row(str(k), escape(run["what"]), *numbers, example)
     none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
     out.print(rows if result["runs"] else none)
-    open_after = (len(result["left"]), len(result["unseen"]), len(result["not_planned"]))
-    out.print("left open: {} groups not separated, {} effects not detected, {} not planned for".format(*open_after))
+    counts = (len(result[key]) for key in ("left", "unseen", "not_planned"))
+    out.print("left open: {} groups not separated, {} effects not detected, {} not planned for".format(*counts))
 
 
 def plan_details(out: Console, result: dict[str, Any]) -> None:

@@ -84,7 +84,6 @@ def motion(run: AnyRun) -> Figure:
         1, (5.4, 0.8), _motion_title(run), (TIME_LABEL, *MOTION_LABELS), width=style.PAGE_WIDTH_IN / 2, sharex="cell"
     )
     _draw_motion(panels, run)
-    style.legend_below(figure, columnspacing=1.2)
     return figure
 
 

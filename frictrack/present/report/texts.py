@@ -407,12 +407,10 @@ def hash_table(results: Results) -> TextTable:
     """
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
     hashes = ((run.film.hash if run.film else "", *map(run.hashes.get, stages)) for run in results.runs)
-    rows = [(run.name, *map(_hash, own)) for run, own in zip(results.runs, hashes, strict=True)]
+    short = Markup('<code title="{}">{}</code>').format
+    cells = ([short(full, full[:10]) if full else "" for full in own] for own in hashes)
+    rows = [(run.name, *own) for run, own in zip(results.runs, cells, strict=True)]
     return make_table(("run", "film (sha256)", *stages), rows)
-
-
-def _hash(full: str | None) -> Cell:
-    return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
 
 
 def software_versions(results: Results) -> str:
