@@ -68,15 +68,15 @@ def test_undo_takes_back_what_was_typed_just_before(film: Server, tab: Open) -> 
 def test_a_button_stays_under_a_mouse_button_that_is_down(film: Server, tab: Open) -> None:
     page = tab()
     jobs = commands(typed(page, film), "/api/job")
+    page.until(lambda: "fps = 4000" in film.study_text and 'mass = "0.35 kg"' in film.study_text)
+    page.page.wait_for_timeout(1500)  # the film is shown, and nothing moves any more
     page.page.route("**/api/do", refuse)
-    box = page.button("Track every film").bounding_box()
-    page.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    page.button("Track every film").hover()
     page.page.mouse.down()  # the scale is sent; a banner with the refusal moves the button down
     page.page.wait_for_timeout(500)
     page.page.mouse.up()
     page.until(lambda: bool(jobs))
     assert jobs[0]["do"] == "measure"
-    page.hears("expected another number")
     page.faults.clear()
 
 

@@ -35,7 +35,7 @@ async function settled() {
 
 /** Wait for changes of the study that are under way, as of a box that has just lost the focus; resolves to whether there were any. */
 export async function edited() {
-  const some = [...store.busy].some((key) => /^(edit|draft)\./.test(key));
+  const some = [...store.busy].some((key) => /^(edit\.|draft\.|takeIn$)/.test(key));
   return some && (await settled(), true);
 }
 
