@@ -23,7 +23,7 @@ from frictrack import samples
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.cli import main, tables
+from frictrack.cli import main, output, tables
 from frictrack.flow import Session
 from frictrack.measure import calibration
 
@@ -159,6 +159,9 @@ def test_tables_need_no_tracking(capsys: pytest.CaptureFixture[str]) -> None:
 def test_add_and_remove_print_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
     added = answer(capsys, "add", "study.toml", "drag")
     assert set(added) == {"effect", "error_before", "error_after", "parameters", "misfit"}
+    out = Console(width=80, file=io.StringIO())
+    output.edit(out, added)
+    assert len(out.file.getvalue().splitlines()) <= 12
     removed = answer(capsys, "remove", "study.toml", "drag")
     assert removed["error_before"] == added["error_after"]
     code, out, _ = run(capsys, "add", "study.toml", "drag")
