@@ -24,6 +24,7 @@ def found():
             candidate("patch", 0.001, 44000.0),
             candidate("asymmetry", 0.001, 300.0, ["slope"]) | {"heldout_rms_after_um": 7.0},
             candidate("drag", 0.4, 3.0) | {"passes": False},
+            candidate("spring", 0.001, 200.0) | {"passes": False},
             candidate("presliding", 0.001, 41000.0),
             candidate("slope", 0.012, 419.0) | {"passes": False},
             candidate("lens", 0.001, -560.0) | {"passes": False},
@@ -40,7 +41,8 @@ def test_order_and_words_of_the_list(found):
         ("asymmetry", "named", "found in addition to patch"),
         ("slope", "rival", "predicts the same data as asymmetry"),
         ("presliding", "weaker", "passes alone, 3000 behind the best"),
-        ("drag", "fails", "does not pass"),
+        ("spring", "fails", "explains less than patch"),
+        ("drag", "fails", "not significant"),
         ("texture", "implausible", "not plausible: 1.1 periods"),
     ]  # lens has no positive evidence
 
@@ -76,7 +78,10 @@ def test_every_surface_shows_the_same_order_and_words(found):
     assert at == sorted(at)
     for row in rows[:4]:
         assert row.standing in text
-    assert not_passing(rows) == "Of the others with some evidence, 1 does not pass and 1 is not plausible."
+    assert (
+        not_passing(rows)
+        == "Of the others with some evidence, 2 explain less or are not significant and 1 is not plausible."
+    )
     assert not_passing(rows) in text
 
 

@@ -23,7 +23,7 @@ from frictrack import samples
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.cli import main, tables
+from frictrack.cli import main, output, tables
 from frictrack.flow import Session
 from frictrack.measure import calibration
 
@@ -158,7 +158,10 @@ def test_tables_need_no_tracking(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_add_and_remove_print_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
     added = answer(capsys, "add", "study.toml", "drag")
-    assert set(added) == {"effect", "error_before", "error_after", "parameters"}
+    assert set(added) == {"effect", "error_before", "error_after", "parameters", "misfit"}
+    out = Console(width=80, file=io.StringIO())
+    output.edit(out, added)
+    assert len(out.file.getvalue().splitlines()) <= 12
     removed = answer(capsys, "remove", "study.toml", "drag")
     assert removed["error_before"] == added["error_after"]
     code, out, _ = run(capsys, "add", "study.toml", "drag")
@@ -422,9 +425,8 @@ def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None
     tables.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
     lines = out.file.getvalue().splitlines()
     assert all(len(line.rstrip()) <= 80 for line in lines)
-    first = [line.split()[0] for line in lines if "_" in line or "+" in line]
-    assert "".join(first) == name
-    assert all(any(word in part for part in first) for word in name.split("+"))
+    words = [word for line in lines[1:] for word in line.split()]
+    assert all(word in words for word in name.partition("_")[2].capitalize().split("+"))
     for number in ("12.58", "12.64", "0.6432", "0.6112", "5.71", "483.7"):
         assert number in out.file.getvalue()
 

@@ -60,12 +60,12 @@ def test_defaults_rate_every_film_alike_and_a_sensor_like_ten():
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ("film = 0", "film: expected greater than 0 but got 0"),
-        ('mass = "5 min"', "mass: expected a valid number but got '5 min'"),
-        ("direction = nan", "direction: expected greater than or equal to 0"),
-        ("film = true", "film: expected a valid number but got True"),
+        ("film = 0", "expected film as a number above 0 but got 0"),
+        ('mass = "5 min"', 'expected mass as a number but got "5 min"'),
+        ("direction = nan", "expected direction as a number of at least 0 but got NaN"),
+        ("film = true", "expected film as a number but got true"),
         ("speeds = [8, 2]", "expected the slowest speed first but got [8, 2]"),
-        ("masses = []", "masses: tuple should have at least 1 item"),
+        ("masses = []", "expected masses as a list of 1 or more values but got []"),
         ("frames = 12", "expected frames as a whole number of at least 30, or inf, but got 12"),
         ("frames = 99.5", "expected frames as a whole number of at least 30, or inf, but got 99.5"),
         ("fil = 1", 'unknown key "fil"; did you mean "film"?'),

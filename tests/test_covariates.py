@@ -144,9 +144,9 @@ def test_studies_of_another_model_unit_or_with_a_prior_are_left_out():
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        ("3", "conditions: expected a valid dictionary"),
-        ('{"a b" = 1}', "conditions: string should match"),
-        ("{a = [1]}", "conditions: expected a valid"),
+        ("3", "expected conditions as a table"),
+        ('{"a b" = 1}', "expected a b of conditions as"),
+        ("{a = [1]}", "expected a of conditions as a number"),
     ],
 )
 def test_wrong_conditions_are_told(tmp_path, value, said):

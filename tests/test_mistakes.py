@@ -199,6 +199,23 @@ def test_faults_of_all_inputs_come_at_once(capsys: pytest.CaptureFixture[str]) -
         ('"0.35 kg"', "0.35 kg", 'a number with a unit is a text in quotes: mass = "0.35 kg"'),
         ('"0.35 kg"', '"0,35 kg"', 'but got "0,35 kg"; write a decimal point: "0.35 kg"'),
         ('"v3.csv"', "v3.csv", 'texts stand in quotes: video = "a.avi"'),
+        (
+            'table = "v3.csv"',
+            'table = "v3.csv"\nrole = "test"',
+            'expected role as "fit" or "validation" but got "test"',
+        ),
+        ('table = "v3.csv"', 'table = "v3.csv"\ntemplate = 2.5', "expected template as a whole number but got 2.5"),
+        (
+            'table = "v3.csv"',
+            'table = "v3.csv"\norigin_px = [1]',
+            "expected origin_px as a list of 2 or more values but",
+        ),
+        ("[[run]]", "[search]\nseed = 1\n[[run]]", "expected the key method but it is missing"),
+        (
+            "[[run]]",
+            '[[effect]]\neffect = "drag"\nfix = 5\n[[run]]',
+            "expected fix as a table {name = value} but got 5",
+        ),
     ],
 )
 def test_a_wrong_study_file(capsys: pytest.CaptureFixture[str], old: str, new: str, said: str) -> None:

@@ -224,6 +224,8 @@ def test_a_study_without_films_gets_a_plan_and_a_page(before, capsys, monkeypatc
     assert "http" not in page.replace("http://www.w3.org", "")
     out = io.StringIO()
     output.plan(Console(file=out, width=200), found)
+    assert len(out.getvalue().splitlines()) <= 15
+    output.plan_details(Console(file=out, width=200), found)
     said = out.getvalue()
     assert "pairs left" in said
     assert "presliding cannot be detected" in said

@@ -121,12 +121,12 @@ class TestTheStudyFile:
         ("one", "sentence"),
         [
             ({"from": 5, "to": 3, "how": "leave_out"}, "whose last frame follows the first but got 5 to 3"),
-            ({"from": 5, "to": 9, "how": "guess"}, "0.how: expected 'track', 'interpolate' or 'leave_out'"),
+            ({"from": 5, "to": 9, "how": "guess"}, 'number 1 as "track", "interpolate" or "leave_out" but'),
             ({"from": 5, "to": 9, "how": "track"}, "but got none; draw the target in one of these frames"),
             ({"from": 5, "to": 9, "how": "interpolate", "frame": 6}, "target and frame only in a repair with how"),
             ({"from": 5, "to": 9, "how": "track", "frame": 10, "target": [1, 2, 9, 9]}, "from 5 to 9 but got frame 10"),
-            ({"from": 5.5, "to": 9, "how": "leave_out"}, "0.from: expected a valid integer but got 5.5"),
-            ({"from": 5, "to": 9, "until": 9, "how": "leave_out"}, 'unknown key "0.until"'),
+            ({"from": 5.5, "to": 9, "how": "leave_out"}, "expected from of number 1 as a whole number but got 5.5"),
+            ({"from": 5, "to": 9, "until": 9, "how": "leave_out"}, 'unknown key "until" in number 1'),
         ],
     )
     def test_a_wrong_repair_is_refused_with_one_sentence(self, one, sentence):

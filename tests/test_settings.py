@@ -510,11 +510,15 @@ def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
             'effect = "drog"',
             '[[effect]] "drog": expected the name of an effect but got "drog"; did you',
         ),
-        ("prior = {F_v = [0.4, 0.001]}", 'prior = {F_v = "0.4"}', '[[effect]] "viscous", line 28: prior: '),
+        (
+            "prior = {F_v = [0.4, 0.001]}",
+            'prior = {F_v = "0.4"}',
+            '"viscous", line 28: expected F_v of prior as a list',
+        ),
         (
             "prior = {F_v = [0.4, 0.001]}",
             "fix = {F_v = true}",
-            '[[effect]] "viscous", line 28: fix: expected a valid number but got True',
+            '[[effect]] "viscous", line 28: expected F_v of fix as a number but got true',
         ),
         (
             "prior = {F_v = [0.4, 0.001]}",

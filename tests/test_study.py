@@ -202,10 +202,10 @@ def test_a_folder_means_its_study_file_and_output_stands_beside_it(folder: Path)
         (f"[study]\nmass = 1\n{CAMERA}{RUN}template = 3\n", "expected a target with template"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}free = [0.2, 0.1]\n", "expected an end after the start but got [0.2, 0.1]"),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}incline = 22\n", "expected incline between -1.57 and 1.57 rad but got 22"),
-        (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", "role: expected 'fit' or 'validation' but got 'val'"),
+        (f"[study]\nmass = 1\n{CAMERA}{RUN}role = 'val'\n", 'expected role as "fit" or "validation" but got "val"'),
         (f"[study]\nmass = 1\n{CAMERA}{RUN}columns = {{x = 'x'}}\n", "expected columns only with a table"),
         (f"[study]\nmass = 'fit'\n{CAMERA}{RUN}", 'expected a measured drive with mass = "fit" but got none'),
-        (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "model: expected a valid string but got 3"),
+        (f"[study]\nmass = 1\nmodel = 3\n{CAMERA}{RUN}", "expected model as a text in quotes but got 3"),
         (f"[study]\nmass = 1\n[camera]\nscale = true\n{RUN}", '"0.5 mm/px" or {points'),
         (
             f"[study]\nmass = 1\n{CAMERA}[[run]]\nname = '../up'\nvideo = 'v3.avi'\n",

@@ -90,21 +90,21 @@ def test_the_rule_takes_the_pair_and_leaves_the_set_up():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("format = 1", "format = 7", "prior.format: expected 1 but got 7"),
-        ("std = ", "std = -", "std: expected greater than 0"),
-        ('unit = "N"', "unit = 3", "parameter.0.unit: expected a valid string but got 3"),
-        ('scales_with = "load"', 'scales_with = "moon"', "scales_with: expected 'nothing' or 'load' but got 'moon'"),
-        (
-            '"coulomb.F_c" = -0.9',
-            '"coulomb.F_c" = -1.9',
-            "coulomb.F_c: expected greater than or equal to -1",
-        ),
+        ("format = 1", "format = 7", "expected format of prior as 1 but got 7"),
+        ("std = ", "std = -", "expected std of number 1 of parameter as a number above 0"),
+        ('unit = "N"', "unit = 3", "expected unit of number 1 of parameter as a text in quotes but got 3"),
+        ('scales_with = "load"', 'scales_with = "moon"', 'as "nothing" or "load" but got "moon"'),
+        ('"coulomb.F_c" = -0.9', '"coulomb.F_c" = -1.9', "expected coulomb.F_c of correlation of number 2"),
         ('"coulomb.F_c" = -0.9', '"coulomb.x" = -0.9', "expected correlations of viscous.F_v with parameters above it"),
         ('name = "viscous.F_v"', 'name = "coulomb.F_c"', "expected every parameter once"),
-        ('name = "viscous.F_v"', 'name = "../x"', "parameter.1.name: string should match pattern"),
-        ("load = ", "lode = ", 'unknown key "prior.lode"'),
+        (
+            'name = "viscous.F_v"',
+            'name = "../x"',
+            "expected name of number 2 of parameter as a name of letters and digits",
+        ),
+        ("load = ", "lode = ", 'unknown key "lode" in prior'),
         ("[[parameter]]", "[[parameter", "is not valid TOML"),
-        ("value = ", "value = nan #", "parameter.0.value: expected a finite number"),
+        ("value = ", "value = nan #", "expected value of number 1 of parameter as a finite number"),
     ],
 )
 def test_a_damaged_prior_file_is_refused_in_one_sentence(prior, tmp_path, old, new, said):

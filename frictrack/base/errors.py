@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -72,21 +74,66 @@ def raise_faults(faults: list[str], what: str) -> None:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
 
 
-def describe_fault(fault: Mapping[str, Any], key: str) -> str:
-    """Describe one fault of `pydantic.ValidationError.errors` in the value of a key, which the sentence names."""
-    if fault["type"] == "value_error":
+EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expected, with what it names
+    "string": "a text in quotes",
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "finite": "a finite number",
+    "tuple": "a list [...]",
+    "list": "a list [...]",
+    "dict": "a table {{name = value}}",
+    "model": "a table {{name = value}}",
+    "literal_error": "{expected}",
+    "string_pattern_mismatch": "a name of letters and digits",
+    "string_too_short": "a text of {min_length} or more characters",
+    "string_too_long": "a text of at most {max_length} characters",
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "too_short": "a list of {min_length} or more values",
+    "too_long": "a list of at most {max_length} values",
+}
+MAX_VALUE_LENGTH = 120  # characters
+
+
+_KIND = re.compile(r"(str|int|float|bool)$|[\w-]*\[")  # which of several types a fault is of: no part of its place
+
+
+def describe_fault(fault: Mapping[str, Any], place: Sequence[str | int]) -> str:
+    """Describe one fault of `pydantic.ValidationError.errors` in the value at a place, which the sentence names."""
+    place = [part for part in place if isinstance(part, int) or not _KIND.match(part)]
+    kind, names = fault["type"], [part for part in place if isinstance(part, str)]
+    if kind == "value_error":
         message = str(fault["ctx"]["error"])
-        return message if key in message else f"{key}: {message}"
-    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f'unknown key "{key}"'
-    message = fault["msg"].replace("Input should be", "expected").replace("Field required", "this key is required")
-    return f"{key}: {message[0].lower()}{message[1:]} but got {fault['input']!r}"
+        return message if not names or names[-1] in message else f"{_name(place)}: {message}"
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f'unknown key "{names[-1]}"' + (f" in {_name(place[:-1])}" if place[:-1] else "")
+    if kind == "missing" and isinstance(place[-1], str):
+        return f"expected the key {_name(place)} but it is missing"
+    if kind == "missing":
+        *place, last = place
+        kind, fault = "too_short", {**fault, "ctx": {"min_length": int(last) + 1}}
+    words = EXPECTED.get(kind) or EXPECTED.get(kind.partition("_")[0], fault["msg"])
+    wanted = words.format(**fault.get("ctx", {})).replace("'", '"')
+    return f"expected {_name(place)}{' as ' if place else ''}{wanted} but got {_as_typed(fault['input'])}"
+
+
+def _name(place: Sequence[str | int]) -> str:
+    """Name a place in tables, as in "std of number 2 of parameter"."""
+    return " of ".join(f"number {part + 1}" if isinstance(part, int) else part for part in reversed(place))
+
+
+def _as_typed(value: Any) -> str:
+    """Return a value about as it is typed in a study file."""
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= MAX_VALUE_LENGTH else f"{text[:MAX_VALUE_LENGTH]} ..."
 
 
 def describe_invalid(error: Any) -> str:
     """Describe the first fault of a `pydantic.ValidationError`, with its place in the tables."""
     fault = error.errors(include_url=False)[0]
-    return describe_fault(fault, ".".join(map(str, fault["loc"])))
+    return describe_fault(fault, fault["loc"])
 
 
 def result_or_none(function: Callable[..., T], *arguments: Any, **keywords: Any) -> T | None:

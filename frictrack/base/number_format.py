@@ -99,6 +99,8 @@ def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     '8.01 ± 0.02 N'
     >>> format_quantity(0.00123, 0.000012, "m")
     '1.230 ± 0.012 mm'
+    >>> format_quantity(38799.0, 1385.0, "N/m")
+    '(38800 ± 1400) N/m'
 
     """
     if value is None:
@@ -111,8 +113,7 @@ def format_quantity(value: float | None, std: float | None, unit: str) -> str:
         return f"{_without_std(value)}{tail}"
     exponent = _exponent_outside(max(abs(value), std), -4, 6)
     value, std = value / 10.0**exponent, std / 10.0**exponent
-    places = _decimal_places(std)
-    text = f"{value:.{places}f} ± {std:.{places}f}".replace("-", MINUS)
+    text = _both(value, std, _decimal_places(std)).replace("-", MINUS)
     if exponent:
         return f"({text}){_power_of_ten(exponent)}{tail}"
     return f"({text}){tail}" if "/" in tail or " " in tail.strip() else f"{text}{tail}"
@@ -134,8 +135,7 @@ def format_plus_minus(value: float | None, std: float | None) -> str:
     decimals = 1 - math.floor(math.log10(std))
     if not -3 < decimals < 7:
         return f"{value:.5g} ± {std:.2g}"
-    decimals = max(decimals, 0)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+    return _both(value, std, decimals)
 
 
 def format_size(value: float, unit: str) -> str:
@@ -231,9 +231,15 @@ def _exponent_outside(size: float, low: int, high: int) -> int:
 
 
 def _decimal_places(std: float) -> int:
-    """Decimal places at which a value and its standard deviation end."""
+    """Decimal places at which a value and its standard deviation end; of three digits and more, negative ones."""
     first = math.floor(math.log10(std))
-    return max(-first + (1 if std < MAX_LEADING_ONE * 10.0**first else 0), 0)
+    places = -first + (1 if std < MAX_LEADING_ONE * 10.0**first else 0)
+    return places if std >= 100 else max(places, 0)
+
+
+def _both(value: float, std: float, places: int) -> str:
+    """Write a value and its standard deviation, rounded to some decimal places."""
+    return " ± ".join(f"{round(one, places):.{max(places, 0)}f}" for one in (value, std))
 
 
 def _power_of_ten(exponent: int) -> str:

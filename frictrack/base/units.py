@@ -210,7 +210,7 @@ def _another_quantity(source: str, target: str, what: str) -> str:
 
 
 def _expected(unit: str, what: str) -> str:
-    return f"expected {what} as a quantity in {unit}"
+    return f"expected {what} as a number" if unit == "1" else f"expected {what} as a quantity in {unit}"
 
 
 def _example(unit: str) -> str:

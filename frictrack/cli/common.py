@@ -268,7 +268,7 @@ _TEXTS = {
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
-    "plan": "the first rows of the table; plan.html shows which pairs of effects each run separates",
+    "plan": "the first rows of the table; plan.html, or --details, shows what each run separates and what stays open",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
     "crate": "what is not included or missing, above. Then: frictrack reproduce {crate}, at best on another computer",

@@ -17,12 +17,10 @@ from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
 from frictrack.results.rows import error_rows, held_out_error
 
-MAX_EXAMPLES = 2  # pairs that are named for a run
 MAX_FINDINGS = 8  # that the terminal shows
 MAX_NAMED, MAX_PARAMETERS = 3, 6  # that `frictrack run` prints without --details
 MAX_DIFFERENCES = 5  # printed of one group
 MAX_STUDIES = 100  # in the table of a batch; the page shows all
-BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
 SHARES = (  # words, and where they stand
     ("one hidden: named first", ("one", "named_first")),
@@ -49,7 +47,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     out.print(f"[bold]{escape(verdicts.headline(result))}[/bold]")
     chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
-    out.print(f"reduced chi² {chi2}, p of lack of fit {p}, noise {format_plain(result.get(key), 3)} {unit}")
+    out.print(f"reduced chi² {chi2}, lack of fit has p = {p}, noise {format_plain(result.get(key), 3)} {unit}")
     if rests := result.get("rests_on_repairs"):
         out.print(f"[bold]{escape(rests)}[/bold]")
     findings = result.get("findings") or []
@@ -113,20 +111,25 @@ def next_experiment(out: Console, result: dict[str, Any]) -> None:
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
-    """Print the runs in order with what each adds, the pairs that remain, and what cannot be detected."""
+    """Print the runs in order with what each adds, and how much they leave open."""
     _film_now(out, result)
-    for line in result["assumed"]:
-        out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
     rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
     for k, run in enumerate(result["runs"], 1):
-        some = run["separates"][:: max(1, len(run["separates"]) // MAX_EXAMPLES)][:MAX_EXAMPLES]
-        example = "\n".join(" from ".join(pair) for pair in some)
+        example = " from ".join(run["separates"][0]) if run["separates"] else ""
         numbers = (format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]))
         rows.add_row(str(k), escape(run["what"]), *numbers, example)
     none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
     out.print(rows if result["runs"] else none)
+    counts = (len(result[key]) for key in ("left", "unseen", "not_planned"))
+    out.print("left open: {} groups not separated, {} effects not detected, {} not planned for".format(*counts))
+
+
+def plan_details(out: Console, result: dict[str, Any]) -> None:
+    """Print what is assumed, what no run settles and why, and the detection limits."""
+    for line in result["assumed"]:
+        out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     left = [(" and ".join(one["effects"]), "separated", one) for one in result["left"]]
     for what, done, one in (*left, *((one["effect"], "detected", one) for one in result["unseen"])):
         why = f"{escape(one['why'])}; {escape(one['settle'])}"
@@ -172,20 +175,21 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS]
+    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS]
     words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
     out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
-    _brief_parameters(out, fitted["parameters"])
-    if fitted.get("misfit"):
-        out.print(escape(f"† {fitted['misfit']['words'].partition('. ')[0]}"))
+    _brief_parameters(out, fitted)
 
 
-def _brief_parameters(out: Console, parameters: dict[str, Any]) -> None:
-    """Print the first parameters that all runs share."""
-    shared = [(name, one) for name, one in parameters.items() if "[" not in name][:MAX_PARAMETERS]
+def _brief_parameters(out: Console, result: dict[str, Any], most: int = MAX_PARAMETERS) -> None:
+    """Print the first parameters that all runs share and that were fitted, and what a dagger means."""
+    fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
+    shared = [(name, one) for name, one in fitted.items() if "[" not in name][:most]
     out.print(tables.parameters(dict(shared), brief=True))
-    if left_out := _more(len(parameters) - len(shared), "parameter"):
+    if left_out := _more(len(fitted) - len(shared), "parameter"):
         out.print(left_out.strip())
+    if result.get("misfit"):
+        out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
@@ -218,7 +222,13 @@ def demo(out: Console, result: dict[str, Any]) -> None:
         out.print(
             f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
         )
-        _brief_parameters(out, result["add"]["parameters"])
+        _brief_parameters(out, result["add"])
+
+
+def edit(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters, and the errors before and after an effect was added or removed."""
+    _brief_parameters(out, result, MAX_PARAMETERS + 1)
+    out.print(tables.errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True))
 
 
 # --- the other commands

@@ -375,11 +375,15 @@ def history(study: Study = STUDY_HERE, as_json: Json = False) -> None:
 
 
 @command()
-def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
+def plan(study: Study = STUDY_HERE, details: bool = False, as_json: Json = False) -> None:
     """Plan which runs to film next, to separate the effects.
 
     Reads mass, frame rate and scale from the study file, and the runs if there are any; no film is needed. Writes
     plan.html.
+
+    Options
+    -------
+    details : print also what is assumed, what no run settles, and the detection limits
 
     Examples
     --------
@@ -389,7 +393,7 @@ def plan(study: Study = STUDY_HERE, as_json: Json = False) -> None:
     """
     with progress_bars() as progress:
         result = flow.plan(flow.open_study(study, allow_incomplete=True), progress)
-    print_result(result, as_json, "plan", result["page"], look_at("plan"))
+    print_result(result, as_json, "plan plan_details" if details else "plan", result["page"], look_at("plan"))
 
 
 @command()
@@ -472,5 +476,5 @@ def export(  # noqa: PLR0913, PLR0917 - one argument per option
             files, lost = written.files, list(written.lost)
             result = {"files": [str(f) for f in files], "lost": lost, "output": str(session.study.output)}
             where = files[0].parent if len(files) > 1 else files[0]
-            look = look_at("export", opened_by=FORMATS[to].opened_by)
+            look = look_at("export", opened_by=FORMATS[to].opened_by.replace("v3", session.study.runs[0].name))
     print_result(result, as_json, to if to in (CRATE, PRIOR) else "export", where, look)

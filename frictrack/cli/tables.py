@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -13,6 +12,7 @@ from rich.table import Table
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_plain, format_plus_minus
+from frictrack.results.names import numbered_name
 from frictrack.results.rows import (
     FAILING_HEADS,
     MEASUREMENT_HEADS,
@@ -23,8 +23,8 @@ from frictrack.results.rows import (
 )
 from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
 
+BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
-MAX_WIDTH = 1000  # of a table that is measured before it is broken to the width of the terminal
 NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
 
 
@@ -189,10 +189,10 @@ def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
     return filled_table(heads, cells)
 
 
-def errors(columns: Iterable[tuple[str, dict[str, Any]]]) -> Table:
-    """Return a table with one row per error and one column per model."""
+def errors(columns: Iterable[tuple[str, dict[str, Any]]], *, brief: bool = False) -> Table:
+    """Return a table with one row per error and one column per model; a brief one has only `BRIEF_ERRORS`."""
     titles, models = zip(*columns, strict=True)
-    found = (row for row in error_rows(models) if row.short)
+    found = (row for row in error_rows(models) if (row.short in BRIEF_ERRORS if brief else row.short))
     return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
 
 
@@ -210,45 +210,20 @@ def sentences(out: Console, result: dict[str, Any]) -> None:
 
 def history(out: Console, result: dict[str, Any]) -> None:
     """Print every model tried, in order, one row each."""
-    whole = _models(result["models"], str)
-    fits = out.measure(whole, options=out.options.update(max_width=MAX_WIDTH)).maximum <= out.width
-    out.print(whole if fits else _models(result["models"], break_name))
-    sentences(out, {"words": (*describe_tests(result), *describe_predictions(result))})
-
-
-def _models(models: list[dict[str, Any]], write: Callable[[str], str]) -> Table:
-    """Return a table with one row per model; `write` formats its name."""
+    models = result["models"]
     found = [row for row in error_rows(model["errors"] for model in models) if row.short]
     heads = (f"{row.short} / {row.unit}" if row.unit else row.short for row in found)
-    names = (escape("\n  ".join([write(model["name"]), *model.get("settings", [])])) for model in models)
-    rows = ((name, *(format_plain(row.values[k]) for row in found)) for k, name in enumerate(names))
-    return table("model", *heads, rows=rows)
-
-
-def break_name(name: str) -> str:
-    """Break the name of a model before its plus signs, so that no line is longer than `MAX_NAME_WIDTH` if possible.
-
-    Examples
-    --------
-    >>> break_name("2_tustin+texture+viscous_modulation").splitlines()
-    ['2_tustin+texture', '+viscous_modulation']
-
-    """
-    broken = [""]
-    for part in re.split(r"(?=\+)", name):
-        if broken[-1] and len(broken[-1] + part) > MAX_NAME_WIDTH:
-            broken.append("")
-        broken[-1] += part
-    return "\n".join(broken)
+    rows = table("model", *heads)
+    for k, model in enumerate(models):
+        name = numbered_name(model["name"])
+        name = name if len(name) <= MAX_NAME_WIDTH else name.replace(" + ", "\n  + ")
+        words = escape("\n  ".join([name, *model.get("settings", [])]))
+        rows.add_row(words, *(format_plain(row.values[k]) for row in found))
+    out.print(rows)
+    sentences(out, {"words": (*describe_tests(result), *describe_predictions(result))})
 
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     """Print spans of time, position and velocity with their share of the misfit."""
     if spans:
         out.print(table("fails in", *FAILING_HEADS, rows=failing_rows(spans)))
-
-
-def edit(out: Console, result: dict[str, Any]) -> None:
-    """Print the errors before and after an effect was added or removed."""
-    out.print(parameters(result["parameters"]))
-    out.print(errors([("before", result["error_before"]), ("after", result["error_after"])]))

@@ -496,7 +496,7 @@ class Session:
         new_group, _ = self.models.append(request, command, effect=effect, seed=request.seed)
         after = self.models.summary(new_group)
         errors = {"error_before": before["errors"], "error_after": after["errors"]}
-        return {"effect": effect, **errors, "parameters": after["parameters"]}
+        return {"effect": effect, **errors, "parameters": after["parameters"], "misfit": after.get("misfit")}
 
     @exclusive
     def attempt(self, effect: str) -> dict[str, Any]:

@@ -20,7 +20,9 @@ STANDINGS = {  # the words of every kind of candidate, for all that people read
     "lead": "explains a part",
     "rival": "predicts the same data as {}",
     "weaker": "passes alone",
-    "fails": "does not pass",
+    "less": "explains less than {}",
+    "unconfirmed": "not confirmed by its fit",
+    "fails": "not significant",
     "implausible": "not plausible: {}",
 }
 MAIN_KINDS = ("named", "rival", "lead")
@@ -37,7 +39,7 @@ class CandidateRow:
         Name of the effect.
     kind : {"named", "lead", "rival", "weaker", "fails", "implausible"}
         Found; explains a part of a misfit that nothing explains; predicts the same data as one that was found; passes
-        with less evidence; does not pass; fits but is not plausible.
+        with less evidence; explains less or is not significant; fits but is not plausible.
     standing : str
         The same in words, with what it was tested in addition to.
     delta_bic : float
@@ -147,7 +149,7 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
         for rival in by_name[name].get("indistinguishable_from") or []:
             if rival in by_name and rival not in found:
                 rows.setdefault(rival, _row(by_name[rival], "rival", STANDINGS["rival"].format(name)))
-    best = max((c["delta_bic"] for c in by_name.values() if passes(c)), default=0.0)
+    best = max((c for c in by_name.values() if passes(c)), key=lambda c: c["delta_bic"], default=None)
     others = (_other(c, best) for name, c in by_name.items() if name not in rows)
     rest = sorted(others, key=lambda row: (_OTHER_KINDS.index(row.kind), -row.delta_bic))
     return [*rows.values(), *(row for row in rest if row.delta_bic > 0)]
@@ -156,7 +158,8 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
 def not_passing(rows: Sequence[CandidateRow]) -> str:
     """Count the candidates with positive evidence that do not pass, in words; "" if there are none."""
     failing, implausible = (sum(row.kind == kind for row in rows) for kind in ("fails", "implausible"))
-    parts = [f"{failing} do{'es' if failing == 1 else ''} not pass"] if failing else []
+    words = "explains less or is" if failing == 1 else "explain less or are"
+    parts = [f"{failing} {words} not significant"] if failing else []
     parts += [f"{implausible} {'is' if implausible == 1 else 'are'} not plausible"] if implausible else []
     return f"Of the others with some evidence, {' and '.join(parts)}." if parts else ""
 
@@ -184,13 +187,14 @@ def passes(candidate: Mapping[str, Any]) -> bool:
 _OTHER_KINDS = ("weaker", "fails", "implausible")
 
 
-def _other(c: Mapping[str, Any], best: float) -> CandidateRow:
+def _other(c: Mapping[str, Any], best: Mapping[str, Any] | None) -> CandidateRow:
     """Row of a candidate that was not found and predicts other data."""
     if c.get("implausible"):
         return _row(c, "implausible", STANDINGS["implausible"].format(c["implausible"]))
+    behind = best["delta_bic"] - c["delta_bic"] if best else 0.0
     if not passes(c):
-        return _row(c, "fails", STANDINGS["fails"])
-    behind = best - c["delta_bic"]
+        key = "fails" if c["p"] >= MAX_P else "less" if behind > 0 else "unconfirmed"
+        return _row(c, "fails", STANDINGS[key].format(best["effect"] if best else ""))
     how = f", {format_number(behind)} behind the best" if behind >= 1 else ", level with the best" if behind > 0 else ""
     return _row(c, "weaker", STANDINGS["weaker"] + how)
 

@@ -201,8 +201,9 @@ class _Reader:
         try:
             file = schema.StudyFile.model_validate(self.raw, context={"folder": path.parent})
         except ValidationError as e:
-            first = {fault["loc"][:3]: fault for fault in reversed(e.errors(include_url=False))}  # of each key
-            self.faults = [self._sentence(place, first[place]) for place in list(first)[: -MAX_FAULTS - 1 : -1]]
+            faults = reversed(e.errors(include_url=False))
+            first = {fault["loc"][: 2 + (fault["loc"][0] in ARRAY_TABLES)]: fault for fault in faults}  # of each key
+            self.faults = [self._sentence(first[place]) for place in list(first)[: -MAX_FAULTS - 1 : -1]]
             return None
         where = f"[motion], {self._line('motion', 0, '')}"
         self.faults += [f"{where}: {fault}" for fault in file.motion.filter_choice.faults()]
@@ -244,9 +245,9 @@ class _Reader:
             incomplete=tuple(self.lacks),
         )
 
-    def _sentence(self, place: tuple[Any, ...], fault: Any) -> str:
-        """Return a fault with the table and the line of its key; `place` is table, number of an array table, key."""
-        table, *rest = place
+    def _sentence(self, fault: Any) -> str:
+        """Return a fault with the table and the line of its key; its place is table, number of an array table, key."""
+        table, *rest = fault["loc"]
         index = rest.pop(0) if rest and table in ARRAY_TABLES else 0
         key = str(rest[0]) if rest else ""
         if table not in TABLES:
@@ -258,8 +259,8 @@ class _Reader:
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
             hint = f"it belongs in [{home}]" if home else schema.suggest(key, TABLES[table].model_fields)
-            return f"{where}: {describe_fault(fault, key)}; {hint}"
-        return f"{where}: {describe_fault(fault, key)}"
+            return f"{where}: {describe_fault(fault, rest)}; {hint}"
+        return f"{where}: {describe_fault(fault, rest)}"
 
     def _merged(self, index: int, run: schema.RunTable, file: schema.StudyFile) -> schema.RunTable:
         """Return a run with the keys that it inherits."""

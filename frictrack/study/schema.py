@@ -98,8 +98,8 @@ def to_si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float
     """
     value, std = parse_quantity(raw, unit, what)
     if not above < value < below:
-        span = f"above {above:g} {unit}" if below == math.inf else f"between {above:.3g} and {below:.3g} {unit}"
-        raise ValueError(f"expected {what} {span} but got {raw!r}")
+        span = f"above {above:g}" if below == math.inf else f"between {above:.3g} and {below:.3g}"
+        raise ValueError(f"expected {what} {span}{'' if unit == '1' else f' {unit}'} but got {raw!r}")
     return value, std
 
 

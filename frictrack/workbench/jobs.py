@@ -149,15 +149,12 @@ class Job:
         """
         # read before the lock: the process takes the lock first and creates this file after it
         began = (self.folder / "began").exists()
-        if not self.result and (files.is_held(self.folder / "alive") or (not began and self._has_just_started)):
+        new = not began and abs(time.time() - self.spec["at"]) < MAX_START_SECONDS
+        if not self.result and (new or files.is_held(self.folder / "alive")):
             return RUNNING
         if result := self.result:  # also one that was written after the first look
             return FAILED if "error" in result else DONE
         return CANCELLED if (self.folder / "cancel").exists() else INTERRUPTED
-
-    @property
-    def _has_just_started(self) -> bool:
-        return bool(abs(time.time() - self.spec["at"]) < MAX_START_SECONDS)
 
     def cancel(self) -> None:
         """End the job at once; finished steps are kept."""

@@ -150,7 +150,7 @@ def look(
     runs : sequence of Run, optional
         The runs of the fit; by default those that it was fitted to.
     model : str, optional
-        Of a study: name of the model as in `frictrack history`, such as ``1_tustin``; the current model by default.
+        Of a study: name of the model as in `frictrack history --json`: ``1_tustin``; the current model by default.
     background : str or Fit, optional
         Another model, shown in the background.
     films : mapping, optional

@@ -142,14 +142,14 @@ def track_plots(run: RunResults, index: int = 0) -> PlotData:
     track = run.track
     if track is None:
         return PlotData(extra={"view": "track"})
-    columns = {"t": 1e3 * track.t, "sigma": 1e3 * track.sigma_px, "score": track.score}
+    columns = {"t": 1e3 * track.t, "sigma": track.sigma_px, "score": track.score}
     columns |= target_positions(run)
     shown = []
     for word, name in (("Horizontal", "x"), ("Vertical", "y")):
         path = line(position_column(TARGET, name, run), "measured", "measured", "measured", by_run=True)
         shown.append(plot(f"{word} position in the picture", TIME, (name, "px"), path, brush="x"))
     shown += [
-        plot("Standard deviation of the position", TIME, ("sigma", "0.001 px"), dots("sigma", "measured", "sigma")),
+        plot("Standard deviation of the position", TIME, ("sigma", "px"), dots("sigma", "measured", "sigma")),
         plot("Match score", TIME, ("score", ""), dots("score", "measured", "score")),
     ]
     return PlotData(len(track), columns, shown, [_run_entry(run, 0, len(track), index)], {"view": "track"})

@@ -17,15 +17,15 @@ from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnySummary, as_summary
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Mask
-from frictrack.results.candidates import CandidateRow, candidate_rows
+from frictrack.results.candidates import STANDINGS, CandidateRow, candidate_rows
 from frictrack.results.names import AXES
 
 MAX_CANDIDATES = 12  # drawn; the table of the report has all
 LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
-FAILS: dict[str, Any] = {"label": "does not pass", "fc": "white", "ec": "#777777", "hatch": "////"}
+FAILS: dict[str, Any] = {"label": "explains less, or not significant", "fc": "white", "ec": "#777777", "hatch": "////"}
 LOOKS: dict[str, dict[str, Any]] = {
-    "named": {"label": "found", "color": style.BLUE},
-    "lead": {"label": "explains a part", "color": style.SKY},
+    "named": {"label": STANDINGS["named"], "color": style.BLUE},
+    "lead": {"label": STANDINGS["lead"], "color": style.SKY},
     "rival": {"label": "predicts the same data", "color": style.ORANGE},
     "weaker": {"label": "passes, with less evidence", "color": "#B5BCC2"},
     "fails": FAILS,
@@ -51,7 +51,8 @@ def candidates(diagnosis: AnySummary) -> Figure:
     figure = new_figure(0.36 * max(len(shown), 2) + 1.5, _candidates_title(rows))
     ax = figure.subplots()
     gains = np.array([max(row.delta_bic, 0.0) for row in shown])
-    logarithmic = _needs_log_axis(gains)
+    positive = gains[gains > 1]
+    logarithmic = len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
     floor = 1.0 if logarithmic else 0.0
     same_p = len({row.p for row in shown}) == 1
     for y, (row, gain) in enumerate(zip(shown, gains, strict=True)):
@@ -72,11 +73,6 @@ def _candidate_label(row: CandidateRow, *, with_p: bool) -> str:
     p = f", p {row.p}" if with_p else ""
     held = "" if row.after is None else f", held-out error {format_number(row.after)} {row.unit}"
     return f" {format_change(row.delta_bic)}{p}{held}"
-
-
-def _needs_log_axis(gains: Array) -> bool:
-    positive = gains[gains > 1]
-    return len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
 
 
 def _candidates_title(rows: Sequence[CandidateRow]) -> str:
@@ -162,7 +158,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
 
 
 def _setting_name(name: str) -> str:
-    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name.replace("_", " "))
+    return {"x_c": "place", "w": "width", "v_s": "Stribeck velocity v_s"}.get(name, name)
 
 
 def parameter_unit(effect: str, name: str) -> str:

@@ -84,7 +84,6 @@ def motion(run: AnyRun) -> Figure:
         1, (5.4, 0.8), _motion_title(run), (TIME_LABEL, *MOTION_LABELS), width=style.PAGE_WIDTH_IN / 2, sharex="cell"
     )
     _draw_motion(panels, run)
-    style.legend_below(figure, columnspacing=1.2)
     return figure
 
 
@@ -257,7 +256,8 @@ def table(record: FrameTable) -> Figure:
     figure, (panels,) = panel_grid(1, (PANEL_HEIGHT_IN * len(columns), 0.7), title, labels, sharex=True)
     t: Array = 1e3 * record.t  # type: ignore[attr-defined]
     for ax, f, (factor, _) in zip(panels, columns, scales, strict=True):
-        values, sigma = getattr(record, f.name), getattr(record, _sigma_name(f.name), None)
+        values = getattr(record, f.name)  # its deviation is sigma_x of x, sigma_px of x_px
+        sigma = getattr(record, f"sigma_{f.name}".replace("sigma_x_px", "sigma_px"), None)
         if sigma is not None:
             draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
         ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
@@ -270,8 +270,3 @@ def _is_drawn(record: Any, name: str, meta: Any) -> bool:
     if not meta.get("column") or values is None or name == "t" or name.startswith("sigma"):
         return False
     return values.dtype.kind == "f" and bool(np.any(np.isfinite(values)))
-
-
-def _sigma_name(name: str) -> str:
-    """Name of the standard deviation of a column: ``sigma_x`` of ``x``, ``sigma_px`` of ``x_px``."""
-    return f"sigma_{name}".replace("sigma_x_px", "sigma_px")

@@ -206,7 +206,7 @@ def filters(run: AnyRun) -> Figure:
     errors = [float(np.sqrt(np.mean(one.sigma[2, inside] ** 2))) for one in found]
     lower = found[1].name if errors[1] < errors[2] else "smoothing"
     title = f"{run.name}: smallest stated error by {lower}, {format_number(min(errors[1:]), 2)} m/s²"
-    quantities = [axis_label("x - smoothed", "µm"), *SHORT_LABELS[1:]]
+    quantities = [axis_label("x \u2212 smoothed", "µm"), *SHORT_LABELS[1:]]
     rows = [[(one.values[k], one.sigma[k]) for one in found] for k in range(3)]
     rows[0] = [(1e6 * (x - found[2].values[0]), 1e6 * sigma) for x, sigma in rows[0]]
     if (force := _forces(run, found)) is not None:

@@ -203,9 +203,7 @@ def noise_um(model: ModelResults) -> float | None:
     """
     if model.diagnosis and model.diagnosis.get("noise_um"):
         return float(model.diagnosis["noise_um"])
-    levels = [row.get("noise_um") for row in model.summary.get("per_run", ()) if row["role"] == "fit"]
-    known = [level for level in levels if level is not None]
-    return float(np.sqrt(np.mean(np.square(known)))) if known else None
+    return _rms([row.get("noise_um") for row in model.summary.get("per_run", ()) if row["role"] == "fit"])
 
 
 def worst_runs(model: ModelResults, runs: Sequence[RunResults]) -> list[RunResults]:

@@ -123,10 +123,8 @@ def profiles(summary: Mapping[str, Any]) -> Figure:
 
 
 def _profiles_title(found: Mapping[str, Any]) -> str:
-    unclosed = [name for name, profile in found.items() if profile["low"] is None or profile["high"] is None]
-    if not unclosed:
-        return "Every parameter is bounded on both sides"
-    return f"Not bounded on both sides: {', '.join(unclosed)}"
+    unclosed = ", ".join(name for name, profile in found.items() if None in (profile["low"], profile["high"]))
+    return f"Not bounded on both sides: {unclosed}" if unclosed else "Every parameter is bounded on both sides"
 
 
 def _panel(ax: Axes, name: str, profile: Mapping[str, Any], quoted: Mapping[str, Any]) -> None:

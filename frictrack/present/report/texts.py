@@ -24,7 +24,6 @@ from frictrack.results.names import AXES, plain_name
 from frictrack.results.rows import held_out_error
 
 EFFECT_NAMES = {"coulomb": "Coulomb friction", "stribeck": "Stribeck friction", "viscous": "viscous friction"}
-NUMBER_WORDS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 
 
 @dataclass(frozen=True)
@@ -101,10 +100,8 @@ def single_additions(models: Sequence[ModelResults]) -> Iterator[tuple[ModelResu
 
 
 def _runs_and_model(model: ModelResults) -> str:
-    fitted = [row for row in model.summary["per_run"] if row["role"] == "fit"]
-    n = len(fitted)
-    runs = "One run was" if n == 1 else f"{NUMBER_WORDS[n].capitalize() if n < len(NUMBER_WORDS) else n} runs were"
-    return f"{runs} fitted with {effect_names(model.summary['model'])}."
+    n = sum(row["role"] == "fit" for row in model.summary["per_run"])
+    return f"{'1 run was' if n == 1 else f'{n} runs were'} fitted with {effect_names(model.summary['model'])}."
 
 
 def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
@@ -361,8 +358,8 @@ def settings_table(results: Results) -> TextTable:
         mass = format_quantity(s["mass"][0], s["mass"][1], "kg") if run.mass is not None else str(s.get("mass") or "")
         fps, cutoff = s.get("fps"), run.motion.cutoff
         rates = (f"{fps:g} Hz" if fps else "", f"{cutoff:.0f} Hz" if np.isfinite(cutoff) else "")
-        more = {k: v for k, v in s.items() if k not in KEYS_WITH_COLUMN and (k, v) != ("reference", "auto")}
-        further = "; ".join(f"{k} = {v}" for k, v in more.items())
+        more = {k: v for k, v in s.items() if k not in KEYS_WITH_COLUMN and (v or k == "sigma_drive")}
+        further = "; ".join(f"{k} = {v}" for k, v in more.items() if (k, v) != ("reference", "auto"))
         rows.append((run.name, run.source, mass, rates[0], _scale(s.get("scale", "")), rates[1], further))
     return make_table(("run", "source", "mass", "frame rate", "scale", "cut-off", "further keys"), rows)
 
@@ -410,12 +407,10 @@ def hash_table(results: Results) -> TextTable:
     """
     stages = list(dict.fromkeys(stage for run in results.runs for stage in run.hashes))
     hashes = ((run.film.hash if run.film else "", *map(run.hashes.get, stages)) for run in results.runs)
-    rows = [(run.name, *map(_hash, own)) for run, own in zip(results.runs, hashes, strict=True)]
+    short = Markup('<code title="{}">{}</code>').format
+    cells = ([short(full, full[:10]) if full else "" for full in own] for own in hashes)
+    rows = [(run.name, *own) for run, own in zip(results.runs, cells, strict=True)]
     return make_table(("run", "film (sha256)", *stages), rows)
-
-
-def _hash(full: str | None) -> Cell:
-    return Markup('<code title="{}">{}</code>').format(full, full[:10]) if full else ""
 
 
 def software_versions(results: Results) -> str:

@@ -298,9 +298,9 @@ def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     """Describe the verdict on the current model of `results`."""
     verdict = study_verdict(results)
     headline = verdict.headline
-    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 1)
+    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 2)
     repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
-    numbers = [f"Reduced chi-squared {chi2}; p of the lack of fit {p}.", found.get("repeats_words")]
+    numbers = [f"Reduced chi-squared {chi2}; lack of fit has p = {p}.", found.get("repeats_words")]
     return {
         "verdict": found["verdict"],
         "title": headline,

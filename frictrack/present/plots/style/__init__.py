@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from html import escape
+from pathlib import Path
 from threading import RLock
 from typing import Any, ParamSpec
 
@@ -49,36 +50,7 @@ DOT_STYLE: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2
 MODEL_STYLE: dict[str, Any] = {"color": MODEL_COLOUR, "linestyle": (0, (4, 1.2)), "label": "model"}
 ZERO_STYLE: dict[str, Any] = {"color": "#BBBBBB", "linewidth": 0.7, "zorder": 0}  # of a line at zero behind all else
 
-RC_PARAMS: Any = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 10,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.labelsize": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#666666",
-    "axes.linewidth": 0.8,
-    "axes.labelcolor": "#222222",
-    "axes.axisbelow": True,
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "xtick.labelsize": 9,
-    "ytick.labelsize": 9,
-    "legend.fontsize": 9,
-    "legend.frameon": False,
-    "legend.handlelength": 2.4,
-    "lines.linewidth": 1.5,
-    "hatch.linewidth": 0.6,
-    "hatch.color": "#777777",
-    "figure.titlesize": 12,
-    "figure.titleweight": "bold",
-    "svg.fonttype": "none",
-    "svg.hashsalt": "frictrack",
-    "path.simplify_threshold": 0.2,
-}
+RC_PARAMS = mpl.rc_params_from_file(Path(__file__).with_name("frictrack.mplstyle"), use_default_template=False)
 
 
 def run_styles(runs: Sequence[Any]) -> dict[str, dict[str, Any]]:
@@ -364,6 +336,7 @@ def legend_below(figure: Figure, *more: Any, **look: Any) -> None:
         return sum(max(widths[k : k + rows]) for k in range(0, len(labels), rows)) < figure.get_figwidth()
 
     columns = next((n for n in range(len(labels), 1, -1) if fits(n)), 1)
+    columns = -(-len(labels) // -(-len(labels) // columns))  # as few as the rows allow: rows of like length
     figure.legend([by_label[label] for label in labels], labels, loc="outside lower left", ncols=columns, **look)
 
 

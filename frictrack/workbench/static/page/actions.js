@@ -1,12 +1,13 @@
 // What the user can do. Every action shows at once that it is under way; changes are sent one after the other, each with the
 // newest revision that this tab knows, so that a change made elsewhere is never overwritten unseen.
 
-import { getJSON, pause, post, request } from "./api.js";
+import { getJSON, post, request } from "./api.js";
 import { receive } from "./live.js";
 import { mark, say, selectedRun, store, update, watch } from "./store.js";
 
 let queue = Promise.resolve();
 let revision = 0; // after the last change of this tab
+let refused = 0; // tasks that failed
 
 const seen = () => Math.max(revision, store.study?.revision ?? 0);
 
@@ -15,18 +16,27 @@ function inTurn(key, task) {
   mark(key, true);
   const mine = queue.then(task).then(
     () => true,
-    (error) => (say(error.message, "bad"), error.status === 409 && readAgain(), false),
+    (error) => ((refused += 1), say(error.message, "bad"), error.status === 409 && readAgain(), false),
   );
   queue = mine;
   return mine.finally(() => mark(key, false));
 }
 
-/** Wait until all changes of this tab are written, also those that come while it waits. */
+/** Wait until all changes of this tab are written and shown, also those that come while it waits; resolves to whether none was
+ *  refused. */
 async function settled() {
+  const before = refused;
   for (let last = null; last !== queue; ) {
     last = queue;
     await last;
   }
+  return refused === before;
+}
+
+/** Wait for changes of the study that are under way, as of a box that has just lost the focus; resolves to whether there were any. */
+export async function edited() {
+  const some = [...store.busy].some((key) => /^(edit\.|draft\.|takeIn$)/.test(key));
+  return some && (await settled(), true);
 }
 
 /** Read the state now instead of waiting for the server to send it. */
@@ -38,18 +48,13 @@ function readAgain() {
   return refresh();
 }
 
-/** Wait until `holds()`; the server tells of every change within a second. */
-async function until(holds, within = 3000) {
-  for (const end = Date.now() + within; !holds() && Date.now() < end; ) await pause(30);
-}
-
-/** A quick change of the study. */
+/** A quick change of the study; it has ended when the page shows the study with it. */
 export function change(name, args, words, key = name) {
   return inTurn(key, async () => {
     const made = await post("/api/do", { do: name, arguments: args, seen: seen() });
     if (made.revision !== undefined) revision = made.revision;
-    if (made.state) receive(made.state);
     say(words || made.words || "Done.");
+    await refresh();
   });
 }
 
@@ -86,9 +91,9 @@ export const cancel = () => inTurn("cancel", () => post("/api/cancel"));
 export async function runAll() {
   if (store.busy.has("run")) return;
   mark("run", true);
-  await settled();
-  if (store.study?.exists) await until(() => store.study.revision >= revision); // what was typed last may be on its way
+  const written = await settled(); // what was typed last
   mark("run", false);
+  if (!written) return; // the banner says why
   const { ready, exists } = store.study || {};
   if (!exists || !ready.can_run) {
     say(exists ? ready.words : "Choose recordings or open the sample study first.", "warn");
@@ -104,7 +109,8 @@ export const renew = ({ do: name, arguments: args = {} }, words = "Update") =>
   name === "run" ? runAll() : start(name, args, words);
 
 /** Undo or redo the last change, and say what it was. */
-function step(name, done) {
+async function step(name, done) {
+  await edited();
   const { [`can_${name}`]: can, [`${name}_words`]: words } = store.study?.history || {};
   return can && change(name, {}, `${done}: ${words.replace(/^\w+: /, "")}.`);
 }
@@ -133,7 +139,7 @@ watch(() => {
 
 async function writeDraft(key, text) {
   mark(`draft.${key}`, true);
-  if (await edit(TABLE_OF[key], key, valueOf(text))) await until(() => store.study?.fields?.[key]?.text);
+  await edit(TABLE_OF[key], key, valueOf(text));
   update({ draft: { ...store.draft, [key]: "" } });
   mark(`draft.${key}`, false);
 }
@@ -146,7 +152,7 @@ export function takeIn(recordings) {
     await post("/api/study", { recordings, fields });
     const late = Object.entries(store.draft).filter(([key, text]) => text !== sent[key]); // typed while the study was written
     update({ draft: { ...NOTHING, ...Object.fromEntries(late) }, tab: "film" });
-    await until(() => store.study?.exists);
+    await refresh();
     say(`${recordings.length === 1 ? recordings[0] : `${recordings.length} recordings`} in the study.`);
   });
 }
@@ -155,7 +161,7 @@ export function takeIn(recordings) {
 export const openSample = () =>
   inTurn("sample", async () => {
     await post("/api/sample");
-    await until(() => store.study?.exists);
+    await refresh();
     update({ tab: "film" });
     say("The sample study is open. Press Run.");
   });

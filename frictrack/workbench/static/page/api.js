@@ -27,8 +27,19 @@ export async function request(path, { body, ...more } = {}) {
   return answer;
 }
 
-export const getJSON = async (path, more) => (await request(path, more)).json();
-export const post = async (path, body = {}, more) => (await request(path, { body, ...more })).json();
+const CLICK_MS = 1000; // a mouse button that is held down longer is dragged
+let pressed = null; // ends when the mouse button is up
+
+addEventListener("pointerdown", () => {
+  const up = new Promise((done) => addEventListener("pointerup", () => setTimeout(done), { once: true, capture: true })); // the click comes first
+  pressed = Promise.race([up, pause(CLICK_MS)]);
+}, true);
+
+/** Wait until a click has ended: what is pressed must not move away under the pointer, or the click is lost. */
+export const released = () => pressed;
+
+export const getJSON = async (path, more) => (await request(path, more).finally(released)).json();
+export const post = (path, body = {}, more) => getJSON(path, { body, ...more });
 
 /** Address with a query; empty values are left out. */
 export function address(path, query) {

@@ -11,7 +11,7 @@ import { store, update, useStore } from "./store.js";
 import { Words } from "./words.js";
 
 const HOVER_MS = 90; // the pointer rests on a candidate, it does not only pass
-const MAX_WEAK = 3; // candidates shown that do not pass
+const MAX_WEAK = 3; // candidates shown that explain less or are not significant
 
 let timer = null;
 
@@ -93,7 +93,7 @@ export function Candidates({ curve }) {
     <${Panel} title="Candidates" className=${`ui-candidates ${stale ? "stale" : ""}`} aside=${html`<span class="ui-aside">${all.length} with some evidence${complete ? "" : ", estimating"}</span>`}>
       <ol>${shown.map((one) => html`<${Candidate} key=${one.name} candidate=${one} best=${one === passing[0]} curve=${curve} />`)}</ol>
       ${shown.length < all.length || more
-        ? html`<button type="button" class="ui-link" aria-expanded=${String(more)} onClick=${() => setMore(!more)}>${more ? "Hide those that do not pass" : `Show ${all.length - shown.length} more that do not pass`}</button>`
+        ? html`<button type="button" class="ui-link" aria-expanded=${String(more)} onClick=${() => setMore(!more)}>${more ? "Show fewer" : `Show ${all.length - shown.length} more`}</button>`
         : null}
     <//>`;
 }

@@ -1,16 +1,22 @@
 // Small controls that all tabs share: button, segmented choice, panel, run picker.
 
 import { html, useEffect, useId, useRef, useState } from "./hooks.js";
+import { edited } from "./actions.js";
+import { pause } from "./api.js";
 import { Icon, Spinner } from "./icons.js";
 import { selectedRun, update, useStore } from "./store.js";
 
 /**
- * A button. `why` disables it and says why (it keeps the focus, so that the reason can be read); `busy` shows a spinner.
+ * A button. `why` disables it and says why (it keeps the focus, so that the reason can be read); `busy` shows a spinner. A click
+ * that writes what was just typed counts for the button as it is after that.
  */
 export function Button({ icon, label, onClick, why, busy, kind = "", small, title, children, iconOnly, ...more }) {
-  const press = (event) => {
-    if (why || busy) return event.preventDefault();
-    return onClick?.(event);
+  const now = useRef();
+  now.current = { why, onClick };
+  const press = async (event) => {
+    if (why || busy) event.preventDefault();
+    if (busy || (why && !((await edited()) && (await pause(0), !now.current.why)))) return;
+    now.current.onClick?.(event);
   };
   const text = children || label;
   return html`

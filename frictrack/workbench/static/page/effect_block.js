@@ -100,7 +100,7 @@ function Parameter({ effect, parameter }) {
     <li class="ui-parameter">
       <div class="ui-parameter-line">
         <b class="ui-symbol"><${Equation} text=${parameter.name} /></b>
-        <span class="ui-parameter-value">${values.length ? values.map(([run, text]) => html`<span>${run && html`<i>${run}</i> `}${spaced(text)}</span>`) : "no value yet: fit again"}</span>
+        <span class="ui-parameter-value">${values.length ? values.map(([run, text]) => html`<span>${run && html`<i>${run}</i> `}${spaced(text).split(/(?<=,) /).map((part) => html`<span>${part}</span> `)}</span>`) : "no value yet: fit again"}</span>
         <button type="button" class="ui-link" aria-expanded=${String(open)} aria-label=${`Settings of ${effect}.${parameter.name}`} onClick=${() => setOpen(!open)}>${words || "Settings"}<${Icon} name="more" /></button>
       </div>
       ${open && html`<${Settings} effect=${effect} parameter=${parameter} />`}

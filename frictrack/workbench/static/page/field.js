@@ -6,7 +6,6 @@ import { spaced } from "./format.js";
 import { Icon, Spinner } from "./icons.js";
 
 const CHECK_MS = 120; // after the last key
-const STATE_MS = 3000; // within which the server tells of what was written
 
 /** Ask the server how a text is read; nothing is written. The answer is given with its text: the box may hold a newer one already. */
 function useCheck(name, text, run) {
@@ -52,7 +51,7 @@ export function Field({ name, label, field, placeholder, run, onCommit, action, 
     const written = await onCommit(wanted);
     setSaving(false);
     if (!written) sent.current = null;
-    if (written) setTimeout(() => document.activeElement !== box.current && setText(null), STATE_MS);
+    else if (document.activeElement !== box.current) setText(null);
   };
   const takeBack = () => {
     box.current.value = field?.text || ""; // at once: the lost focus may come before the next drawing

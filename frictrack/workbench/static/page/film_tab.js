@@ -24,7 +24,6 @@ const TOOLS = [
   ["obstacles", "Obstacle", "obstacle"],
   ["repair", "Repair", "repair"],
 ];
-const STATES = { new: "new", tracked: "tracked", measured: "measured" };
 
 /** Runs of the study, each with what is known about it. */
 function RunList() {
@@ -38,7 +37,7 @@ function RunList() {
               <button type="button" aria-pressed=${String(run.name === name)} onClick=${() => update({ run: run.name, span: null, drawn: null })}>
                 <span class="ui-dot" style=${{ background: `var(--ft-run-${k % 8})` }}></span>
                 <span class="ui-run-title">${run.name}</span>
-                <span class="ui-run-about">${run.film ? `${count(run.film.frames, "frame")}` : run.kind} · ${STATES[run.state] || run.state}</span>
+                <span class="ui-run-about">${[run.film ? count(run.film.frames, "frame") : run.kind, run.state].map((word) => html`<span>${word}</span> `)}</span>
                 ${run.suspect?.length || run.warnings?.length ? html`<${Icon} name="warn" label="has something to look at" />` : null}
               </button>
               <${Button} iconOnly small kind="quiet" icon="remove" label=${`Leave ${run.name} out`} title=${`Leave ${run.name} out of the study; the film stays`}

@@ -1,6 +1,6 @@
 // The connection to the server: the state of the study after every change, and whether the server still answers.
 
-import { getJSON } from "./api.js";
+import { getJSON, released } from "./api.js";
 import { isQuiet } from "./selectors.js";
 import { say, store, update } from "./store.js";
 
@@ -61,8 +61,9 @@ async function readState() {
   }
 }
 
-function onMessage(event) {
+async function onMessage(event) {
   heard = Date.now();
+  await released();
   const message = JSON.parse(event.data);
   if (message.type !== "pong") news = heard;
   if (message.type === "hello") {
