@@ -221,16 +221,12 @@ def _lengths(span: Span) -> Array:
     return _widths(MIN_WIDTH_COURSE_SHARE * course, MAX_WIDTH_COURSE_SHARE * course)
 
 
-BUMPS = {  # an effect, and how its centre and its width are scanned
-    "place": (LIBRARY["patch"], _places, _lengths),
-    "moment": (replace(LIBRARY["collision"], columns=_pulse), _moments, _durations),
-}
-
-
 def _bump_effects(layout: ParameterLayout) -> list[Effect]:
-    """Effects for all bumps that may be added to a model."""
+    """Effects for all bumps that may be added to a model, their centres and widths scanned."""
+    blow = replace(LIBRARY["collision"], columns=_pulse)
+    kinds = {"place": (LIBRARY["patch"], _places, _lengths), "moment": (blow, _moments, _durations)}
     out = []
-    for kind, (effect, *scans) in BUMPS.items():
+    for kind, (effect, *scans) in kinds.items():
         parameters = [replace(p, per_run=effect.single) for p in effect.linear]
         for p, scan in zip(effect.nonlinear, scans, strict=True):
             ends = np.concatenate([scan(span) for span in (layout.span, *layout.spans)])
