@@ -480,10 +480,9 @@ def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int 
     _fill_noise(law, data[:, 1:], rng)
     levels = fitted.problem.layout.levels
     if basis.random:
-        scatter = rng.standard_normal((len(levels) + len(law.parts.runs), draws))
+        scatter = fitted.tau * rng.standard_normal((len(levels), draws))
         for rows in law.rows:
-            columns = np.column_stack([fitted.tau * fitted.jac[rows][:, levels], law.parts.columns[rows]])
-            data[rows, 1:] += (columns @ scatter).astype(np.float32)
+            data[rows, 1:] += (fitted.jac[rows][:, levels] @ scatter).astype(np.float32)
     coordinates = law.coordinates(data)
     taus = np.append(TAU_GRID, fitted.tau) if basis.random else np.array([1.0])
     on_basis = law.basis_coordinates.T @ coordinates
