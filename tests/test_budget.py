@@ -390,6 +390,6 @@ def test_the_figure_and_the_table_tell_the_same(study, monkeypatch):
     results = session.results()
     page = report.render(results).partition('id="budget"')[2]
     assert "<b>v4</b>: " in page
-    assert all(f"<td>{part['source']}</td>" in page for part in row["budget"][:-1])
+    assert all(f">{part['source']}</td>" in page for part in row["budget"][:-1])
     without = replace(results, runs=tuple(replace(run, budget={}) for run in results.runs))
     assert 'id="budget"' not in report.render(without)

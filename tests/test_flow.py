@@ -201,7 +201,7 @@ def test_models_are_appended_and_the_last_is_current(study_file: Path, called: l
     work = session(study_file)
     work.fit()
     added = work.add("drag")
-    assert set(added) == {"effect", "error_before", "error_after", "parameters"}
+    assert set(added) == {"effect", "error_before", "error_after", "parameters", "misfit"}
     assert "drag.c" in added["parameters"]
     assert added["error_before"] == tried_models.model_results(work.models.path, "1_coulomb+viscous").summary["errors"]
     session(study_file).remove("viscous")

@@ -568,7 +568,7 @@ def test_a_run_that_was_checked_is_not_doubted(study_file: Path) -> None:
     session.bring_up_to("friction")
     assert session.findings.summary == []
     edit(study_file, '"checked"', '"yes"')
-    with pytest.raises(FrictrackError, match="plausible: expected 'checked' but got 'yes'"):
+    with pytest.raises(FrictrackError, match='expected plausible as "checked" but got "yes"'):
         open_study(study_file)
 
 

@@ -519,9 +519,7 @@ def test_a_study_names_bad_samples_and_copies(tmp_path):
     rows = {row["run"]: row["notes"] for row in session.measure("motion")["runs"]}
     assert rows["good"] == []
     assert "off their course (frames 50, 300): left out" in rows["spiky"][0]
-    assert rows["again"] == [
-        'the same recording as run "good": it is left out, because it tells nothing more'
-    ]
+    assert rows["again"] == ['the same recording as run "good": it is left out, because it tells nothing more']
     found = session.fit()
     assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])
     assert any(w["words"].startswith('run "again": it is the same recording as') for w in found["warnings"])

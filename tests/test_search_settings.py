@@ -109,8 +109,8 @@ def test_ctrl_c_keeps_the_best_so_far_and_says_so(runs: list[ft.Run]) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ('method = "mag"', r"\[search\], line 2: method: expected 'varpro', 'ga', .* but got 'mag'"),
-        ("generations = 5", "method: this key is required"),
+        ('method = "mag"', r'\[search\], line 2: expected method as "varpro", "ga", .* but got "mag"'),
+        ("generations = 5", "expected the key method but it is missing"),
         ('method = "mga"\npopulaton = 5', 'search mga: expected a setting among generations, .* but got "populaton"'),
         (
             'method = "ga"\npopulation = 2\nP_c = 1.5',

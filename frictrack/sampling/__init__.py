@@ -19,7 +19,7 @@ from frictrack.sampling.clock import (
     unevenness,
     unwrapped,
 )
-from frictrack.sampling.noise_level import (
+from frictrack.sampling.difference_noise import (
     CORRELATION_COST,
     DIFFERENCE_ORDER,
     FALLBACK_ORDER,

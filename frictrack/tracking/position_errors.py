@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.recording import Recording
-from frictrack.records import Array, Track
+from frictrack.records import Array, Mask, Track
 from frictrack.sampling import noise_of_smooth
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.measure import residual_images
@@ -28,6 +28,7 @@ from frictrack.tracking.template_learning import pixel_harmonics
 N_STRETCHES, FRAMES_PER_STRETCH = 12, 8  # of the path, and frames of each stretch whose mean residual is taken
 PARTS_PER_SIDE = 3  # light changes over the whole target and not from one small block to the next
 MAX_TYPICAL_MISFIT_RATIO = 2.0  # to the typical misfit; above it the frame shows something else
+LEAST_QUANTILE = 0.1  # of the deviations in all frames: that of a frame which shows the whole target
 MIN_KEPT_SHARE = 0.95  # of the typical weight, in a frame that shows the whole target
 MIN_SIGNIFICANCE = 4.0  # standard errors above one
 # Rms shift of the target over the shift whose picture differs by as much as the residuals: 0.15 to 0.3 in films of
@@ -37,12 +38,13 @@ LASTING_SHARE = 0.5  # of that shift, the least that lasts for many frames: with
 MAX_PAIRS, MIN_PAIRS = 48, 16  # of neighbouring frames whose residuals are compared
 LATER_FRAMES = 16  # after which a codec repeats little, and light, dirt or a poor template as much as before
 MIN_REPEATED_SHARE = 0.2  # of the residual power; frames that are coded alone, as MJPEG, repeat 0.1 at most
+MAX_SCATTER_ERROR = 0.2  # relative standard deviation of a scatter that is believed; of fewer frames it may be motion
 MIN_SCATTER_SIGMAS = 2.0  # standard deviations of the scatter by which it exceeds the stated one
 
 
 def codec_shift(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> Array:
     """Rms shift along x and y (2,) px by which a codec that repeats frames leaves the target displaced; else zeros."""
-    found, template = raw_track.found, target_model.template
+    found, template = raw_track.found & _is_whole(raw_track.fit), target_model.template
     first = np.flatnonzero(found[:-LATER_FRAMES] & found[1 : 1 - LATER_FRAMES] & found[LATER_FRAMES:])
     if target_model.rotates or len(first) < MIN_PAIRS:
         return np.zeros(2)
@@ -64,6 +66,12 @@ def codec_shift(film: Recording, raw_track: RawTrack, target_model: TargetModel)
     return np.asarray(CODEC_SHIFT_SHARE * np.sqrt(power / np.maximum(slopes, 1e-30)))
 
 
+def _is_whole(fit: SubpixelFit) -> Mask:
+    """Frames in which the whole target is seen: what hides a part of it leaves residuals of its own."""
+    formal = fit.sigma[:, 0] / np.sqrt(np.maximum(fit.misfit, 1e-30))  # goes with the root of the weight that is left
+    return np.asarray(formal <= np.nanquantile(formal, LEAST_QUANTILE) / np.sqrt(MIN_KEPT_SHARE))
+
+
 def _of_pixel_phase(position: Array, residuals: Array) -> Array:
     """What of residuals (n, pixels) depends on the place (n, 2) px between the pixels: of too sharp a target."""
     x, y = (pixel_harmonics(position[:, axis]) for axis in (0, 1))
@@ -81,8 +89,9 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
     columns: dict[str, Any] = {}
     for name, series in (("sigma_px", track.x_px), ("sigma_y_px", track.y_px), ("sigma_angle", track.angle)):
         stated = getattr(track, name)
-        usual, (scatter, error) = float(np.nanmedian(stated)), noise_of_smooth(series, track.t)
-        exceeds = scatter * (1 - MIN_SCATTER_SIGMAS * error) > usual
+        usual = float(np.nanmedian(stated))
+        scatter, error = noise_of_smooth(series, track.t)
+        exceeds = error < MAX_SCATTER_ERROR and scatter * (1 - MIN_SCATTER_SIGMAS * error) > usual
         columns[name] = stated * (scatter / usual) if exceeds else stated
     level = [float(np.nanmedian(columns[name])) for name in ("sigma_px", "sigma_y_px")]
     slow = np.sqrt(float(direction**2 @ np.maximum(shift**2 - np.square(level), (LASTING_SHARE * shift) ** 2)))
