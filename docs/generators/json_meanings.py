@@ -132,6 +132,7 @@ MEANINGS = {
     "friction_scatter.value": "relative scatter of dry friction from run to run",
     "friction_scatter.std": "its standard deviation",
     "correlations": "pairs of strongly correlated parameters, with the coefficient",
+    "misfit": "smooth force that the model misses; null where nothing is left but noise",
     "misfit.axis": "axis along which the missing force is smooth",
     "misfit.evidence": "evidence for that axis",
     "misfit.words": "the same as a sentence",
