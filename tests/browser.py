@@ -164,9 +164,9 @@ class Server:
 
     @property
     def study_text(self) -> str:
-        """The study file as it is now."""
+        """The study file as it is now; empty before it is written."""
         file = self.study if self.study.is_file() else self.study / "study.toml"
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8") if file.exists() else ""
 
     @property
     def bare_address(self) -> str:
