@@ -221,9 +221,7 @@ class Examination:
         return gain > needed + self.critical - _loss_by_shared_amplitude(fitted, effect)
 
 
-def examine(
-    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float, *, scatter: bool = False
-) -> Examination:
+def examine(solution: Solution, own: Sequence[Effect], rng: np.random.Generator, level: float) -> Examination:
     """Test a model for every effect that it may lack.
 
     The effects are scanned over some of the draws, and over the others only where these do not decide whether the
@@ -239,8 +237,6 @@ def examine(
         Random generator.
     level
         Significance level of the test for lack of fit, and of that of all candidates together.
-    scatter
-        Whether all parts of friction scatter from run to run as its level does.
 
     Returns
     -------
@@ -252,8 +248,7 @@ def examine(
 
     """
     library, excluded = list_candidates(solution, own)
-    draws = draw_null_ensemble(solution, rng, count_draws(level), scatter=scatter)
-    scanned = list[ScannedCandidate]()
+    draws, scanned = draw_null_ensemble(solution, rng, count_draws(level)), list[ScannedCandidate]()
     for series in draws.series.divided(count_draws(level, N_DRAWS_FEW)):
         scanned = [
             _more_draws(scanned[i] if scanned else None, draws.law, *found)
@@ -288,7 +283,7 @@ def _more_draws(
 
 
 def examine_again(
-    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, before: Examination, *, scatter: bool = False
+    solution: Solution, own: Sequence[Effect], rng: np.random.Generator, before: Examination
 ) -> Examination:
     """Test a model with the effects found: few draws show its lack of fit, if they decide (sequential Monte Carlo).
 
@@ -305,18 +300,16 @@ def examine_again(
         Random generator.
     before
         Examination of the model without these effects.
-    scatter
-        Whether all parts of friction scatter from run to run as its level does.
 
     Returns
     -------
     Examination
 
     """
-    draws = draw_null_ensemble(solution, rng, count_draws(before.level, N_DRAWS_FEW), scatter=scatter)
+    draws = draw_null_ensemble(solution, rng, count_draws(before.level, N_DRAWS_FEW))
     p = lack_of_fit(draws)
     if before.level <= p < MIN_P_CLEAR:
-        draws = draw_null_ensemble(solution, rng, count_draws(before.level), scatter=scatter)
+        draws = draw_null_ensemble(solution, rng, count_draws(before.level))
         p = lack_of_fit(draws)
     gains: dict[str, float] = {}
     if p >= before.level:
@@ -478,21 +471,18 @@ def count_draws(level: float, at_least: int = N_DRAWS) -> int:
     return max(at_least, int(np.ceil(MIN_DRAWS_BELOW_LEVEL / level)) - 1)
 
 
-def draw_null_ensemble(
-    solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS, *, scatter: bool = False
-) -> NullEnsemble:
-    """Draw data of the null hypothesis that the fitted model is complete; all parts of friction may scatter."""
-    law = linearise(solution, scatter=scatter)
+def draw_null_ensemble(solution: Solution, rng: np.random.Generator, draws: int = N_DRAWS) -> NullEnsemble:
+    """Draw data of the null hypothesis that the fitted model is complete."""
+    law = linearise(solution)
     fitted, basis = law.solution, law.basis
     data = np.empty((len(basis.u), 1 + draws), dtype=np.float32)
     data[:, 0] = fitted.random_effect_data()
     _fill_noise(law, data[:, 1:], rng)
     levels = fitted.problem.layout.levels
     if basis.random:
-        deviations = rng.standard_normal((len(levels) + len(law.parts.runs), draws))
+        scatter = fitted.tau * rng.standard_normal((len(levels), draws))
         for rows in law.rows:
-            columns = np.column_stack([fitted.tau * fitted.jac[rows][:, levels], law.parts.columns[rows]])
-            data[rows, 1:] += (columns @ deviations).astype(np.float32)
+            data[rows, 1:] += (fitted.jac[rows][:, levels] @ scatter).astype(np.float32)
     coordinates = law.coordinates(data)
     taus = np.append(TAU_GRID, fitted.tau) if basis.random else np.array([1.0])
     on_basis = law.basis_coordinates.T @ coordinates

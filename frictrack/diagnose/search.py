@@ -34,7 +34,6 @@ from frictrack.effects import Effect
 from frictrack.fit import Fit
 from frictrack.fit.cutting import has_known_history, pieces_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
-from frictrack.fit.linearised import linearise
 from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import MASS, ParameterLayout
 from frictrack.fit.pieces import Piece
@@ -207,7 +206,6 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         pair = space.pair_instead(best, last)
         if pair is not best and _is_more(taken := take(pair), (best, last)):
             best, last = taken
-    best, first, last = _or_friction_scatters(space, best, (first, last), own, rng)
     misfit = baseline_misfit(first.draws.law)
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
@@ -218,32 +216,6 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
     return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, is_beaten=beaten)
-
-
-def _or_friction_scatters(
-    space: Explanations,
-    best: Explanation,
-    examined: tuple[Examination, Examination],
-    own: Sequence[Effect],
-    rng: np.random.Generator,
-) -> tuple[Explanation, Examination, Examination]:
-    """Return what was found, or the first part of it that leaves nothing if friction scatters as a whole.
-
-    The friction levels are of dry friction. Where its other parts scatter with it, or a patch does not, effects imitate
-    what is left; they explain less than such a scatter, which needs no parameters.
-    """
-    first, last = examined
-    for part in [*space.chain(best)[:-1], *([best] if last.something_is_missing else [])]:
-        law = observation_of(part.law.problem).weighted(part.law)
-        if part.criterion - linearise(law).gain_by_scatter() >= best.criterion:
-            continue
-        if part.effects:
-            again = examine_again(law, own, rng, first, scatter=True)
-        else:
-            first = again = examine(law, own, rng, first.level, scatter=True)
-        if not again.something_is_missing:
-            return part, first, again
-    return best, *examined
 
 
 def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:

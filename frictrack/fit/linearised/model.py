@@ -32,13 +32,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.linalg import block_diag, solveh_banded
+from scipy.linalg import solveh_banded
 
-from frictrack.base.distributions import robust_std
 from frictrack.effects import Effect, Path
 from frictrack.effects.models import Values
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
-from frictrack.fit.penalties import JacobianBasis, jacobian_basis, prior_jacobian
+from frictrack.fit.penalties import JacobianBasis
 from frictrack.fit.pieces import Piece, consecutive_slices
 from frictrack.fit.separable.model import DataBlock, path_at_compared, repeat_values, rows_at_compared, tiled_path
 from frictrack.records import Array, Mask
@@ -47,9 +46,6 @@ from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, Linea
 # smoothing parameters; bandwidths from a tenth of the frame rate downwards
 SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
-MAX_PART_SIGMAS = (
-    4.0  # by which a part of friction may deviate in a run; beyond, that part does not scatter as the levels do
-)
 Float32Array = NDArray[np.float32]
 
 
@@ -361,8 +357,6 @@ class LinearisedModel:
         Coordinates of `basis` in the bases of the pieces.
     unbounded : tuple of JacobianBasis and array
         Basis and its coordinates with the sensitivities to the unknowns that a bound holds.
-    parts : ScatteringParts
-        What scatters from run to run beside the friction levels.
 
     """
 
@@ -373,7 +367,6 @@ class LinearisedModel:
     basis: JacobianBasis
     basis_coordinates: Array
     unbounded: tuple[JacobianBasis, Array]
-    parts: ScatteringParts
 
     @property
     def runs(self) -> list[int]:
@@ -389,20 +382,6 @@ class LinearisedModel:
     def level_coordinates(self) -> Array:
         """Coordinates (L, R) of the sensitivities to the friction levels in the bases of the pieces."""
         return self.coordinates(self.solution.jac[:, self.solution.problem.layout.levels])
-
-    @cached_property
-    def part_coordinates(self) -> list[Array]:
-        """Coordinates (L, k) of what else scatters from run to run, times its scatter, for every level."""
-        coordinates, slots = self.coordinates(self.parts.columns), self.solution.problem.layout.slots
-        return [coordinates[:, self.parts.runs == slots[i].run] for i in self.solution.problem.layout.levels]
-
-    def gain_by_scatter(self) -> float:
-        """Compute the fall of minus twice the log-likelihood if all parts of friction scatter, integrated out."""
-        columns = self.coordinates(ScatteringParts.of(self.solution).columns)
-        left = columns.T @ self.residual_projector(self.solution.tau)
-        right = left @ self.coordinates(self.solution.random_effect_data()[:, None])[:, 0]
-        inner = np.eye(len(right)) + left @ columns
-        return float(right @ np.linalg.solve(inner, right) - np.linalg.slogdet(inner)[1])
 
     def coordinates(self, series: Array | Float32Array) -> Array:
         """Compute the coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
@@ -427,15 +406,13 @@ class LinearisedModel:
         return np.asarray(self.basis.shrink(tau) @ (self.basis_coordinates.T @ coordinates))
 
 
-def linearise(solution: Solution, *, scatter: bool = False) -> LinearisedModel:
+def linearise(solution: Solution) -> LinearisedModel:
     """Prepare a fitted model for the scan of candidate effects.
 
     Parameters
     ----------
     solution : Solution
         The fit.
-    scatter : bool
-        Whether all parts of friction scatter from run to run about its level, as the levels do.
 
     Returns
     -------
@@ -448,77 +425,12 @@ def linearise(solution: Solution, *, scatter: bool = False) -> LinearisedModel:
     pieces = [linearised_piece(free, r) for r in free.responses]
     rows = consecutive_slices(len(r.r) for r in free.responses)
     coordinate_slices = consecutive_slices(s.basis.shape[1] - s.starts for s in pieces)
-    basis, parts = _basis_with_parts(free, scatter)
-    unbounded = basis, _coordinates(pieces, rows, basis.u)
+    unbounded = free.basis, _coordinates(pieces, rows, free.basis.u)
     if not np.any(solution.held):
-        return LinearisedModel(free, pieces, rows, coordinate_slices, *unbounded, unbounded, parts)
+        return LinearisedModel(free, pieces, rows, coordinate_slices, *unbounded, unbounded)
     bounded = _without_held(free, solution.held)
-    basis, parts = _basis_with_parts(bounded, scatter)
-    own = basis, _coordinates(pieces, rows, basis.u)
-    return LinearisedModel(bounded, pieces, rows, coordinate_slices, *own, unbounded, parts)
-
-
-@dataclass(frozen=True, eq=False)
-class ScatteringParts:
-    """Parts of friction that scatter from run to run about its level, as the levels of most runs do.
-
-    Whether what changes the dry friction of a run changes its viscous friction too, or a patch, nobody knows. A model
-    that demands either is rejected where nothing is missing.
-
-    Attributes
-    ----------
-    columns : array of shape (N, K)
-        Sensitivities to each part in a single run, times its scatter.
-    runs : array of shape (K,)
-        The run of each.
-    slots : array of shape (K,)
-        The unknown whose part each is.
-
-    """
-
-    columns: Array
-    runs: NDArray[np.int_]
-    slots: NDArray[np.int_]
-
-    @classmethod
-    def of(cls, solution: Solution) -> ScatteringParts:
-        """All parts of the friction of a fitted model: what carries the load or follows the speed."""
-        layout, jac = solution.problem.layout, solution.jac
-        effects = [e for e in layout.model.effects if e.acts_on == "force" and not e.modifies and e.kind != "coulomb"]
-        parts = {(e.name, q.name) for e in effects for q in e.linear if q.loaded or e.varies_with == "v"}
-        shared = [i for i, s in enumerate(layout.slots) if (s.effect, s.parameter) in parts and s.run is None]
-        levels = solution.p[layout.levels]
-        if not (solution.levels_are_random and shared):
-            return cls(jac[:, :0], np.zeros(0, dtype=int), np.zeros(0, dtype=int))
-        scatter = min(solution.tau, float(robust_std(levels - np.median(levels))))
-        run_of = np.concatenate([np.full(len(r.r), r.piece.run) for r in solution.responses])
-        present = np.unique(run_of)
-        columns = [scatter * solution.p[i] * jac[:, [i]] * (run_of[:, None] == present) for i in shared]
-        return cls(np.concatenate(columns, axis=1), np.tile(present, len(shared)), np.repeat(shared, len(present)))
-
-    def only(self, kept: Mask) -> ScatteringParts:
-        """Return some of the parts."""
-        return ScatteringParts(self.columns[:, kept], self.runs[kept], self.slots[kept])
-
-    def basis(self, solution: Solution) -> tuple[JacobianBasis, Array]:
-        """Return the basis of the model with these parts, and their deviations (K,) over their scatter in the data."""
-        layout, count = solution.problem.layout, len(self.runs)
-        known = block_diag(prior_jacobian(layout, solution.p), np.eye(count))
-        basis = jacobian_basis(np.column_stack([solution.jac, self.columns]), layout.levels, known)
-        fitted = basis.shrink(solution.tau) @ (basis.u.T @ solution.random_effect_data())
-        return basis, (basis.prior_rows @ fitted)[len(known) - count :]
-
-
-def _basis_with_parts(solution: Solution, scatter: bool) -> tuple[JacobianBasis, ScatteringParts]:
-    """The basis of a model; all parts of friction may `scatter` whose deviations in the data are no outliers."""
-    parts = ScatteringParts.of(solution)
-    parts = parts if scatter else parts.only(np.zeros(len(parts.runs), dtype=bool))
-    basis, deviations = parts.basis(solution)
-    outliers = parts.slots[np.abs(deviations) > MAX_PART_SIGMAS]
-    if not len(outliers):
-        return basis, parts
-    parts = parts.only(~np.isin(parts.slots, outliers))
-    return parts.basis(solution)[0], parts
+    own = bounded.basis, _coordinates(pieces, rows, bounded.basis.u)
+    return LinearisedModel(bounded, pieces, rows, coordinate_slices, *own, unbounded)
 
 
 def _coordinates(pieces: list[LinearisedPiece], rows: list[slice], series: Array | Float32Array) -> Array:

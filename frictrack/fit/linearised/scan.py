@@ -244,25 +244,17 @@ class _Absorption:
         return products if self._limits == (-np.inf, np.inf) else products.clip(*self._limits)
 
 
-def _absorbed(columns: Array) -> Array:
-    """Columns (L, k) over a root of I + C'C, so that B B' is what deviations C of unit variance absorb."""
-    size, directions = np.linalg.eigh(columns.T @ columns)
-    return np.asarray(columns @ (directions / np.sqrt(1 + np.maximum(size, 0.0))))
-
-
 def _block_parts(
     law: LinearisedModel, series: ScannedSeries, rows: Sequence[NDArray[np.int_]], t: int
 ) -> tuple[list[Array], Array]:
     """What a scatter of the levels leaves of coordinates by every block, and T (L, p) that couples the blocks."""
-    # what scatters between runs, such as the friction level of a run, absorbs its part alone
+    # the friction level of a run absorbs its part alone
     projector = series.residual_projectors[t]
     if len(rows) == 1:
         return [projector[np.ix_(rows[0], rows[0])]], np.zeros((len(projector), 0))
     if t not in series.kept:
-        levels = float(series.taus[t]) * law.level_coordinates.T * law.basis.random
-        pairs = zip(levels, law.part_coordinates, strict=True)
-        each = [_absorbed(np.column_stack([level, parts])) for level, parts in pairs]
-        levels = np.concatenate([levels.T[:, :0], *each], axis=1)
+        levels, tau = law.level_coordinates * law.basis.random, float(series.taus[t])
+        levels = levels * (tau / np.sqrt(1 + tau**2 * np.sum(levels**2, axis=0)))
         size, directions = np.linalg.eigh(np.eye(len(projector)) - projector - levels @ levels.T)
         kept = size > MIN_SHARED_SHARE
         series.kept[t] = levels, directions[:, kept] * np.sqrt(size[kept])
