@@ -9,20 +9,13 @@ from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import (
-    METHOD_NAMES,
-    MISSING_SIGMA,
-    KnownAcceleration,
-    covariance,
-    differentiate,
-    low_pass,
-    noise_level,
-)
+from frictrack.measure.motion import METHOD_NAMES, MISSING_SIGMA, KnownAcceleration, covariance, differentiate, low_pass
 from frictrack.measure.motion.banded_equations import LineParameters, SmootherData, cutoff_of, penalty
 from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.structure_search import StructureSearch
 from frictrack.records import Displacement
+from frictrack.sampling import noise_level
 
 FPS = 4000.0
 NOISE = 10e-6

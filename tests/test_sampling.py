@@ -11,12 +11,13 @@ import pytest
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
 from frictrack.measure.friction import free_section
-from frictrack.measure.motion import differentiate, low_pass, noise_level
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.tables import displacement_of_table, with_even_clock
 from frictrack.records import Displacement, Run
 from frictrack.sampling import (
     copies,
     correct_ticks,
+    noise_level,
     outliers,
     quantum,
     rounding_noise,

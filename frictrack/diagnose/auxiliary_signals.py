@@ -32,8 +32,9 @@ from frictrack.diagnose.compressed import CompressedResidual, compress_residual
 from frictrack.diagnose.examination import ALPHA, p_value
 from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED
 from frictrack.fit.least_squares import PieceResponse, Solution
-from frictrack.measure.motion import derivatives, low_pass, noise_level
+from frictrack.measure.motion import derivatives, low_pass
 from frictrack.records import Array, Displacement, Run
+from frictrack.sampling import noise_level
 
 MIN_GAIN_RATIO = 0.9  # of the best candidate's gain that a series must reach
 COEFFICIENTS_PER_SIGNAL = 2  # the series and its derivative

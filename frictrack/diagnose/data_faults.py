@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -184,7 +185,7 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
 
     less = [t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
     best = information_criterion(last) - bic_penalty(1, n) - MIN_CHI2_SEPARATED
-    laws = (search.first.solution, *(result_or_none(remove_effect, last, name) for name in less))
+    laws = chain([search.first.solution], (result_or_none(remove_effect, last, name) for name in less))
     for law in filter(None, laws):
         doubted = None
         for odd in _odd_runs(law, fitted.runs, rng):

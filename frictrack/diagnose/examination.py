@@ -38,14 +38,9 @@ from frictrack.fit.linearised import (
 from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.fit.pieces import Piece, Rows
 from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
-from frictrack.measure.motion import (
-    DIFFERENCE_ORDER,
-    FALLBACK_ORDER,
-    difference_order,
-    difference_variance,
-    slow_spectrum,
-)
+from frictrack.measure.motion import slow_spectrum
 from frictrack.records import Array, Mask
+from frictrack.sampling import DIFFERENCE_ORDER, FALLBACK_ORDER, difference_order, difference_variance
 
 ALPHA = 0.01  # significance level of one diagnosis: half for lack of fit, half for candidates
 N_DRAWS = 999

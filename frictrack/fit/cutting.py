@@ -49,8 +49,9 @@ from frictrack.measure.friction import (
     moving_sections,
     release_time,
 )
-from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise, noise_level
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import GRAVITY, Array, Mask, Run
+from frictrack.sampling import noise_level
 from frictrack.simulate.dynamics import Panels
 
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count

@@ -51,8 +51,8 @@ from frictrack.fit.pieces import Piece
 from frictrack.fit.smooth_functions import rms
 from frictrack.fit.uncertainty import Estimates
 from frictrack.measure.friction import count_flights
-from frictrack.measure.motion import noise_level
 from frictrack.records import GRAVITY, Array, Curve, Mask, ModelledMotion, Run
+from frictrack.sampling import noise_level
 from frictrack.simulate import Conditions, Start, simulate_displacement
 
 MAX_RELATIVE_STD = 0.3  # relative standard deviation of a resolved width

@@ -16,7 +16,7 @@ from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
-from frictrack.measure.motion import differentiate, low_pass, noise_level, white_noise
+from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.plausibility import (
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
@@ -26,6 +26,7 @@ from frictrack.measure.plausibility import (
     time_unit,
 )
 from frictrack.records import Array, Displacement, Mask, Run
+from frictrack.sampling import noise_level, white_noise
 from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
 
 if TYPE_CHECKING:

@@ -36,8 +36,8 @@ from frictrack.fit.pieces import Piece
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import ScanGains, ScanItem, VariableProjection
 from frictrack.fit.stepwise import TiedSeparableModel
-from frictrack.measure.motion import CORRELATION_COST
 from frictrack.records import Array
+from frictrack.sampling import CORRELATION_COST
 
 ALPHA = 0.01  # significance level of the whole search
 MAX_ROUNDS = 4  # of adding bumps

@@ -54,7 +54,7 @@ from frictrack.fit.least_squares import (
     refine,
     white_noise_covariance,
 )
-from frictrack.fit.linearised import has_per_run_coefficients, linearise
+from frictrack.fit.linearised import LinearisedModel, has_per_run_coefficients, linearise
 from frictrack.fit.parameters import LEVEL, ParameterLayout
 from frictrack.fit.penalties import penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
@@ -181,15 +181,15 @@ def explain_by_axes(solution: Solution) -> list[FittedExplanation]:
     likeliest: dict[str, SmoothForce] = {}  # by axis, over its factors
     for smooth in compress_residual(solution).smooth:
         likeliest.setdefault(smooth.axis.name, smooth)
-    found = []
+    found, linearised = [], linearise(solution)
     for name in [name for name in likeliest if name in AXIS_SYMBOLS][:MAX_AXES]:
         with suppress(FrictrackError):  # a curve under which no motion can be integrated
-            made = _fit_free_curve(solution, likeliest[name], PRIOR_STD_RATIO * friction)
+            made = _fit_free_curve(solution, linearised, likeliest[name], PRIOR_STD_RATIO * friction)
             found.append(FittedExplanation(AXES[name].name, made, max(solution.objective - made.objective, 0.0), made))
     return sorted(found, key=lambda e: -e.gain)
 
 
-def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -> Solution:
+def _fit_free_curve(solution: Solution, linearised: LinearisedModel, smooth: SmoothForce, prior_std: float) -> Solution:
     """Fit the model with a free curve over one axis, on the knots that the smooth force spans."""
     knots = np.linspace(smooth.at[0], smooth.at[-1], N_HATS)
     effect = _free_curve_effect(AXES[smooth.axis.name].name, smooth.axis, knots, prior_std)
@@ -197,7 +197,7 @@ def _fit_free_curve(solution: Solution, smooth: SmoothForce, prior_std: float) -
     layout = replace(old, model=replace(old.model, effects=(*old.model.effects, effect)))
     # from no curve: the smooth force itself holds parts that the model takes up, with other values of its parameters
     p, tau = layout.unknowns(old.by_address(solution.p), np.zeros(len(layout.slots))), solution.tau_of_other_runs
-    p = refine_on_measured_motion(linearise(solution), layout, p)
+    p = refine_on_measured_motion(linearised, layout, p)
     problem = solution.problem.rebuild(layout)
     return refine(problem, p, solution.starts, tau=tau, max_steps=MAX_STEPS, min_fall=MIN_CHI2_FALL)
 

@@ -47,8 +47,9 @@ from frictrack.fit.penalties import (
 )
 from frictrack.fit.pieces import Piece, column_norms
 from frictrack.fit.smooth_functions import rms
-from frictrack.measure.motion import CORRELATION_COST, slow_spectrum
+from frictrack.measure.motion import slow_spectrum
 from frictrack.records import Array, Mask
+from frictrack.sampling import CORRELATION_COST
 from frictrack.search import COST_OF_MEMORY
 
 MIN_TAU_OF_OTHER_RUNS = 1e-3  # relative standard deviation of the friction levels

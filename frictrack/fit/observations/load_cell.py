@@ -34,8 +34,8 @@ from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_com
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
 from frictrack.measure.friction import free_section, is_moving
-from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Mask, Run, stretches
+from frictrack.sampling import white_noise
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that are repeats, and of loads that are one

@@ -23,14 +23,4 @@ from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit
 from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
 from frictrack.measure.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, slow_spectrum
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
-from frictrack.sampling import (
-    CORRELATION_COST,
-    DIFFERENCE_ORDER,
-    FALLBACK_ORDER,
-    difference_order,
-    difference_variance,
-    noise_level,
-    noise_of_smooth,
-    white_noise,
-)
 from frictrack.settings.filters import METHOD_NAMES

@@ -17,8 +17,8 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import white_noise
 from frictrack.records import Array, Displacement, Mask
+from frictrack.sampling import white_noise
 
 MAX_GAP_INTERVALS = 2.5  # sample intervals without a sample; over a longer gap the sensor was not running
 MIN_CLIPPED_SAMPLES = 3  # equal samples in a row at the extreme
