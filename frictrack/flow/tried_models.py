@@ -389,6 +389,11 @@ class TriedModels:
 
     # --- what is stored beside a fit: its JSON, and that of all that follows from it
 
+    def content_key(self, group: str) -> str:
+        """Return a text that changes when what is stored of a model does: its fit, its intervals, its diagnosis."""
+        parts = [store.provenance(self.path, f"{group}/{part}") for part in ("certainty", "diagnosis")]
+        return digest([store.attributes(self.path, group), *parts])
+
     def stored_summary(self, group: str, key: str | None = None) -> dict[str, Any] | None:
         """Return the JSON that a group holds; None if there is none, or if it has another key than `key`."""
         made = store.provenance(self.path, group)

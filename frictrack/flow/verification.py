@@ -95,7 +95,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
         "files": len(files),
         "studies": len(studies),
         "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
-        "without_checksums": [str(files[path]) for path in sound if store.read_header(path) is None],
+        "without_checksums": [str(files[path]) for path in sound if not store.read_header(path).version],
         "partly_hashed": [str(film) for models in opened for film in _partly_hashed(models.pipelines)],
         "at_work": [str(folder) for folder in folders if is_busy(folder)],
     }
