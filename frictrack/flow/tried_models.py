@@ -363,10 +363,9 @@ class TriedModels:
 
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
         """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
-        path = self.attempt_path(request)
-        group = next(iter(result_or_none(store.names, path, "models") or ()), "")
-        made = result_or_none(store.provenance, path, f"models/{group}") if group else None
-        return (path, group) if made is not None and made.key == self.fit_key(request) else None
+        path, group = self.attempt_path(request), f"attempt_{request.name}"
+        made = result_or_none(store.provenance, path, f"models/{group}")
+        return (path, group) if made is not None else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
         """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
