@@ -139,8 +139,7 @@ class Session:
         return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
-        result = study_edits.EDITS[command](opened, **arguments)
+        result = study_edits.EDITS[command](self, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
