@@ -157,7 +157,7 @@ def test_a_result_made_again_leaves_others_out_of_date(study: Path) -> None:
 def test_a_missing_run_is_said(study: Path) -> None:
     (study.parent / "study_results" / "fast.h5").unlink()
     found = faults(study)
-    assert ("link", "study.h5", "/runs/fast") in found
+    assert ("missing", "fast.h5", "") in found
     assert ("missing", "study.h5", "/models/1_coulomb+viscous") in found
 
 
@@ -178,12 +178,6 @@ def test_other_programs_files_are_left_alone_unless_named(study: Path) -> None:
         file["frames"] = np.zeros(3)
     assert faults(study.parent) == []
     assert faults(path) == [("foreign", "film.h5", "")]
-
-
-def test_a_link_out_of_the_folder_is_said(study: Path) -> None:
-    path = study.parent / "study_results" / "study.h5"
-    store.write(path, {}, links={"runs/slow": "../study_results/slow.h5"})
-    assert faults(path) == [("damage", "study.h5", "/runs/slow")]
 
 
 def test_what_a_killed_writer_left_is_said_and_swept(study: Path) -> None:

@@ -77,14 +77,12 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
     provenances = lru_cache(maxsize=256)(store.provenances)  # a file is asked for by every file computed from it
     for i, path in enumerate(files):
         progress(i, len(files), "files")
-        found = store.check(files[path])
-        kinds = {fault.kind for fault in found}
-        if "foreign" in kinds and files[path] not in paths:
-            continue
-        if not kinds & {"damage", "foreign"}:
-            found += _file_provenance_faults(files[path], provenances)
+        fault = store.check(files[path])
+        if fault is None:
+            faults += _file_provenance_faults(files[path], provenances)
             sound.add(path)
-        faults += found
+        elif fault.kind != "foreign" or files[path] in paths:
+            faults.append(fault)
     progress(len(files), len(files), "files")
     folders = dict.fromkeys(path.parent for path in files.values())
     faults += [fault for models in opened for fault in _study_faults(models, sound)]

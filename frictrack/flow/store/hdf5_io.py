@@ -23,7 +23,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
 from frictrack.flow.store import encoding, file_header
 from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, members, without_marks
-from frictrack.flow.store.integrity import REMEDY, Fault, copy_groups, faults_inside, opens_safely
+from frictrack.flow.store.integrity import REMEDY, Fault, copy_groups, fault_inside, opens_safely
 
 NOTHING: Mapping[Any, Any] = {}
 MAX_GROUPS_KNOWN = 10_000  # whose attributes are kept
@@ -180,16 +180,16 @@ def check_header(path: Path, *, reread: bool = False) -> None:
         )
 
 
-def check(path: Path) -> list[Fault]:
-    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds."""
+def check(path: Path) -> Fault | None:
+    """Find the fault of one HDF5 file, if it has one. Nothing is raised, whatever the file holds."""
     try:
         check_header(path, reread=True)
     except FrictrackError as e:
         what, _, do = str(e).removeprefix(f"{path} ").rpartition("; ")
-        return [Fault(path, "", what, do)]
+        return Fault(path, "", what, do)
     except OSError as e:
-        return [Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")]
-    return faults_inside(path)
+        return Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")
+    return fault_inside(path)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Find all faults of one results file: its bytes, its schema, its links to other files.
+"""Find the faults of a results file that HDF5 meets.
 
 HDF5 may crash or never return on malicious bytes. A file without this user's signature is therefore read in a separate
 process first, together with the others of its folder.
@@ -28,7 +28,9 @@ MIN_TIMEOUT_S = 5.0  # for one file, and one second more for every `BYTES_PER_EX
 BYTES_PER_EXTRA_SECOND = 2e6
 MAX_MEMORY_BYTES = 2 << 30  # of the separate process
 _CHILD = "from frictrack.flow.store.integrity import run_check_process; run_check_process()"
-_CHECKED: dict[tuple[Path, tuple[int, int, int]], list[dict[str, str]] | None] = {}  # by file and its state
+Found = tuple[str, str, str] | None
+"""What is wrong, what to do and the kind of the fault; None if nothing is wrong."""
+_CHECKED: dict[tuple[Path, tuple[int, int, int]], Found] = {}  # by file and its state
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Fault:
     group: str  # "/motion/x"; "" where it is the file
     what: str
     do: str
-    kind: str = "damage"  # or "foreign", "link", "changed", "outdated", "missing", "leftover"
+    kind: str = "damage"  # or "foreign", "changed", "outdated", "missing", "leftover"
 
     @property
     def words(self) -> str:
@@ -50,34 +52,33 @@ class Fault:
 REMEDY = "delete it and run again, the recordings are untouched"
 
 
-def faults_inside(path: Path) -> list[Fault]:
-    """Find the faults of a file whose header was checked: links, and those that HDF5 meets."""
-    if read_header(path).is_signed:
-        return _inside(path)
-    found = _faults_in_sandbox(path)
-    if found is None:
-        return [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
-    return [Fault(path, **fault) for fault in found]
+_HDF5_FAILS = ("HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY, "damage")
+
+
+def fault_inside(path: Path) -> Fault | None:
+    """Find what is wrong inside a file whose header was checked."""
+    found = _inside(path) if read_header(path).is_signed else _found_in_sandbox(path)
+    return Fault(path, "", *found) if found else None
 
 
 def opens_safely(path: Path) -> bool:
     """Return whether this user wrote a file, or HDF5 can read all of it in a separate process."""
-    return read_header(path).is_signed or all(fault.kind != "damage" for fault in faults_inside(path))
+    return read_header(path).is_signed or (fault := fault_inside(path)) is None or fault.kind == "foreign"
 
 
-def _inside(path: Path, *, untrusted: bool = False) -> list[Fault]:
-    """Find the faults inside a file; all of an untrusted one is read, and copied as when it is written to."""
+def _inside(path: Path, *, untrusted: bool = False) -> Found:
+    """Find what is wrong inside a file; all of an untrusted one is read, and copied as when it is written to."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
-                return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
+                return "another program wrote it", "move it away", "foreign"
             if untrusted:
                 _read_all(file, set())
                 with h5py.File(io.BytesIO(), "w") as new:
                     copy_groups(file, new)
-            return list(_links(path, file))
+            return None
     except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
-        return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
+        return f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY, "damage"
 
 
 def _read_all(group: h5py.Group, met: set[int]) -> None:
@@ -106,32 +107,18 @@ def copy_groups(old: h5py.File, new: h5py.File) -> None:
             old.copy(name, new)
 
 
-def _links(path: Path, group: h5py.Group) -> Iterator[Fault]:
-    """Find links that lead nowhere or out of the folder."""
-    for name in group:
-        link, full = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"
-        if isinstance(link, h5py.ExternalLink):
-            if Path(link.filename).name != link.filename:
-                yield Fault(path, full, f"links to {link.filename}, outside its folder", "frictrack never wrote that")
-            elif not (path.parent / link.filename).exists():
-                yield Fault(path, full, f"links to {link.filename}, which is not there", "run the study", "link")
-        elif isinstance(link, h5py.SoftLink):
-            if name not in group:
-                yield Fault(path, full, f"links to {link.path}, which is not there", "run the study", "link")
-        elif isinstance(group[name], h5py.Group):
-            yield from _links(path, group[name])
-
-
-def _faults_in_sandbox(path: Path) -> list[dict[str, str]] | None:
-    """Return the faults that the separate process finds in a file; None if it crashes or exceeds its time.
+def _found_in_sandbox(path: Path) -> Found:
+    """Return what the separate process finds wrong in a file, also if it crashes or exceeds its time.
 
     One process checks all files of the folder that are still to be checked, since they are opened together.
     """
     key = path, file_state(path)
     if key not in _CHECKED:
         keys = [key, *_other_keys(path)]
-        found = _run_check_process([one for one, _ in keys])
-        _CHECKED.update(zip(keys, [*found, None], strict=False))  # the process ended at the file after the last one
+        found = _run_check_process([one for one, _ in keys])  # it ended at the file after the last of these
+        _CHECKED.update(
+            zip(keys, [*found, _HDF5_FAILS], strict=False)
+        )
     return _CHECKED[key]
 
 
@@ -145,7 +132,7 @@ def _other_keys(path: Path) -> Iterator[tuple[Path, tuple[int, int, int]]]:
 
 
 def _run_check_process(paths: Sequence[Path]) -> list[Any]:
-    """Return the faults of files in their order, of those before the first one that the process fails on."""
+    """Return what is wrong in files in their order, in those before the first one that the process fails on."""
     asked = "".join(f"{json.dumps(str(path.absolute()))}\n" for path in paths).encode()
     call, timeout = [sys.executable, "-P", "-c", _CHILD], sum(map(_timeout, paths))
     try:
@@ -166,15 +153,14 @@ def _timeout(path: Path) -> float:
 
 
 def run_check_process() -> None:
-    """Check files for the parent process: paths in lines on stdin, the faults of each in a line on stdout."""
+    """Check files for the parent process: paths in lines on stdin, what is wrong in each in a line on stdout."""
     limit_memory(MAX_MEMORY_BYTES)
     _say("ready")
     for line in sys.stdin:
         path = Path(json.loads(line))
         if hasattr(signal, "setitimer"):  # not on Windows; SIGALRM ends a process also within HDF5, and without parent
             signal.setitimer(signal.ITIMER_REAL, _timeout(path))
-        found = _inside(path, untrusted=True)
-        _say(json.dumps([{k: v for k, v in vars(fault).items() if k != "file"} for fault in found]))
+        _say(json.dumps(_inside(path, untrusted=True)))
 
 
 def _say(line: str) -> None:
