@@ -139,7 +139,8 @@ class Session:
         return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        result = study_edits.EDITS[command](self, **arguments)
+        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
+        result = study_edits.EDITS[command](opened, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 

@@ -9,86 +9,95 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from frictrack import study
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
+from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.opening import check_study
-from frictrack.study import parse
-
-if TYPE_CHECKING:
-    from frictrack.flow.session import Session
+from frictrack.flow.tried_models import TriedModels
+from frictrack.study import Study, parse
 
 FORMULA = re.compile(r"formula:(\d+)")
 
 
-def _edit(session: Session, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
+@dataclass(frozen=True)
+class OpenStudy:
+    """The three parts of an open study that an edit may change."""
+
+    study: Study
+    history: CommandHistory
+    models: TriedModels
+
+
+def _edit(opened: OpenStudy, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
     """Rewrite the study file and record the command; return its arguments."""
-    with session.commands.record(command, **arguments) as change:
-        change.before, change.after = _rewrite(session.study.path, rewrite)
+    with opened.history.record(command, **arguments) as change:
+        change.before, change.after = _rewrite(opened.study.path, rewrite)
     return arguments
 
 
-def set_key(session: Session, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
+def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file."""
 
     def rewrite(text: str) -> str:
         after = study.with_key(text, table, key, value, which)
-        if table == "effect" and session.models.current_group is not None:  # else only the next fit would fail
-            request = session.models.request(session.models.current_group)
-            request.model(parse(session.study.path, after, allow_incomplete=True).effects)
+        if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
+            request = opened.models.request(opened.models.current_group)
+            request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
         return after
 
-    return _edit(session, "edit", rewrite, table=table, which=which, key=key, value=value)
+    return _edit(opened, "edit", rewrite, table=table, which=which, key=key, value=value)
 
 
-def add_recordings(session: Session, recordings: Sequence[str]) -> dict[str, Any]:
+def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
     """Add a run for each recording."""
-    folder = session.study.folder
+    folder = opened.study.folder
     paths = [folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
-    return _edit(session, "take_in", lambda text: study.writing.with_runs(text, folder, paths), recordings=recordings)
+    return _edit(opened, "take_in", lambda text: study.writing.with_runs(text, folder, paths), recordings=recordings)
 
 
-def remove_run(session: Session, run: str) -> dict[str, Any]:
+def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
     """Remove a run from the study file; its recording and its results stay where they are."""
-    return _edit(session, "leave_out", lambda text: study.writing.without_run(text, run), run=run)
+    return _edit(opened, "leave_out", lambda text: study.writing.without_run(text, run), run=run)
 
 
-def define_effect(session: Session, effect: Mapping[str, Any]) -> dict[str, Any]:
+def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
     """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
     keys = dict(effect)
-    return _edit(session, "define", lambda text: study.writing.with_effect(text, keys), effect=keys)
+    return _edit(opened, "define", lambda text: study.writing.with_effect(text, keys), effect=keys)
 
 
-def select_model(session: Session, model: str) -> dict[str, Any]:
+def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
     """Make a model current that was tried before."""
-    if model not in session.models.groups:
-        known = ", ".join(session.models.groups) or "none"
+    if model not in opened.models.groups:
+        known = ", ".join(opened.models.groups) or "none"
         raise UsageError(f'expected a model that was tried but got "{model}"; there are {known}')
-    with session.commands.record("use", model=model) as change:
-        change.before, change.after = {"current": session.models.current_group}, {"current": model}
-        session.models.select(model)
+    with opened.history.record("use", model=model) as change:
+        change.before, change.after = {"current": opened.models.current_group}, {"current": model}
+        opened.models.select(model)
     return {"model": model}
 
 
-def _undo_or_redo(session: Session, command: str) -> dict[str, Any]:
+def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
     """Undo the last change, or redo the change that was undone last; the models tried stay in the history."""
-    with session.commands.record(command) as record:
-        done, undone = session.commands.undo_stacks()
+    with opened.history.record(command) as record:
+        done, undone = opened.history.undo_stacks()
         stack = done if command == "undo" else undone
         if not stack:
             raise FrictrackError(f"there is nothing to {command}")
         change = stack[-1]
         old, new = (change.after, change.before) if command == "undo" else (change.before, change.after)
         if "toml" in new:
-            _rewrite(session.study.path, lambda text: _swap(text, old["toml"], new["toml"]))
+            _rewrite(opened.study.path, lambda text: _swap(text, old["toml"], new["toml"]))
         else:
-            session.models.select(new["current"])
+            opened.models.select(new["current"])
         record.arguments = {"of": change.revision}
     return {"change": change.command, **change.arguments}
 
