@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from frictrack.flow.store.file_header import file_state, read_header
 MIN_TIMEOUT_S = 5.0  # for one file, and one second more for every `BYTES_PER_EXTRA_SECOND`
 BYTES_PER_EXTRA_SECOND = 2e6
 MAX_MEMORY_BYTES = 2 << 30  # of the separate process
+MAX_FILES_TOGETHER = 32  # that one process checks
 _CHILD = "from frictrack.flow.store.integrity import run_check_process; run_check_process()"
 Found = tuple[str, str, str] | None
 """What is wrong, what to do and the kind of the fault; None if nothing is wrong."""
@@ -110,11 +112,11 @@ def copy_groups(old: h5py.File, new: h5py.File) -> None:
 def _found_in_sandbox(path: Path) -> Found:
     """Return what the separate process finds wrong in a file, also if it crashes or exceeds its time.
 
-    One process checks all files of the folder that are still to be checked, since they are opened together.
+    One process checks many files of the folder that are still to be checked, since they are opened together.
     """
     key = path, file_state(path)
     if key not in _CHECKED:
-        keys = [key, *_other_keys(path)]
+        keys = [key, *islice(_other_keys(path), MAX_FILES_TOGETHER - 1)]
         found = _run_check_process([one for one, _ in keys])  # it ended at the file after the last of these
         _CHECKED.update(
             zip(keys, [*found, _HDF5_FAILS], strict=False)
