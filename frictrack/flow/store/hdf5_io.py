@@ -100,7 +100,7 @@ def provenances(path: Path) -> dict[str, Provenance]:
 
 def attributes(path: Path, group: str) -> dict[str, Any]:
     """Return the numbers and strings of a group, without its arrays; empty if there is no such file or group."""
-    return without_marks({k: v for k, v in _attributes(path, group).items() if k != encoding.FORMER_CHECKSUM})
+    return without_marks(_attributes(path, group))
 
 
 def _attributes(path: Path, group: str) -> dict[str, Any]:
