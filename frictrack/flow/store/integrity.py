@@ -118,9 +118,7 @@ def _found_in_sandbox(path: Path) -> Found:
     if key not in _CHECKED:
         keys = [key, *islice(_other_keys(path), MAX_FILES_TOGETHER - 1)]
         found = _run_check_process([one for one, _ in keys])  # it ended at the file after the last of these
-        _CHECKED.update(
-            zip(keys, [*found, _HDF5_FAILS], strict=False)
-        )
+        _CHECKED.update(zip(keys, [*found, _HDF5_FAILS], strict=False))
     return _CHECKED[key]
 
 
