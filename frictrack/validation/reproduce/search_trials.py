@@ -373,7 +373,7 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
 def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[Claim, ...]:
     local = {name: int(np.sum(ratio > LOCAL_OPTIMUM_RATIO)) for name, ratio in finals.items()}
     base, mga, n = results["GA"], results["MGA"], len(results["GA"].cost)
-    p = float(fisher_exact([[local[name], n - local[name]] for name in ("GA", "MGA")]).pvalue)
+    p = float(fisher_exact(np.array([[local[name], n - local[name]] for name in ("GA", "MGA")])).pvalue)
     fewer = verdict(local["MGA"] < local["GA"] and p < 0.05, local["MGA"] > local["GA"] and p < 0.05)
     best = min(local, key=lambda name: local[name])
     low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, laws.TABLE_7["MGA"][2]
