@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from frictrack.effects import LIBRARY
 from frictrack.fit import remove_effect
 from frictrack.flow import Session, open_study
 from frictrack.records import Array
-from frictrack.simulate import Trajectory, simulate
+from frictrack.simulate import simulate
 from frictrack.validation.blind import benchmark, make, score
 from frictrack.validation.blind import truth_sampling as drawing
 from frictrack.validation.blind.benchmark import SEAL_FILE, open_seal, run_table, write_study
@@ -41,7 +40,7 @@ from frictrack.validation.blind.outcome import (
     tally,
     wilson,
 )
-from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named, simulate_memory
+from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named
 from frictrack.validation.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
@@ -178,7 +177,7 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
     run = truth.runs[0]
     values = truth.law | {name: {"tau": value, "stiffness": value, "exponent": 1.0}}
     conditions, t = truth.conditions(run), np.arange(160) / 2000
-    trajectory = simulate_memory(truth.base + effect_named(name), values, conditions, t, truth.start(run))
+    trajectory = simulate(truth.base + effect_named(name), values, conditions, t, truth.start(run))
     fine = np.linspace(0, t[-1], 40 * 159 + 1)  # Euler, from the first row of its equation
     x = v = 0.0
     state = 5.0 if name == "friction_lag" else 0.0
@@ -193,9 +192,7 @@ def test_a_law_with_memory_is_followed_as_its_equation_says(name: str, value: fl
     assert trajectory.v[-1] == pytest.approx(v, rel=2e-3)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("simulated", [simulate_memory, simulate])
-def test_the_way_since_release_counts_in_a_law_with_memory(simulated: Callable[..., Trajectory]):
+def test_the_way_since_release_counts_in_a_law_with_memory():
     ring = {"amplitude": 0.3, "frequency": 120.0, "r": 0.8, "beam_length": 0.9, "phase": 0.4}
     heat = {"dF": 0.4, "length": 0.03}
     law = TRUTH.base + effect_named("presliding") + effect_named("beam_vibration") + effect_named("thermal")
@@ -212,7 +209,7 @@ def test_the_way_since_release_counts_in_a_law_with_memory(simulated: Callable[.
         friction = 3.0 * state + 0.3 * v + warm + 0.3 * np.sin(2 * np.pi * cycles + 0.4)
         return [v, (float(push(np.array([now]))[0]) - friction) / 0.3, rate, v / 1e-3 * (1 - state)]
 
-    found = simulated(law, values, conditions, t, (0.05, 0.0))
+    found = simulate(law, values, conditions, t, (0.05, 0.0))
     truth = solve_ivp(motion, (0.0, t[-1]), [0.05, 0.0, 0.0, 0.0], "LSODA", t, rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(found.x, truth.y[0], rtol=0, atol=3e-9)
 
@@ -626,7 +623,7 @@ def test_what_shifts_the_picture_does_so_under_a_law_with_memory():
     law = truth.base + effect_named("presliding") + effect_named("peak_locking")
     values = truth.law | {"presliding": {"stiffness": 1e-4, "exponent": 1.0}}
     values |= {"peak_locking": {"amplitude": 0.02, "phase": 0.3}}
-    trajectory = simulate_memory(
+    trajectory = simulate(
         law, values, replace(truth, push=0.012).conditions(truth.runs[0]), np.arange(99) / 4000, (0.05, 0.0)
     )
     np.testing.assert_allclose(

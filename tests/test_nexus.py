@@ -70,7 +70,7 @@ def test_default_of_a_study_leads_to_the_current_model(results: Path) -> None:
             for part in ("curves", "motion"):
                 for curve in model[part].values():
                     check_data(curve)
-    assert store.check(results / "study.h5") == []
+    assert store.check(results / "study.h5") is None
 
 
 def test_marks_are_not_content(results: Path) -> None:
@@ -105,7 +105,7 @@ def test_files_without_marks_stay_current_and_are_marked_when_written(
     with h5py.File(path, locking=False) as file:
         assert [name for name, group in file.items() if "NX_class" in group.attrs] == ["friction"]
         assert "default" not in file.attrs
-    assert store.check(path) == []
+    assert store.check(path) is None
     np.testing.assert_array_equal(store.read(path, "motion")["v"], store.read(results / "slow.h5", "motion")["v"])
 
 

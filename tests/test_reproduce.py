@@ -206,11 +206,6 @@ def test_chance_of_the_printed_gain() -> None:
     assert search_trials.probability_by_chance(x, 50, -0.1254, rng()) == pytest.approx(0.14, abs=0.03)
 
 
-def test_thirty_and_six_per_cent_differ_in_fifty_runs() -> None:
-    assert search_trials.fisher_p_value((15, 3), (50, 50)) == pytest.approx(0.003, abs=0.001)  # notes
-    assert search_trials.fisher_p_value((10, 10), (50, 50)) == 1
-
-
 # ---- Eq. 8
 
 

@@ -19,7 +19,7 @@ from frictrack.diagnose import Diagnosis, conclusion, diagnose
 from frictrack.diagnose.conclusion import Conclusion
 from frictrack.effects import models
 from frictrack.fit import fit
-from frictrack.flow import Session, open_study, read_results
+from frictrack.flow import ResultsReader, Session, open_study, read_results
 from frictrack.present.report.texts import next_steps
 from frictrack.results import to_builtins
 from frictrack.results.verdicts import VERDICT_ONLY
@@ -110,12 +110,15 @@ def test_an_interrupted_diagnosis_keeps_its_verdict_and_is_completed_later(
     seen: list[dict[str, Any]] = []
     again = Session(open_study(study_file))
     assert again.diagnose(quick=True)["complete"] is False
+    reader = ResultsReader()  # of the page, which reads again what has changed
+    assert reader.read(again.study).models[-1].diagnosis["complete"] is False
     whole = again.diagnose(on_verdict=seen.append)
     assert [(found["verdict"], found["complete"]) for found in seen] == [("missing", False)]
     assert (whole["verdict"], whole["complete"]) == ("missing", True)
     assert again.diagnose(on_verdict=seen.append) == whole
     assert len(seen) == 1  # what is stored in full is not announced
     assert again.diagnose(quick=True) == whole
+    assert reader.read(again.study).models[-1].diagnosis["complete"] is True
 
 
 def test_the_command_prints_the_verdict_then_the_rest_and_each_once(

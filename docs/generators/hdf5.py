@@ -66,7 +66,7 @@ are in SI units, pixels and grey values apart; NaN means "not measured in this f
   carries HDF5's own Fletcher32 checksum. `bool` is HDF5's enum of FALSE and TRUE; text is UTF-8 of fixed length.
 - A single number or text is an attribute of the group; `<name>_unit` is its unit. A list is an attribute in JSON.
   An unknown value or column is an empty attribute. A text above 16000 characters is a dataset.
-- The file itself has the attributes `schema` ({schema}), `version` (of frictrack, last to write) and `sha256`.
+- The file itself has the attributes `schema` ({schema}) and `version` (of frictrack, last to write).
 - A file is never changed in place. The new file replaces it in one step: a reader keeps the version that it opened, and
   opens the file again to see the new one. Reading needs no lock; frictrack locks the folder
   (`.frictrack/lock`) to write.
@@ -90,11 +90,10 @@ marks and never reads them; a file written before they existed gets them when it
 - The mark in the first line shows that this user wrote the file: HMAC-SHA256 of all after byte {start} under a secret
   in the user's data folder. A file without the mark (of a colleague, or of schema 1) is equally valid. HDF5 may crash
   or never return on malicious bytes, so frictrack reads such a file in a separate process first.
-- Every group and dataset: the attribute `sha256`, over its content (kind, shape, values, attributes; of a group the
-  names and checksums of its members, and the targets of links). It shows which group a fault is in.
-- `frictrack verify PATH...` checks both, the provenance of the results, and the recordings.
+- `frictrack verify PATH...` checks the file, the provenance of the results, and the recordings.
 
-A file of schema 1 has neither; it is read as it is, and gets both when something is written into it.
+A file of schema 1 has no checksum; it is read as it is, and gets one when something is written into it. In schema 2
+every group and dataset had a checksum of its own besides, the attribute `sha256`.
 
 ## Provenance of a group
 

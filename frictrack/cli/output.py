@@ -235,7 +235,7 @@ def edit(out: Console, result: dict[str, Any]) -> None:
 
 
 def blind(out: Console, result: dict[str, Any]) -> None:
-    """Print the shares of hits with intervals, detection limits and confusions."""
+    """Print the shares of hits with intervals; score.json has more: groups, detection limits, confusions, times."""
     rows = tables.table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
     for words, (group, key) in SHARES:
         if (hits := result[group][key])["of"]:
@@ -243,24 +243,6 @@ def blind(out: Console, result: dict[str, Any]) -> None:
             share = (format_plain(100 * hits["share"], 3), f"{low:.1f}-{high:.1f}")
             rows.add_row(words, str(hits["hits"]), str(hits["of"]), *share)
     out.print(rows)
-    one, where, time = result["one"], result["where"], result["seconds"]
-    out.print(
-        f"median group {format_plain(one['median_group'])}, "
-        f"of indistinguishable effects {format_plain(one['median_set'])}"
-    )
-    out.print(f"where it fails: mean F1 {format_plain(where['mean_f1'], 3)} over {where['of']} studies")
-    out.print(f"a diagnosis takes {format_plain(time['median'], 3)} s, at most {format_plain(time['largest'], 3)} s")
-    if result["limits"]:
-        rows = tables.table("detection limit over the ideal detector's", "median", "largest", "studies")
-        for name, limit in result["limits"].items():
-            rows.add_row(name, *(format_plain(limit[key], 3) for key in ("median", "largest")), str(limit["of"]))
-        out.print(rows)
-    if result["confusion"]:
-        rows = tables.table("hidden", "named first")
-        for name, counts in result["confusion"].items():
-            ordered = sorted(counts.items(), key=lambda pair: -pair[1])
-            rows.add_row(name, ", ".join(f"{what} {count}" for what, count in ordered))
-        out.print(rows)
     for failed in result["failed"]:
         out.print(f"{failed['study']} failed: {escape(failed['reason'])}")
 

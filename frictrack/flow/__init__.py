@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         start_study,
         survey_recording,
     )
-    from frictrack.flow.opening import open_study, table_needs_mass
+    from frictrack.flow.opening import open_study
     from frictrack.flow.pipeline import Progress, hash_path, no_progress
     from frictrack.flow.session import Session
     from frictrack.flow.stages import contact_sheet_path, run_pipeline

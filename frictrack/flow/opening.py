@@ -87,7 +87,7 @@ def check_inputs(pipelines: Sequence[RunPipeline]) -> None:
     _pass_all(partial(check, pipeline) for check in (_check_mass, _check_files) for pipeline in pipelines)
 
 
-def table_needs_mass(run: RunTable) -> bool:
+def _table_needs_mass(run: RunTable) -> bool:
     """Return whether a run of a table has no mass, and nothing that makes it needless: friction, a sensor or points."""
     if not isinstance(run.table, Path) or run.mass is not None or run.sensor is not None or run.is_of_points:
         return False
@@ -100,7 +100,7 @@ def table_needs_mass(run: RunTable) -> bool:
 
 def _check_mass(pipeline: RunPipeline) -> None:
     """Raise an error if the run of a table needs a mass; films are checked when the study file is read."""
-    if table_needs_mass(pipeline.run):
+    if _table_needs_mass(pipeline.run):
         raise UsageError(
             f'run "{pipeline.run.name}": expected a mass but got none; give mass = "0.35 kg" in [study] or in its '
             "[[run]], or --mass 0.35kg; only runs with measured friction (columns = {friction = ...}), or with a "

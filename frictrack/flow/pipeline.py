@@ -152,7 +152,7 @@ class RunPipeline:
             return provenance.key if provenance else "never made"
         if name not in self._keys:
             hashes = [found for _, found in self.inputs(name)]
-            self._keys[name] = stage_key(name, __version__, self.settings(name), hashes)
+            self._keys[name] = digest([name, __version__, self.settings(name), hashes])
         return self._keys[name]
 
     def settings(self, name: str) -> dict[str, Any]:
@@ -281,11 +281,6 @@ class RunPipeline:
             where = f'run "{self.run.name}"'
             what = str(e).removeprefix(f"{where}: ")
             raise FrictrackError(f"{where}, {stage.name}: {what}{notes}", usage=e.usage) from e
-
-
-def stage_key(name: str, version: str, settings: dict[str, Any], hashes: list[str]) -> str:
-    """Return the key of a stage: a hash of its name, frictrack's version, its settings and the hashes of its inputs."""
-    return digest([name, version, settings, hashes])
 
 
 def hash_path(path: Path, *, reread: bool = False) -> str:

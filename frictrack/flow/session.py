@@ -419,7 +419,9 @@ class Session:
         def keep(diagnosis: Diagnosis) -> Json:
             summary = withhold_verdict(diagnosis.summary(), self.findings.contradictions)
             links = {"diagnosis": f"/{inside}"}
-            return self.models.keep_summary(inside, summary, provenance, links, figures=diagnosis.figures)
+            settings = json.dumps(json.loads(provenance.settings) | {"complete": diagnosis.complete})
+            made = replace(provenance, settings=settings)
+            return self.models.keep_summary(inside, summary, made, links, figures=diagnosis.figures)
 
         self.progress(0, 0, f"diagnosing {group}")
         how |= {"functions": self.study.functions, "costs": self.study.costs, "progress": self.progress}

@@ -185,7 +185,7 @@ def results_key(models: TriedModels) -> str:
     group = models.current_group
     made = [(p.run.name, p.provenance("motion"), p.provenance("friction")) for p in models.pipelines]
     runs = [[name, *(stage.key if stage else "" for stage in stages)] for name, *stages in made]
-    return digest([group, store.checksum(models.path, f"models/{group}"), runs])
+    return digest([group, models.content_key(f"models/{group}"), runs])
 
 
 def find_outdated(models: TriedModels) -> tuple[OutdatedPart, ...]:
@@ -343,9 +343,9 @@ class ResultsReader:
             )
 
     def _model(self, models: TriedModels, group: str) -> ModelResults:
-        """Read a model, unless its stored content is that of the last time; files of schema 1 have no checksums."""
-        checksum = store.checksum(models.path, group if group == "papers" else f"models/{group}")
-        return self._keep(("model", group), checksum or object(), lambda: model_results(models.path, group))
+        """Read a model, unless its stored content is that of the last time."""
+        key = models.content_key(group if group == "papers" else f"models/{group}")
+        return self._keep(("model", group), key, lambda: model_results(models.path, group))
 
     def _runs(
         self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory

@@ -363,10 +363,9 @@ class TriedModels:
 
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
         """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
-        path = self.attempt_path(request)
-        group = next(iter(result_or_none(store.names, path, "models") or ()), "")
-        made = result_or_none(store.provenance, path, f"models/{group}") if group else None
-        return (path, group) if made is not None and made.key == self.fit_key(request) else None
+        path, group = self.attempt_path(request), f"attempt_{request.name}"
+        made = result_or_none(store.provenance, path, f"models/{group}")
+        return (path, group) if made is not None else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
         """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
@@ -388,6 +387,12 @@ class TriedModels:
         return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
 
     # --- what is stored beside a fit: its JSON, and that of all that follows from it
+
+    def content_key(self, group: str) -> str:
+        """Return a text that changes when what is stored of a model does: its fit, its intervals, its diagnosis."""
+        held = store.attributes(self.path, group)
+        parts = [store.provenance(self.path, f"{group}/{part}") for part in ("certainty", "diagnosis")]
+        return str(held.get("sha256") or digest([held, *parts]))  # the checksum of schema 2, which reports of then hold
 
     def stored_summary(self, group: str, key: str | None = None) -> dict[str, Any] | None:
         """Return the JSON that a group holds; None if there is none, or if it has another key than `key`."""

@@ -26,8 +26,7 @@ from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import is_busy
 from frictrack.flow import store
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress, stage_key
-from frictrack.flow.stages import FILM, TABLE
+from frictrack.flow.pipeline import Progress, RunPipeline, digest, no_progress
 from frictrack.flow.store import Fault, Provenance
 from frictrack.flow.tried_models import TriedModels, stored_models
 from frictrack.study import load, results_folder
@@ -78,14 +77,12 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
     provenances = lru_cache(maxsize=256)(store.provenances)  # a file is asked for by every file computed from it
     for i, path in enumerate(files):
         progress(i, len(files), "files")
-        found = store.check(files[path])
-        kinds = {fault.kind for fault in found}
-        if "foreign" in kinds and files[path] not in paths:
-            continue
-        if not kinds & {"damage", "foreign"}:
-            found += _file_provenance_faults(files[path], provenances)
+        fault = store.check(files[path])
+        if fault is None:
+            faults += _file_provenance_faults(files[path], provenances)
             sound.add(path)
-        faults += found
+        elif fault.kind != "foreign" or files[path] in paths:
+            faults.append(fault)
     progress(len(files), len(files), "files")
     folders = dict.fromkeys(path.parent for path in files.values())
     faults += [fault for models in opened for fault in _study_faults(models, sound)]
@@ -95,7 +92,7 @@ def verify(paths: Sequence[Path], progress: Progress = no_progress) -> dict[str,
         "files": len(files),
         "studies": len(studies),
         "faults": [{**vars(f), "file": str(f.file), "words": f.words} for f in dict.fromkeys(faults)],
-        "without_checksums": [str(files[path]) for path in sound if store.read_header(path) is None],
+        "without_checksums": [str(files[path]) for path in sound if not store.read_header(path).version],
         "partly_hashed": [str(film) for models in opened for film in _partly_hashed(models.pipelines)],
         "at_work": [str(folder) for folder in folders if is_busy(folder)],
     }
@@ -188,28 +185,16 @@ def _group_provenance_faults(path: Path, provenances: Provenances) -> Iterator[F
         if not (provenance.key and provenance.input_hash and provenance.version):
             yield Fault(path, full, "does not say what it was made from", RUN_AGAIN)
             continue
-        inputs = json.loads(provenance.inputs or "[]")
-        yield from _upstream_faults(path, full, inputs, provenances)
-        hashes = [found for _, found in inputs]
-        if hashes and (group in FILM or group in TABLE):
-            key = stage_key(group, provenance.version, json.loads(provenance.settings), hashes)
-            if (key, digest(hashes)) != (provenance.key, provenance.input_hash):
-                yield Fault(path, full, "its key is not that of its settings, version and inputs", RUN_AGAIN)
-
-
-def _upstream_faults(path: Path, full: str, inputs: list[list[str]], provenances: Provenances) -> Iterator[Fault]:
-    """Check that the groups that a result was computed from exist, and were not computed again since."""
-    for name, key in inputs:
-        if found := _GROUP.fullmatch(name):
-            other = path.parent / found[1] if found[1] else path
-            try:
-                provenance = provenances(other).get(found[2]) if other.exists() else None
-            except FrictrackError:
-                continue  # reported for that file
-            if provenance is None:
-                yield Fault(path, full, f"was made from {name}, which is not there", RUN_AGAIN, "missing")
-            elif provenance.key != key:
-                yield Fault(path, full, f"was made from {name}, which was made again since", RUN_AGAIN, "outdated")
+        for name, key in json.loads(provenance.inputs or "[]"):
+            if found := _GROUP.fullmatch(name):
+                other = path.parent / found[1] if found[1] else path
+                with suppress(FrictrackError):  # reported for that file
+                    source = provenances(other).get(found[2]) if other.exists() else None
+                    if source is None:
+                        yield Fault(path, full, f"was made from {name}, which is not there", RUN_AGAIN, "missing")
+                    elif source.key != key:
+                        words = f"was made from {name}, which was made again since"
+                        yield Fault(path, full, words, RUN_AGAIN, "outdated")
 
 
 def _history_has_models(folder: Path) -> bool:

@@ -27,66 +27,6 @@ BLACK_PERCENTILE, WHITE_PERCENTILE = 0.1, 99.9  # of the first frame, for frames
 UNKNOWN_FPS = 1000.0  # 1/s: a film whose rate nobody has told yet can be looked at
 
 
-class FrameImages:
-    """JPEG pictures of the frames of one recording, for one thread.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-    fps : float or None
-        Frames per second; None to read it from the file.
-
-    """
-
-    def __init__(self, path: Path, fps: float | None) -> None:
-        import numpy as np  # noqa: PLC0415 - slow to load
-
-        from frictrack.recording import random_access  # noqa: PLC0415 - loads OpenCV
-
-        self._stack = ExitStack()
-        recording, self.fps = _open(path, fps)
-        self._recording = self._stack.enter_context(random_access(recording))
-        self._picture = lru_cache(MAX_CACHED_FRAMES)(self._jpeg)
-        first = self._recording.frame(0)
-        deep = first.dtype != np.uint8
-        self._limits = tuple(np.percentile(first, (BLACK_PERCENTILE, WHITE_PERCENTILE))) if deep else (0.0, 255.0)
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """Properties of the film.
-
-        Returns
-        -------
-        dict
-            `frames`, `width` and `height` in px, and `fps`, which is None if neither the user nor the file tells it.
-
-        """
-        height, width = self._recording.shape
-        return {"frames": self._recording.n_frames, "width": width, "height": height, "fps": self.fps}
-
-    def __getitem__(self, number: int) -> tuple[int, bytes]:
-        """Number and JPEG of a frame; a number outside the film is clipped."""
-        number = min(max(number, 0), self._recording.n_frames - 1)
-        return number, self._picture(number)
-
-    def _jpeg(self, number: int) -> bytes:
-        import cv2  # noqa: PLC0415
-        import numpy as np  # noqa: PLC0415
-
-        frame, (low, high) = self._recording.frame(number), self._limits
-        if (low, high) != (0.0, 255.0):
-            frame = np.clip((frame - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
-        if frame.shape[1] > MAX_WIDTH_PX:
-            size = MAX_WIDTH_PX, round(frame.shape[0] * MAX_WIDTH_PX / frame.shape[1])
-            frame = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
-
-    def close(self) -> None:
-        """Close the recording."""
-        self._stack.close()
-
-
 def _open(path: Path, fps: float | None) -> tuple[Recording, float | None]:
     """Open a recording, also one whose frame rate is unknown; return it with its rate."""
     from frictrack.recording import open_recording  # noqa: PLC0415
@@ -166,12 +106,20 @@ class OpenFilm:
     def __init__(self, file: FilmFile) -> None:
         self.file = file
         self._thread = ThreadPoolExecutor(1, f"film {file.path.name}")
-        self._images: FrameImages | None = None
+        self._stack = ExitStack()
+        self._recording: Recording | None = None
+        self._picture = lru_cache(MAX_CACHED_FRAMES)(self._jpeg)
         self._waiting, self._last = 0, -1
 
     def info(self) -> Future[dict[str, Any]]:
-        """`frames`, `width`, `height` and `fps` of the film, and its `version`."""
-        return self._thread.submit(lambda: {**self._opened().info, "version": self.file.version})
+        """`frames`, `width` and `height` in px, `fps`, None if neither study nor file tells it, and the `version`."""
+        return self._thread.submit(self._info)
+
+    def _info(self) -> dict[str, Any]:
+        recording = self._opened()
+        height, width = recording.shape
+        sizes = {"frames": recording.n_frames, "width": width, "height": height}
+        return {**sizes, "fps": self._fps, "version": self.file.version}
 
     def frame(self, number: int) -> Future[bytes]:
         """JPEG of a frame; a number outside the film is clipped."""
@@ -180,7 +128,8 @@ class OpenFilm:
 
     def _frame(self, number: int) -> bytes:
         self._waiting -= 1
-        found, picture = self._opened()[number]
+        found = min(max(number, 0), self._opened().n_frames - 1)
+        picture = self._picture(found)
         step, self._last = found - self._last, found
         if 0 < step <= MAX_STEP:
             self._read_ahead(found + step, step, MAX_FRAMES_AHEAD)
@@ -190,9 +139,8 @@ class OpenFilm:
         """Decode one of the next frames, unless somebody waits for another one; then the one after it."""
 
         def decode() -> None:
-            images = self._opened()
-            if not self._waiting and number < images.info["frames"]:
-                images[number]
+            if not self._waiting and number < self._opened().n_frames:
+                self._picture(number)
                 self._read_ahead(number + step, step, count - 1)
 
         if count and not self._waiting:
@@ -201,15 +149,37 @@ class OpenFilm:
             except RuntimeError:  # the film was closed
                 return
 
-    def _opened(self) -> FrameImages:
-        if self._images is None:
-            self._images = FrameImages(self.file.path, self.file.fps)
-        return self._images
+    def _opened(self) -> Recording:
+        """The recording, opened when it is first needed; frames of more than 8 bits are shown by the first one."""
+        if self._recording is None:
+            import numpy as np  # noqa: PLC0415 - slow to load
+
+            from frictrack.recording import random_access  # noqa: PLC0415 - loads OpenCV
+
+            recording, self._fps = _open(self.file.path, self.file.fps)
+            opened = self._stack.enter_context(random_access(recording))
+            first = opened.frame(0)
+            deep = first.dtype != np.uint8
+            self._limits = tuple(np.percentile(first, (BLACK_PERCENTILE, WHITE_PERCENTILE))) if deep else (0.0, 255.0)
+            self._recording = opened
+        return self._recording
+
+    def _jpeg(self, number: int) -> bytes:
+        import cv2  # noqa: PLC0415
+        import numpy as np  # noqa: PLC0415
+
+        frame, (low, high) = self._opened().frame(number), self._limits
+        if (low, high) != (0.0, 255.0):
+            frame = np.clip((frame - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+        if frame.shape[1] > MAX_WIDTH_PX:
+            size = MAX_WIDTH_PX, round(frame.shape[0] * MAX_WIDTH_PX / frame.shape[1])
+            frame = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
 
     def close(self) -> None:
         """Close the film when the frames that are waited for are decoded."""
         try:
-            self._thread.submit(lambda: self._images.close() if self._images else None)
+            self._thread.submit(self._stack.close)
         except RuntimeError:
             return
         self._thread.shutdown(wait=False)

@@ -351,7 +351,7 @@ def make_table(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 
 
 def write_table(rows: Sequence[dict[str, Any]], stem: Path, units: Mapping[str, str]) -> list[Path]:
-    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet``; its fields of parameters have a `unit`."""
+    """Write ``stem.csv`` and, if pyarrow is installed, ``stem.parquet`` with the units of the columns as attributes."""
     table = make_table(rows)
     paths = [stem.with_name(f"{stem.name}.csv")]
     with atomic_write(paths[0]) as part:
@@ -359,15 +359,7 @@ def write_table(rows: Sequence[dict[str, Any]], stem: Path, units: Mapping[str, 
     if find_spec("pyarrow") is not None:
         paths.append(stem.with_name(f"{stem.name}.parquet"))
         with atomic_write(paths[1]) as part:
-            _write_parquet(table, part, units)
+            kinds = ("", " std", " std_misfit")
+            table.attrs["units"] = {f"{name}{kind}": unit for name, unit in units.items() for kind in kinds}
+            table.to_parquet(part, index=False)
     return paths
-
-
-def _write_parquet(table: pd.DataFrame, path: Path, units: Mapping[str, str]) -> None:
-    import pyarrow as pa  # noqa: PLC0415 - optional
-    import pyarrow.parquet  # noqa: PLC0415
-
-    whole = pa.Table.from_pandas(table, preserve_index=False)
-    known = {f"{name}{kind}": unit for name, unit in units.items() for kind in ("", " std", " std_misfit")}
-    fields = [one.with_metadata({"unit": known[one.name]}) if one.name in known else one for one in whole.schema]
-    pa.parquet.write_table(whole.cast(pa.schema(fields, whole.schema.metadata)), path)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -82,6 +82,7 @@ class StudyStarted:
 
     others: list[str]
     failed: dict[str, str]
+    reasons: dict[str, str | None] = field(default_factory=dict)  # why each of the others failed; None if it did not
 
 
 def begin_study(path: Path, seed: int) -> StudyStarted | StudyOutcome:
@@ -198,66 +199,44 @@ class BatchState:
 Watch = Callable[[BatchState], None]
 
 
-Step = tuple[Callable[..., Any], tuple[Any, ...], str]
-"""A function of this module, its arguments, and the film that it measures."""
-
-
-def study_steps(path: Path, seed: int) -> Generator[list[Step], list[Any], StudyOutcome]:
-    """Run one study: yield steps that may run side by side, receive their results, or sentences in place of results."""
-    (first,) = yield [(begin_study, (path, seed), "")]
-    if not isinstance(first, StudyStarted):
-        return first if isinstance(first, StudyOutcome) else failed_study(path, {}, first)
-    reasons = yield [(measure_film, (path, run, dict(first.failed)), run) for run in first.others]
-    failed = first.failed | {run: why for run, why in zip(first.others, reasons, strict=True) if why is not None}
-    (done,) = yield [(finish_study, (path, seed, dict(failed)), "")]
-    return done if isinstance(done, StudyOutcome) else failed_study(path, failed, done)
-
-
 @dataclass
-class _Running:
-    """A study under way: what it does next, and the results of the steps that it waits for."""
-
-    path: Path
-    steps: Generator[list[Step], list[Any], StudyOutcome]
-    results: list[Any] = field(default_factory=list)
-    waits_for: int = 0  # steps
-
-
-@dataclass
-class _Call:
+class _Step:
     """A step of a study that waits for its turn, or for its result."""
 
-    study: _Running
-    place: int  # of its result
-    step: Step
+    study: Path
+    function: Callable[..., Any]  # of this module, with its arguments
+    arguments: tuple[Any, ...]
+    film: str = ""  # that it measures; "" for a step of the whole study
     losses: int = 0  # times that it was cancelled
 
     @property
     def title(self) -> str:
         """The study, and the film if there is one."""
-        return ", ".join(filter(None, (str(self.study.path), self.step[2])))
+        return ", ".join(filter(None, (str(self.study), self.film)))
 
 
 class Scheduler:
-    """Submit the steps of all studies to a pool of workers."""
+    """Submit the steps of all studies to a pool of workers: the first film, the other ones side by side, the rest."""
 
     def __init__(self, studies: Sequence[Path], seed: int, pool: WorkerPool, state: BatchState) -> None:
         self.pool = pool
         self.state = state
-        self._studies = deque(_Running(path, study_steps(path, seed)) for path in studies)
-        self._calls: deque[_Call] = deque()  # of studies that have begun: they come before new ones
-        self._running: dict[Future[Any], _Call] = {}
+        self._seed = seed
+        self._new = deque(_Step(path, begin_study, (path, seed)) for path in studies)
+        self._next: deque[_Step] = deque()  # of studies that have begun: they come before new ones
+        self._begun: dict[Path, StudyStarted] = {}
+        self._running: dict[Future[Any], _Step] = {}
 
     def run(self, watch: Watch) -> Iterator[StudyOutcome]:
         """Yield the outcome of every study as it ends; call `watch` several times a second."""
         while self._fill() or self._running:
             watch(self.state)
             for future in wait(self._running, timeout=POLL_INTERVAL_S, return_when=FIRST_COMPLETED).done:
-                call = self._running.pop(future)
-                self.state.under_way.pop(call.title, None)
-                if future.cancelled() and call.losses < MAX_LOSSES:
-                    self._calls.append(replace(call, losses=call.losses + 1))
-                elif done := self._advance(call.study, call.place, _result(future)):
+                step = self._running.pop(future)
+                self.state.under_way.pop(step.title, None)
+                if future.cancelled() and step.losses < MAX_LOSSES:
+                    self._next.append(replace(step, losses=step.losses + 1))
+                elif done := self._outcome(step, _result(future)):
                     self.state.done.append(done.study)
                     self.state.runs += sum(1 for row in done.rows if row.get("run"))
                     self.state.failures += [{"study": done.study, **failure} for failure in done.failures]
@@ -267,28 +246,27 @@ class Scheduler:
     def _fill(self) -> bool:
         """Submit as many steps as the pool has capacity for; return whether any step or study is left."""
         room = self.pool.capacity()
-        while len(self._running) < room and (self._calls or self._studies):
-            if not self._calls:
-                self._begin(study := self._studies.popleft(), next(study.steps))
-            call = self._calls.popleft()
-            function, arguments, _ = call.step
-            self._running[self.pool.submit(function, *arguments)] = call
-            self.state.under_way[call.title] = time.monotonic()
-        return bool(self._calls or self._studies)
+        while len(self._running) < room and (self._next or self._new):
+            step = (self._next or self._new).popleft()
+            self._running[self.pool.submit(step.function, *step.arguments)] = step
+            self.state.under_way[step.title] = time.monotonic()
+        return bool(self._next or self._new)
 
-    def _begin(self, study: _Running, steps: list[Step]) -> None:
-        study.results, study.waits_for = [None] * len(steps), len(steps)
-        self._calls += [_Call(study, place, step) for place, step in enumerate(steps)]
-
-    def _advance(self, study: _Running, place: int, result: Any) -> StudyOutcome | None:
-        """Give a study a result, and take its next steps when it has all; return the outcome if it has ended."""
-        study.results[place] = result
-        study.waits_for -= 1
-        try:
-            if not study.waits_for:
-                self._begin(study, study.steps.send(study.results))
-        except StopIteration as end:
-            return end.value
+    def _outcome(self, step: _Step, result: Any) -> StudyOutcome | None:
+        """Return the outcome of a study if it ends with a step; else None, and what follows waits for its turn."""
+        path = step.study
+        if isinstance(result, StudyStarted):
+            self._begun[path] = result
+            self._next += [_Step(path, measure_film, (path, run, dict(result.failed)), run) for run in result.others]
+            return None
+        if not step.film:
+            failed = dict(*step.arguments[2:])  # of `finish_study`
+            return result if isinstance(result, StudyOutcome) else failed_study(path, failed, result)
+        begun = self._begun[path]
+        begun.reasons[step.film] = result
+        if len(begun.reasons) == len(begun.others):
+            failed = begun.failed | {run: why for run in begun.others if (why := begun.reasons[run]) is not None}
+            self._next.append(_Step(path, finish_study, (path, self._seed, failed)))
         return None
 
 

@@ -1,10 +1,9 @@
 """Read and write HDF5 results files: records and dictionaries in, the same out. A file is replaced as a whole.
 
-    hdf5_io      write and read groups, list what is in a file
-    encoding     records and dictionaries as HDF5 groups; marks for viewers; files of earlier schemas
-    file_header  the checksum of a whole file, checked before HDF5 reads it; a separate process opens files of others
-    checksums    limits on what a file declares, and the checksum of every group and dataset, which locates a fault
-    integrity    all faults of one file
+    hdf5_io      write and read groups, list what is in a file, check it
+    encoding     records and dictionaries as HDF5 groups; marks for viewers
+    file_header  the checksum of a whole file, checked before HDF5 reads it, and who wrote it
+    integrity    faults inside a file; a separate process opens files of others
 
 What is in a file, and how others read it, is in SCHEMA.md.
 """
@@ -14,5 +13,5 @@ What is in a file, and how others read it, is in SCHEMA.md.
 from frictrack.flow.store.encoding import ATTRIBUTES as NEXUS_ATTRIBUTES
 from frictrack.flow.store.encoding import GroupContent, Provenance
 from frictrack.flow.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, file_state, read_header
-from frictrack.flow.store.hdf5_io import attributes, checksum, names, provenance, provenances, read, snapshot, write
-from frictrack.flow.store.integrity import Fault, check
+from frictrack.flow.store.hdf5_io import attributes, check, names, provenance, provenances, read, snapshot, write
+from frictrack.flow.store.integrity import Fault

@@ -8,7 +8,7 @@ The marks follow the NeXus standard, so that a viewer (silx, h5web, NeXpy) draws
 group with one row per frame is an NXdata whose `signal` names the column that is drawn and `axes` that of the time, and
 `default` leads from the root to the curve that tells most. Nothing of them is read back.
 
-Files of earlier schemas are migrated in memory, step by step; on disk they change only when something is written.
+Files of earlier schemas are read as they are: they had checksums in their groups, or texts of any length.
 
 References
 ----------
@@ -19,10 +19,9 @@ NeXus manual, classes NXdata and NXroot, https://manual.nexusformat.org.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
-from itertools import count
 from types import MappingProxyType
 from typing import Any
 
@@ -30,8 +29,7 @@ import h5py
 import numpy as np
 
 from frictrack.base import __version__
-from frictrack.flow.store import checksums
-from frictrack.flow.store.file_header import HEADER_BYTES, SCHEMA
+from frictrack.flow.store.file_header import HEADER_BYTES
 from frictrack.results import to_builtins
 
 NX_CLASS = "NX_class"
@@ -57,22 +55,15 @@ def mark_data(group: h5py.Group, kind: Any) -> None:
 def mark_default(file: h5py.File) -> None:
     """Let `default` lead from the root of a file to a curve: the displacement of a run, or that of the current model.
 
-    Checksums of the groups that change are removed. No link is followed: it might lead into another file.
+    No link is followed: it might lead into another file.
     """
     file.attrs[NX_CLASS] = "NXroot"
     file.attrs.pop("default", None)
     inside: h5py.Group = file
     for name, kind in _path_to_curve(file):
-        _set(file, inside, "default", name)
+        inside.attrs["default"] = name
         inside = inside[name]
-        _set(file, inside, NX_CLASS, kind)
-
-
-def _set(file: h5py.File, group: h5py.Group, name: str, value: str) -> None:
-    """Set an attribute of a group, and remove its checksum and those of its parents if it changes."""
-    if str(group.attrs.get(name)) != value:
-        checksums.drop_checksums(file, group.name)
-        group.attrs[name] = value
+        inside.attrs[NX_CLASS] = kind
 
 
 def without_marks(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,7 +88,7 @@ def _path_to_curve(file: h5py.File) -> list[tuple[str, str]]:
 
 def _subgroups(group: h5py.Group | None) -> dict[str, h5py.Group]:
     """Return the groups inside a group by name, without links."""
-    inside = () if group is None else checksums.members(group)
+    inside = () if group is None else members(group)
     return {name: item for name, item in inside if isinstance(item, h5py.Group)}
 
 
@@ -116,6 +107,9 @@ def _names(*names: str) -> Any:
 
 
 _MAX_ATTRIBUTE_CHARACTERS = 16_000  # characters; HDF5 keeps an attribute below 64 kB
+_MAX_COMPRESSION = 1100  # times that deflate can shrink an array (1032 at most, with overhead)
+_ALWAYS_ALLOWED_BYTES = 1 << 20  # any array may be this large
+FORMER_CHECKSUM = "sha256"  # attribute of groups and datasets in schema 2
 _MAX_COMPACT_ATTRIBUTES = 64  # attributes of a group that stay in its header, which is smaller and read in one piece
 
 
@@ -152,74 +146,89 @@ def new_group(parent: h5py.Group, name: str) -> h5py.Group:
     return h5py.Group(h5py.h5g.create(parent.id, last.encode(), gcpl=creation))
 
 
-def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Write a record or a dictionary into an empty group, and its checksum."""
+def members(group: h5py.Group) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    """Yield name and object of what a group itself holds; links to other places are not followed."""
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            yield name, group[name]
+
+
+def write_group(group: h5py.Group, content: Any, attributes: Mapping[str, Any] = MappingProxyType({})) -> None:
+    """Write a record or a dictionary into an empty group."""
     group.attrs.update(attributes)
-    inside = {}
     if is_dataclass(content):
         triples = [(f.name, getattr(content, f.name), f.metadata.get("unit")) for f in fields(content)]
     else:
         triples = [(name, value, None) for name, value in content.items()]
     for name, value, unit in triples:
-        checksum = _write_value(group, name, value, unit)
-        if checksum is not None:
-            inside[name] = checksum
+        _write_value(group, name, value, unit)
     mark_data(group, type(content))
-    return checksums.add_group_checksum(group, inside)
 
 
-def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> str | None:
-    """Write one value: a subgroup or an array, whose checksum is returned, or an attribute."""
+def _write_value(group: h5py.Group, name: str, value: Any, unit: str | None) -> None:
+    """Write one value: a subgroup, an array or an attribute."""
     if isinstance(value, dict) or is_dataclass(value):
-        return write_group(new_group(group, name), value)
-    if isinstance(value, np.ndarray):
-        return write_array(group, name, value, unit=unit or "", **({UNITS: unit} if unit else {}))
-    if isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
-        return write_array(group, name, np.array(value))
-    if value is None:
-        value = h5py.Empty("f8")
-    group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
-    if unit and isinstance(value, float):
-        group.attrs[f"{name}_unit"] = unit
-    return None
+        write_group(new_group(group, name), value)
+    elif isinstance(value, np.ndarray):
+        _write_array(group, name, value, {"unit": unit or ""} | ({UNITS: unit} if unit else {}))
+    elif isinstance(value, str) and len(value) > _MAX_ATTRIBUTE_CHARACTERS:
+        _write_array(group, name, np.array(value), {})
+    elif value is None:
+        group.attrs[name] = h5py.Empty("f8")
+    else:
+        group.attrs[name] = json.dumps(to_builtins(value)) if isinstance(value, tuple | list) else value
+        if unit and isinstance(value, float):
+            group.attrs[f"{name}_unit"] = unit
 
 
-def write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], **attributes: Any) -> str:
-    """Write an array of numbers or strings as a compressed dataset, and its attributes; return its checksum.
+def _write_array(group: h5py.Group, name: str, value: np.ndarray[Any, Any], attributes: Mapping[str, str]) -> None:
+    """Write an array of numbers or strings as a compressed dataset, and its attributes.
 
-    Strings get one fixed length, because HDF5 compresses and checks only those.
+    Strings get one fixed length, because HDF5 compresses only those.
     """
     if value.dtype.kind in "UO":
         coded = np.char.encode(value.astype(np.str_), "utf-8")
         value = coded.astype(h5py.string_dtype("utf-8", max(coded.dtype.itemsize, 1)))
     is_plain = value.ndim == 0 or value.size == 0
     compressed = {} if is_plain else {"compression": "gzip", "shuffle": True, "fletcher32": True}
-    dataset = group.create_dataset(name, data=value, **compressed)
-    dataset.attrs.update(attributes)
-    checksum = dataset.attrs[checksums.CHECKSUM] = checksums.array_checksum(value, attributes)
-    return checksum
+    group.create_dataset(name, data=value, **compressed).attrs.update(attributes)
 
 
-def read_dict(group: h5py.Group, met: set[int] | None = None, *, without: Collection[str] = ()) -> dict[str, Any]:
+def read_array(dataset: Any) -> Any:
+    """Read the array of a dataset: numbers, an array of strings, or one string.
+
+    The file may come from anybody: what the dataset declares is checked before memory is allocated.
+    """
+    if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
+        raise ValueError("expected an array in this very file")
+    is_text = h5py.check_string_dtype(dataset.dtype) is not None
+    if not is_text and dataset.dtype.kind not in "biuf":
+        raise ValueError(f"expected numbers or strings but got {dataset.dtype}")
+    most = _MAX_COMPRESSION * dataset.id.get_storage_size() + _ALWAYS_ALLOWED_BYTES
+    if dataset.nbytes > most:
+        raise ValueError(f"expected at most {most} bytes but {dataset.name} claims {dataset.nbytes}")
+    found = dataset.asstr()[()] if is_text else dataset[()]
+    return np.asarray(found, dtype=np.str_) if is_text and not isinstance(found, str) else found
+
+
+def read_dict(group: h5py.Group, *, without: Collection[str] = ()) -> dict[str, Any]:
     """Read everything in a group as a dictionary, without the provenance."""
-    met = set() if met is None else met
-    checksums.check_visited_once(group, met)
-    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != checksums.CHECKSUM}
+    own = {k: v for k, v in group.attrs.items() if k not in PROVENANCE_KEYS and k != FORMER_CHECKSUM}
     content = {k: _listed(to_python(v)) for k, v in without_marks(own).items()}
-    for name, item in checksums.members(group):
+    for name, item in members(group):
         if name not in without:
-            content[name] = read_dict(item, met) if isinstance(item, h5py.Group) else checksums.read_array(item)
+            content[name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
     return content
 
 
 def read_record(group: h5py.Group, kind: Any) -> Any:
     """Read a group as the record type `kind`."""
     values = {}
-    inside = dict(checksums.members(group))
+    inside = dict(members(group))
     for f in fields(kind):
         if f.name in inside:
             item = inside[f.name]
-            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else checksums.read_array(item)
+            values[f.name] = read_dict(item) if isinstance(item, h5py.Group) else read_array(item)
         elif f.name in group.attrs:
             raw = to_python(group.attrs[f.name])
             is_tuple = raw is not None and str(f.type).startswith("tuple")
@@ -248,37 +257,3 @@ def _tuple(value: Any) -> Any:
 
 # HDF5 1.8: MATLAB and HDFView of the last ten years read it
 FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": HEADER_BYTES}
-_NUMBER = count()
-
-
-def empty_file_in_memory() -> h5py.File:
-    """Create an empty file that never reaches the disk."""
-    name = f"in memory {next(_NUMBER)}"  # HDF5 knows open files by name
-    return h5py.File(name, "w", driver="core", backing_store=False, **FORMAT)
-
-
-def migrate(file: h5py.File) -> h5py.File:
-    """Return the same content in today's schema: the file itself, or a copy in memory."""
-    for schema in range(int(file.attrs["schema"]), SCHEMA):
-        newer = empty_file_in_memory()
-        MIGRATIONS[schema](file, newer)
-        newer.attrs["schema"] = schema + 1
-        checksums.add_checksums(newer)
-        file = newer
-    return file
-
-
-def _add_checksums(old: h5py.Group, new: h5py.Group) -> None:
-    """Migrate schema 1, which had no checksums, strings of any length, and no list of inputs."""
-    new.attrs.update(old.attrs)
-    for name in old:
-        link = old.get(name, getlink=True)
-        if not isinstance(link, h5py.HardLink):
-            new[name] = link
-        elif isinstance(old[name], h5py.Group):
-            _add_checksums(old[name], new_group(new, name))
-        else:
-            write_array(new, name, np.asarray(checksums.read_array(old[name])), **old[name].attrs)
-
-
-MIGRATIONS: dict[int, Callable[[h5py.Group, h5py.Group], None]] = {1: _add_checksums}

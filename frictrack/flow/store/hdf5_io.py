@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import fields
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +22,10 @@ from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
 from frictrack.flow.store import encoding, file_header
-from frictrack.flow.store.checksums import CHECKSUM, add_checksums, drop_checksums, members
-from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, migrate, without_marks
+from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, members, without_marks
+from frictrack.flow.store.integrity import REMEDY, Fault, copy_groups, fault_inside, opens_safely
 
 NOTHING: Mapping[Any, Any] = {}
-REMEDY = "delete it and run again, the recordings are untouched"
 MAX_GROUPS_KNOWN = 10_000  # whose attributes are kept
 _ATTRIBUTES: dict[tuple[Path, Any, str], dict[str, Any]] = {}  # by file, its version and the group
 _HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
@@ -45,7 +43,6 @@ def write(
     with _replacing(path) as file:
         for name in (*remove, *groups, *links, *(f"{name}/" for name in attribute_updates)):
             _guard(file, path, name)
-            drop_checksums(file, name)
         for name in (*remove, *groups, *links):
             if file.get(name, getlink=True) is not None:
                 del file[name]
@@ -103,12 +100,7 @@ def provenances(path: Path) -> dict[str, Provenance]:
 
 def attributes(path: Path, group: str) -> dict[str, Any]:
     """Return the numbers and strings of a group, without its arrays; empty if there is no such file or group."""
-    return without_marks({k: v for k, v in _attributes(path, group).items() if k != CHECKSUM})
-
-
-def checksum(path: Path, group: str) -> str:
-    """Return the stored checksum of a group with everything in it; empty if there is none."""
-    return str(_attributes(path, group).get(CHECKSUM, ""))
+    return without_marks(_attributes(path, group))
 
 
 def _attributes(path: Path, group: str) -> dict[str, Any]:
@@ -116,24 +108,14 @@ def _attributes(path: Path, group: str) -> dict[str, Any]:
     if not path.exists():
         return {}
     with _reading(path) as file:
-        version = _opened_version(file)
-        known = _ATTRIBUTES.get((path, version, group)) if version else None
-        if known is None:
+        opened = os.fstat(file.id.get_vfd_handle())
+        key = path, (opened.st_ino, opened.st_mtime_ns, opened.st_size), group
+        if key not in _ATTRIBUTES:
+            if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
+                _ATTRIBUTES.clear()
             found = _found(file, path, group)
-            known = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
-            if version:
-                if len(_ATTRIBUTES) >= MAX_GROUPS_KNOWN:
-                    _ATTRIBUTES.clear()
-                _ATTRIBUTES[path, version, group] = known
-        return known
-
-
-def _opened_version(file: h5py.File) -> tuple[int, int, int] | None:
-    """Return what identifies the version of an opened file, as `file_state` does; None for one in memory."""
-    if file.driver == "core":
-        return None
-    found = os.fstat(file.id.get_vfd_handle())
-    return found.st_ino, found.st_mtime_ns, found.st_size
+            _ATTRIBUTES[key] = {} if found is None else {k: encoding.to_python(v) for k, v in found.attrs.items()}
+        return _ATTRIBUTES[key]
 
 
 def names(path: Path, group: str = "/") -> list[str]:
@@ -176,36 +158,38 @@ def _reading(path: Path) -> Iterator[h5py.File]:
             yield _HELD.get()[path]
             return
         check_header(path)
-        if not (file_header.is_signed_by_user(path) or file_header.opens_in_sandbox(path)):
+        if not opens_safely(path):
             raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
                 raise FrictrackError(
                     f"expected {path} to be a frictrack result but another program wrote it; move it away"
                 )
-            yield file if file.attrs["schema"] == file_header.SCHEMA else _migrated(path, *file_header.file_state(path))
-
-
-@lru_cache(maxsize=16)  # a page reads an old file a hundred times
-def _migrated(path: Path, *_: int) -> h5py.File:
-    """Return one state of a file of an earlier schema in today's schema, in memory."""
-    with h5py.File(path, "r", locking=False) as file:
-        return migrate(file)
+            yield file
 
 
 def check_header(path: Path, *, reread: bool = False) -> None:
     """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema."""
-    header = file_header.read_header(path)
-    if header is None and file_header.lacks_header(path):
-        return  # of schema 1, or another program's
-    if header is None or not file_header.is_intact(path, reread=reread):
+    header = file_header.read_header(path, reread=reread)
+    if not header.is_intact:
         raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
-    schema, version = header
-    if schema > file_header.SCHEMA:
+    if header.schema > file_header.SCHEMA:
         raise FrictrackError(
-            f"expected {path} of schema {file_header.SCHEMA} at most but it has {schema} and was written by frictrack "
-            f"{version}, this is {__version__}; update it"
+            f"expected {path} of schema {file_header.SCHEMA} at most but it has {header.schema} and was written by "
+            f"frictrack {header.version}, this is {__version__}; update it"
         )
+
+
+def check(path: Path) -> Fault | None:
+    """Find the fault of one HDF5 file, if it has one. Nothing is raised, whatever the file holds."""
+    try:
+        check_header(path, reread=True)
+    except FrictrackError as e:
+        what, _, do = str(e).removeprefix(f"{path} ").rpartition("; ")
+        return Fault(path, "", what, do)
+    except OSError as e:
+        return Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")
+    return fault_inside(path)
 
 
 @contextmanager
@@ -235,26 +219,16 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
             if path.exists():
                 with _reading(path) as old:
                     copy_groups(old, file)
+                    if old.attrs["schema"] == 2:  # whose checksums of groups would be wrong after a change
+                        file.attrs.pop(encoding.FORMER_CHECKSUM, None)
+                        file.visititems(lambda _, item: item.attrs.pop(encoding.FORMER_CHECKSUM, None) and None)
             file.attrs.update(schema=file_header.SCHEMA, version=__version__)
-            file.attrs.pop(CHECKSUM, None)
             yield file
             mark_default(file)
-            add_checksums(file)
             begin = file.userblock_size
         content = whole.getbuffer()
         content[:begin] = file_header.header_of(content[begin:], __version__, file_header.sign)
         part.write_bytes(content)
-
-
-def copy_groups(old: h5py.File, new: h5py.File) -> None:
-    """Copy all groups of a file into another one; links stay links."""
-    new.attrs.update(old.attrs)
-    for name in old:
-        link = old.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink | h5py.SoftLink):
-            new[name] = link
-        else:
-            old.copy(name, new)
 
 
 def _guard(file: h5py.File, path: Path, name: str) -> None:

@@ -1,19 +1,38 @@
-"""Find all faults of one results file: its bytes, its schema, its checksums, its links to other files."""
+"""Find the faults of a results file that HDF5 meets.
+
+HDF5 may crash or never return on malicious bytes. A file without this user's signature is therefore read in a separate
+process first, together with the others of its folder.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import h5py
 
 from frictrack.base.errors import FrictrackError
-from frictrack.flow.store.checksums import check_visited_once, wrong_checksums
-from frictrack.flow.store.encoding import empty_file_in_memory, migrate
-from frictrack.flow.store.file_header import check_in_sandbox, is_signed_by_user, read_header, run_sandbox_process
-from frictrack.flow.store.hdf5_io import REMEDY, check_header, copy_groups
+from frictrack.base.workers import limit_memory
+from frictrack.flow.store.encoding import members, read_array
+from frictrack.flow.store.file_header import file_state, read_header
+
+MIN_TIMEOUT_S = 5.0  # for one file, and one second more for every `BYTES_PER_EXTRA_SECOND`
+BYTES_PER_EXTRA_SECOND = 2e6
+MAX_MEMORY_BYTES = 2 << 30  # of the separate process
+MAX_FILES_TOGETHER = 32  # that one process checks
+_CHILD = "from frictrack.flow.store.integrity import run_check_process; run_check_process()"
+Found = tuple[str, str, str] | None
+"""What is wrong, what to do and the kind of the fault; None if nothing is wrong."""
+_CHECKED: dict[tuple[Path, tuple[int, int, int]], Found] = {}  # by file and its state
 
 
 @dataclass(frozen=True)
@@ -24,7 +43,7 @@ class Fault:
     group: str  # "/motion/x"; "" where it is the file
     what: str
     do: str
-    kind: str = "damage"  # or "foreign", "link", "changed", "outdated", "missing", "leftover"
+    kind: str = "damage"  # or "foreign", "changed", "outdated", "missing", "leftover"
 
     @property
     def words(self) -> str:
@@ -32,78 +51,118 @@ class Fault:
         return f"{', '.join(filter(None, (str(self.file), self.group)))}: {self.what}; {self.do}"
 
 
-def check(path: Path) -> list[Fault]:
-    """Find every fault of one HDF5 file. Nothing is raised, whatever the file holds."""
-    try:
-        check_header(path, reread=True)
-    except (FrictrackError, OSError) as e:
-        return _damaged_groups(path, e)
-    found = _inside(path, sealed=True) if is_signed_by_user(path) else _inside_in_sandbox(path)
-    if found is None:
-        return [Fault(path, "", "HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY)]
-    return found
+REMEDY = "delete it and run again, the recordings are untouched"
 
 
-def _damaged_groups(path: Path, why: Exception) -> list[Fault]:
-    """Name the damaged groups of a file whose bytes have changed, as far as HDF5 can still read it."""
-    try:
-        header = read_header(path)
-    except OSError as e:
-        return [Fault(path, "", f"cannot be read ({e.strerror})", "look at its rights and at the disk")]
-    what, _, do = str(why).removeprefix(f"{path} ").rpartition("; ")
-    if header is None or do == "update it":
-        return [Fault(path, "", what, do)]
-    inside = _inside_in_sandbox(path)
-    where = "HDF5 itself fails on them" if inside is None else "none of them in what is read"
-    return inside or [Fault(path, "", f"some of its bytes are not those that were written, {where}", REMEDY)]
+_HDF5_FAILS = ("HDF5 itself fails on it: it is damaged, or made to do harm", REMEDY, "damage")
 
 
-def _inside(path: Path, *, sealed: bool = False) -> list[Fault]:
-    """Find the faults inside a file; with an intact header, all checksums inside are right."""
+def fault_inside(path: Path) -> Fault | None:
+    """Find what is wrong inside a file whose header was checked."""
+    found = _inside(path) if read_header(path).is_signed else _found_in_sandbox(path)
+    return Fault(path, "", *found) if found else None
+
+
+def opens_safely(path: Path) -> bool:
+    """Return whether this user wrote a file, or HDF5 can read all of it in a separate process."""
+    return read_header(path).is_signed or (fault := fault_inside(path)) is None or fault.kind == "foreign"
+
+
+def _inside(path: Path, *, untrusted: bool = False) -> Found:
+    """Find what is wrong inside a file; all of an untrusted one is read, and copied as when it is written to."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             if "schema" not in file.attrs:
-                return [Fault(path, "", "another program wrote it", "move it away", "foreign")]
-            now = migrate(file)
-            wrong = [Fault(path, name, what, REMEDY) for name, what in (() if sealed else wrong_checksums(now))]
-            return wrong + list(_links(path, now, "/", set()))
+                return "another program wrote it", "move it away", "foreign"
+            if untrusted:
+                _read_all(file, set())
+                with h5py.File(io.BytesIO(), "w") as new:
+                    copy_groups(file, new)
+            return None
     except Exception as e:  # noqa: BLE001 - h5py raises any exception on a damaged file
-        return [Fault(path, "", f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY)]
+        return f"is damaged or is not HDF5 ({' '.join(str(e).split())})", REMEDY, "damage"
 
 
-def _links(path: Path, file: h5py.File, inside: str, met: set[int]) -> Iterator[Fault]:
-    """Find links that lead nowhere or out of the folder; `met` are the groups that were visited."""
-    check_visited_once(file[inside], met)
-    for name in file[inside]:
-        link, full = file.get(f"{inside}{name}", getlink=True), f"{inside}{name}"
-        if isinstance(link, h5py.ExternalLink):
-            target = path.parent / link.filename
-            if Path(link.filename).name != link.filename:
-                yield Fault(path, full, f"links to {link.filename}, outside its folder", "frictrack never wrote that")
-            elif not target.exists():
-                yield Fault(path, full, f"links to {link.filename}, which is not there", "run the study", "link")
-        elif isinstance(link, h5py.SoftLink):
-            if full not in file:
-                yield Fault(path, full, f"links to {link.path}, which is not there", "run the study", "link")
-        elif isinstance(file[full], h5py.Group):
-            yield from _links(path, file, f"{full}/", met)
+def _read_all(group: h5py.Group, met: set[int]) -> None:
+    """Read everything in a group; `met` are the addresses of groups that were read."""
+    address = h5py.h5o.get_info(group.id).addr
+    if address in met:  # groups inside themselves or each other would never end
+        raise ValueError(f"expected every group in one place but {group.name} is in several")
+    met.add(address)
+    dict(group.attrs)
+    for _, item in members(group):
+        if isinstance(item, h5py.Group):
+            _read_all(item, met)
+        else:
+            read_array(item)
+            dict(item.attrs)
 
 
-def _inside_in_sandbox(path: Path) -> list[Fault] | None:
-    """Find the faults inside a file in a separate process; None if it crashes or never returns."""
-    found = check_in_sandbox(path)
-    return None if found is None else [Fault(path, **fault) for fault in found]
+def copy_groups(old: h5py.File, new: h5py.File) -> None:
+    """Copy all groups of a file into another one; links stay links."""
+    new.attrs.update(old.attrs)
+    for name in old:
+        link = old.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink | h5py.SoftLink):
+            new[name] = link
+        else:
+            old.copy(name, new)
+
+
+def _found_in_sandbox(path: Path) -> Found:
+    """Return what the separate process finds wrong in a file, also if it crashes or exceeds its time.
+
+    One process checks many files of the folder that are still to be checked, since they are opened together.
+    """
+    key = path, file_state(path)
+    if key not in _CHECKED:
+        keys = [key, *islice(_other_keys(path), MAX_FILES_TOGETHER - 1)]
+        found = _run_check_process([one for one, _ in keys])  # it ended at the file after the last of these
+        _CHECKED.update(zip(keys, [*found, _HDF5_FAILS], strict=False))
+    return _CHECKED[key]
+
+
+def _other_keys(path: Path) -> Iterator[tuple[Path, tuple[int, int, int]]]:
+    """Yield the other files of a folder, and their states, that the separate process has to check."""
+    for other in sorted(path.parent.glob("[!.]*.h5")):
+        with suppress(OSError):  # it is gone, or cannot be read
+            key, header = (other, file_state(other)), read_header(other)
+            if other != path and key not in _CHECKED and header.is_intact and not header.is_signed:
+                yield key
+
+
+def _run_check_process(paths: Sequence[Path]) -> list[Any]:
+    """Return what is wrong in files in their order, in those before the first one that the process fails on."""
+    asked = "".join(f"{json.dumps(str(path.absolute()))}\n" for path in paths).encode()
+    call, timeout = [sys.executable, "-P", "-c", _CHILD], sum(map(_timeout, paths))
+    try:
+        said = subprocess.run(call, input=asked, timeout=timeout, check=False, capture_output=True).stdout
+    except subprocess.TimeoutExpired as e:
+        said = e.stdout or b""
+    first, *lines = said.split(b"\n")
+    if first != b"ready":
+        raise FrictrackError(
+            f"expected to open a file of another user in a separate process, but {sys.executable} starts none"
+        )
+    return [json.loads(line) for line in lines[:-1]]
+
+
+def _timeout(path: Path) -> float:
+    """Return the time that the check of a file may take, s."""
+    return MIN_TIMEOUT_S + path.stat().st_size / BYTES_PER_EXTRA_SECOND
 
 
 def run_check_process() -> None:
-    """Run the process that checks files for others; see `frictrack.flow.store.file_header`."""
-    run_sandbox_process(_faults_as_dicts)
+    """Check files for the parent process: paths in lines on stdin, what is wrong in each in a line on stdout."""
+    limit_memory(MAX_MEMORY_BYTES)
+    _say("ready")
+    for line in sys.stdin:
+        path = Path(json.loads(line))
+        if hasattr(signal, "setitimer"):  # not on Windows; SIGALRM ends a process also within HDF5, and without parent
+            signal.setitimer(signal.ITIMER_REAL, _timeout(path))
+        _say(json.dumps(_inside(path, untrusted=True)))
 
 
-def _faults_as_dicts(path: Path) -> list[dict[str, str]]:
-    """Find the faults inside a file; one that is sound is also copied, as it is when it is written to."""
-    found = _inside(path)
-    if all(fault.kind != "damage" for fault in found):
-        with suppress(Exception), h5py.File(path, "r", locking=False) as old, empty_file_in_memory() as new:
-            copy_groups(old, new)
-    return [{k: v for k, v in vars(fault).items() if k != "file"} for fault in found]
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -65,19 +65,6 @@ def probability_by_chance(base: Array, runs: int, change: float, rng: np.random.
     return float(np.mean(ratio <= change))
 
 
-def fisher_p_value(hits: tuple[int, int], of: tuple[int, int]) -> float:
-    """Two-sided p value of two equal shares (Fisher's exact test).
-
-    Examples
-    --------
-    >>> fisher_p_value((10, 10), (50, 50))
-    1.0
-
-    """
-    table = np.array([[hits[0], of[0] - hits[0]], [hits[1], of[1] - hits[1]]])
-    return float(fisher_exact(table).pvalue)
-
-
 def _bootstrap_means(x: Array, n: int, rng: np.random.Generator) -> Array:
     """Means of n values drawn with replacement, (N_BOOTSTRAP,)."""
     return x[rng.integers(len(x), size=(N_BOOTSTRAP, n))].mean(axis=1)
@@ -386,7 +373,7 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
 def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[Claim, ...]:
     local = {name: int(np.sum(ratio > LOCAL_OPTIMUM_RATIO)) for name, ratio in finals.items()}
     base, mga, n = results["GA"], results["MGA"], len(results["GA"].cost)
-    p = fisher_p_value((local["GA"], local["MGA"]), (n, n))
+    p = float(fisher_exact(np.array([[local[name], n - local[name]] for name in ("GA", "MGA")])).pvalue)
     fewer = verdict(local["MGA"] < local["GA"] and p < 0.05, local["MGA"] > local["GA"] and p < 0.05)
     best = min(local, key=lambda name: local[name])
     low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, laws.TABLE_7["MGA"][2]

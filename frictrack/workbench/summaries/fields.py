@@ -10,12 +10,12 @@ from typing import Any
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.base.units import lacks_unit
-from frictrack.flow import start_study, table_needs_mass
+from frictrack.flow import start_study
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, implausible_entries
 from frictrack.results.verdicts import CHECK_FIRST
 from frictrack.study import RunTable, needs_film, read_frame_rate, to_si
-from frictrack.workbench.summaries.snapshot import Snapshot, source_version, surveyed_source
+from frictrack.workbench.summaries.snapshot import Snapshot, surveyed_source
 
 KEYS = ("mass", "fps", "scale")
 NAMES = {"mass": "Mass", "fps": "Frame rate", "scale": "Scale"}
@@ -23,7 +23,6 @@ TABLE_OF_KEY = {"mass": "study", "fps": "camera", "scale": "camera"}  # where th
 EXAMPLES = {"mass": "0.350 kg", "fps": "4000", "scale": "0.5 mm/px"}
 MAX_TEXT = 200  # characters of a typed value
 NOTHING_READ: Mapping[str, Any] = {"echo": None, "warning": None, "error": None}
-_MASS_NEEDED: dict[Any, bool] = {}  # whether a table needs a mass, by its version and columns
 
 Field = dict[str, Any]  # of the page; see `study_fields`
 
@@ -190,22 +189,13 @@ def _needs(run: RunTable, key: str) -> bool:
     """Return whether a run cannot be measured without a value of its own or of all runs."""
     if run.video:
         return not (key == "fps" and _stated_rate(run))
-    return key == "mass" and _table_needs_mass(run)
+    seen = surveyed_source(run.source)
+    is_measured = run.sensor is not None or run.is_of_points or "friction" in run.columns
+    return key == "mass" and not is_measured and (seen is None or seen.needs_mass or "mass" in seen.stated)
 
 
 def _is_missing(run: RunTable, key: str) -> bool:
     return getattr(run, key) is None and _needs(run, key)
-
-
-def _table_needs_mass(run: RunTable) -> bool:
-    """Return whether the table of a run needs a mass; its headers are read once for each version of the file."""
-    place = (str(run.table), source_version(run.table), run.columns.get("friction"), run.sensor is None)
-    if place not in _MASS_NEEDED:
-        try:
-            _MASS_NEEDED[place] = table_needs_mass(run.model_copy(update={"mass": None}))
-        except FrictrackError:  # its fault is shown with the recording
-            _MASS_NEEDED[place] = True
-    return _MASS_NEEDED[place]
 
 
 def _stated_rate(run: RunTable) -> float | None:
