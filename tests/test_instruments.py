@@ -153,22 +153,3 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, name: str, co
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FrictrackError, match=f"{name}: expected tracks of (LabVIEW|MATLAB) but cannot read it"):
         read_table(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    ("how", "said"),
-    [
-        ({"shape": (1 << 20, 1 << 20), "dtype": "f4", "chunks": (1, 1024)}, "y is too large"),
-        ({"shape": (10,), "dtype": "f8", "external": [("secret", 0, 80)]}, "the values of y lie in another file"),
-    ],
-)
-def test_a_matlab_file_that_means_harm_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: dict, said: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "secret").write_bytes(bytes(80))
-    matlab_73(tmp_path / "a.mat")
-    with h5py.File(tmp_path / "a.mat", "r+") as file:
-        file.create_dataset("y", **how).attrs["MATLAB_class"] = np.bytes_("double")
-    with pytest.raises(FrictrackError, match=rf"a\.mat: expected tracks of MATLAB but cannot read it \({said}"):
-        read_table(tmp_path / "a.mat")

@@ -1,7 +1,8 @@
-"""Tracks in the own files of Tracker, Kinovea, DeepLabCut, DICe and pyidi, as tables of a study."""
+"""Tracks in the own files of Tracker, Kinovea, DeepLabCut, movement, SLEAP, DICe and pyidi, as tables of a study."""
 
 from __future__ import annotations
 
+import gzip
 import pickle
 import shutil
 import zipfile
@@ -130,6 +131,14 @@ def kinovea_project(points: dict[str, np.ndarray], calibration: str = "", versio
         shown = (f"        <TrackPoint>{x!r};{y!r};{int(t)}</TrackPoint>\n" for x, y, t in rows.tolist())
         tracks += KVA_TRACK.format(name=name, points="".join(shown))
     return KVA.format(version=version, calibration=calibration, tracks=tracks)
+
+
+def unpacked(name: str, folder: Path) -> Path:
+    """A sample file of tests/data/tracks."""
+    path = folder / name
+    packed = DATA / f"{name}.gz"
+    path.write_bytes(gzip.decompress(packed.read_bytes()) if packed.exists() else (DATA / name).read_bytes())
+    return path
 
 
 def refused(path: Path, columns: dict[str, str] | None = None, **how) -> str:
@@ -303,44 +312,88 @@ def test_annotations_of_kinovea_that_cannot_be_used_are_refused(tmp_path) -> Non
     assert "but got <html>" in refused(path)
 
 
-# --- DeepLabCut
+# --- DeepLabCut, movement, SLEAP
 
 
-@pytest.mark.parametrize(("name", "header"), [("dlc.csv", "slider x (px)"), ("dlc_multi.csv", "left slider x (px)")])
-def test_a_point_of_a_pose_file_is_chosen_by_its_name(tmp_path, name, header) -> None:
-    path = DATA / name
-    assert open_table(path).program == "DeepLabCut"
+@pytest.mark.few(2)
+@pytest.mark.parametrize(
+    ("name", "header", "program"),
+    [
+        ("dlc.csv", "slider x (px)", "DeepLabCut"),
+        ("dlc.h5", "slider x (px)", "DeepLabCut"),
+        ("dlc_multi.csv", "left slider x (px)", "DeepLabCut"),
+        ("dlc_multi.h5", "left slider x (px)", "DeepLabCut"),
+        ("movement.nc", "slider x (px)", "movement"),
+        ("movement_frames.nc", "slider x (px)", "movement"),
+        ("sleap.h5", "left x (px)", "SLEAP"),
+    ],
+)
+def test_a_point_of_a_pose_file_is_chosen_by_its_name(tmp_path, name, header, program) -> None:
+    path = unpacked(name, tmp_path)
+    assert open_table(path).program == program
     assert f'columns = {{x = "{header}"}}' in refused(path)
     data = read_table(path, {"x": header}, pixel=1e-3, fps=240)
-    np.testing.assert_allclose(data.t, N[SEEN] / 240)
-    np.testing.assert_allclose(data.x, 1e-3 * X[SEEN])
-    np.testing.assert_allclose(data.y, -1e-3 * Y[SEEN])  # up is positive
-    assert data.notes == (
-        "1 of 24 frames have a likelihood below 0.6, the pcutoff of DeepLabCut; they count as missing",
-    )
+    seen = np.ones(len(N), dtype=bool) if program == "SLEAP" else SEEN  # SLEAP has another scale of scores
+    np.testing.assert_allclose(data.t, N[seen] / 240)
+    np.testing.assert_allclose(data.x, 1e-3 * X[seen])
+    np.testing.assert_allclose(data.y, -1e-3 * Y[seen])  # up is positive
+    noted = "1 of 24 frames have a likelihood below 0.6, the pcutoff of DeepLabCut; they count as missing"
+    assert data.notes == (() if program == "SLEAP" else (noted,))
 
 
-def test_positions_equal_those_that_pandas_reads() -> None:
+def test_positions_equal_those_that_pandas_and_xarray_read(tmp_path) -> None:
+    xarray = pytest.importorskip("xarray")
     table = pd.read_csv(DATA / "dlc.csv", header=[0, 1, 2], index_col=0)
     found = open_table(DATA / "dlc.csv").frame["rod x (px)"]
     np.testing.assert_array_equal(found, table.xs("rod", axis=1, level=1).xs("x", axis=1, level=1).squeeze())
+    with xarray.open_dataset(unpacked("movement.nc", tmp_path), engine="h5netcdf") as dataset:
+        frame = open_table(tmp_path / "movement.nc").frame
+        np.testing.assert_array_equal(frame["t (s)"], dataset.time)
+        rod = dataset.position.sel(keypoints="rod", individuals="individual_0")
+        np.testing.assert_array_equal(frame[["rod x (px)", "rod y (px)"]], rod)
 
 
 def test_times_in_frames_need_the_frame_rate(tmp_path) -> None:
-    path = DATA / "dlc.csv"
+    path = unpacked("dlc.csv", tmp_path)
     said = refused(path, {"x": "rod x (px)"}, pixel=1e-3)
     assert 'expected the frame rate of "frame (frames)" in frames but got none; give fps = 240 in [camera]' in said
     (tmp_path / "t.csv").write_text("picture,x_m\n4,1\n5,2\n")  # of any table
     np.testing.assert_allclose(read_table(tmp_path / "t.csv", {"t": "picture (frames)"}, fps=100).t, [0.04, 0.05])
 
 
-@pytest.mark.parametrize("name", ["dlc.h5", "movement.nc"])
-def test_tables_in_hdf5_are_refused_with_what_to_save_instead(tmp_path, name) -> None:
-    with h5py.File(tmp_path / name, "w") as file:
-        file["position"] = np.ones(3)
-    assert "tables in HDF5 are not read; DeepLabCut, and movement for SLEAP, write the same as .csv" in refused(
-        tmp_path / name
-    )
+def test_nothing_in_a_pickle_of_names_is_executed(tmp_path) -> None:
+    path, mark = unpacked("dlc.h5", tmp_path), tmp_path / "mark"
+
+    class Attack:
+        def __reduce__(self):
+            return (Path.touch, (mark,))
+
+    with h5py.File(path, "r+") as file:
+        file["df_with_missing/table"].attrs["values_block_0_kind"] = np.bytes_(pickle.dumps([Attack()], 0))
+    assert "expected names of columns but got global in their place" in refused(path)
+    assert not mark.exists()
+
+
+def test_hdf5_that_is_damaged_or_of_others_is_refused_with_one_sentence(tmp_path) -> None:
+    path = unpacked("movement.nc", tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    assert "movement.nc: expected tracks of DeepLabCut, movement or SLEAP but cannot read it (" in refused(path)
+    with h5py.File(path, "w") as file:
+        file["rates"] = np.ones(3)
+    assert "(position) or SLEAP (tracks, node_names) but got rates" in refused(path)
+    with h5py.File(path, "w") as file:
+        file.create_dataset("tracks", (1 << 20, 2, 1, 1 << 20), dtype="f4", chunks=(1, 1, 1, 1024))
+        file["node_names"], file["track_names"] = [b"a"], [b"b"]
+    assert "tracks is too large" in refused(path)
+    (tmp_path / "secret").write_bytes(bytes(80))
+    with h5py.File(path, "w") as file:
+        outside = [(str(tmp_path / "secret"), 0, 80)]
+        file.create_dataset("tracks", (1, 2, 1, 5), dtype="f8", external=outside)
+        file["node_names"], file["track_names"] = [b"a"], [b"b"]
+    assert "the values of tracks lie in another file" in refused(path)
+    path.write_bytes(b"CDF\x01" + bytes(100))
+    assert "it is netCDF 3" in refused(path)
 
 
 # --- DICe
@@ -479,18 +532,20 @@ def test_a_track_that_does_not_move_across_is_measured(tmp_path) -> None:
 def test_a_study_is_begun_with_the_files_of_other_programs(tmp_path) -> None:
     (tmp_path / "a.trk").write_text(tracker_project({"m": {10: (1.0, 2.0), 12: (3.0, 4.0)}}, {0: COORDS}))
     (tmp_path / "b.kva").write_text(kinovea_project({"k": np.array([[1.0, 2.0, 1024], [2.0, 2.0, 1536]])}))
+    unpacked("movement.nc", tmp_path)
     shutil.copytree(DATA / "dice", tmp_path / "dice")
     np.save(tmp_path / "c.npy", np.random.default_rng(1).normal(size=(1, 5, 2)))
     with h5py.File(tmp_path / "results.h5", "w") as file:  # of something else
         file["rates"] = np.ones(3)
     names = [path.name for path in find_recordings(tmp_path)]
-    assert names == ["a.trk", "b.kva", "c.npy", "dice"]
+    assert names == ["a.trk", "b.kva", "c.npy", "dice", "movement.nc"]
     assert expand_folders([tmp_path / "dice"]) == [tmp_path / "dice"]
     seen = {name: survey_recording(tmp_path / name) for name in names}
     assert all(one.is_table and not one.problem for one in seen.values())
     assert seen["a.trk"].words == "2 rows, 0.00833 s of a Tracker export"
     assert seen["c.npy"].camera_keys == ("scale", "fps")
     assert seen["dice"].columns_to_confirm == ['columns = {x = "subset 0 x (px)"}']
+    assert seen["movement.nc"].camera_keys == ("scale",)
 
 
 @pytest.mark.parametrize("name", ["run.trk", "run.kva", "run.trz", "dlc.csv", "DICe_solution_0.txt", "d.npy"])

@@ -7,7 +7,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
     writing          a new study file from recordings; change one key of a study file, comments are kept
     reading_tables   tables -> columns in SI units
     table_files      text, Excel, exports of Tracker and Kinovea -> cells; `table_layout` finds header and units
-    track_formats    tracks in the own files of Tracker, Kinovea, DeepLabCut, DICe, pyidi -> cells
+    track_formats    tracks in the own files of Tracker, Kinovea, DeepLabCut, movement, SLEAP, DICe, pyidi -> cells
     column_names     names of columns: exact, with a unit, or proposed
 """
 

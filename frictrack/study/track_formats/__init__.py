@@ -1,8 +1,9 @@
 """Read the files of other programs as tables: which format a file has, and who reads it.
 
     video_projects     Tracker (Open Source Physics): .trk, .trz; Kinovea: .kva
-    picture_tracks     DeepLabCut: .csv; DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
-    instruments        LabVIEW: .lvm, .tdms; MATLAB: .mat, which `matlab_contents` reads in another process
+    picture_tracks     DeepLabCut: .csv, .h5; movement: .nc; SLEAP: .h5; `hdf5_contents` reads HDF5 in another process;
+                       DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
+    instruments        LabVIEW: .lvm, .tdms; MATLAB: .mat
     track_table        positions of several tracks -> one table
 
 A new format is one module and one line in `FORMATS`.
@@ -45,7 +46,7 @@ FORMATS = (
     TrackFormat("DeepLabCut", (".csv",), picture_tracks.read_deeplabcut_text, picture_tracks.is_deeplabcut_text),
     TrackFormat("DICe", TEXTS[:2], picture_tracks.read_dice, picture_tracks.is_dice_file),
     TrackFormat("DICe", (FOLDER,), picture_tracks.read_dice, picture_tracks.is_dice_folder),
-    TrackFormat("DeepLabCut", HDF5, picture_tracks.refuse_hdf5),
+    TrackFormat("DeepLabCut, movement or SLEAP", HDF5, picture_tracks.read_hdf5_tracks, picture_tracks.is_hdf5),
     TrackFormat("pyidi", (".npy",), picture_tracks.read_pyidi_displacements),
     TrackFormat("pyidi", (".pkl", ".pickle"), picture_tracks.refuse_pickle),
 )

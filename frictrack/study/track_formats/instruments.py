@@ -12,11 +12,8 @@ National Instruments, Specification for the LabVIEW Measurement File (.lvm), htt
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from io import BytesIO, StringIO
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from frictrack.study.table_layout import TableFile, text_encoding
+from frictrack.study.track_formats.picture_tracks import read_arrays
 from frictrack.study.track_formats.track_table import SECONDS
 
 LABVIEW = "LabVIEW Measurement"  # first words of a text
@@ -31,8 +29,6 @@ _END_OF_HEADER = re.compile(r"^\*\*\*End_of_Header\*\*\*.*\n", re.MULTILINE)
 _SEPARATOR = re.compile(r"^Separator(.)", re.MULTILINE)
 _RATE = re.compile(r"(?:.*\.)?(?:fs|fps|f_s|sample_?rate|sampling_?rate|frame_?rate)", re.IGNORECASE)
 MIN_VALUES = 2  # of a channel
-TIMEOUT_S, BYTES_PER_EXTRA_SECOND = 30.0, 2e6  # to open a file of MATLAB
-_CHILD = "from frictrack.study.track_formats.matlab_contents import run; run()"
 
 Channels = dict[str, Any]
 """Values of every channel of a recording by its header, (n,)."""
@@ -114,29 +110,7 @@ def _waveforms(channels: list[Any]) -> Channels:
 
 def read_matlab(path: Path) -> TableFile:
     """Read the variables of a MATLAB file: vectors, columns of matrices, and those in structures."""
-    return _table_of_variables("MATLAB", dict(_read_arrays(path)))
-
-
-def _read_arrays(path: Path) -> Mapping[str, Any]:
-    """Return the arrays that the other process finds in a file; `ValueError` if it cannot read it."""
-    return _arrays_of(path.absolute(), path.stat().st_size, path.stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=1)  # a table is opened for its columns, its units and for every run in it
-def _arrays_of(path: Path, size: int, *_: int) -> Mapping[str, Any]:
-    call = [sys.executable, "-P", "-c", _CHILD, str(path)]
-    timeout = TIMEOUT_S + size / BYTES_PER_EXTRA_SECOND
-    try:
-        done = subprocess.run(call, capture_output=True, timeout=timeout, check=False)
-    except subprocess.TimeoutExpired as e:
-        raise ValueError(f"it could not be opened within {timeout:.0f} s; it is damaged") from e
-    if done.returncode != 0:
-        raise ValueError("it could not be opened; it is damaged")
-    with np.load(BytesIO(done.stdout), allow_pickle=False) as arrays:
-        found = dict(arrays)
-    if "error" in found:
-        raise ValueError(str(found["error"]))
-    return found
+    return _table_of_variables("MATLAB", dict(read_arrays(path)))
 
 
 def read_npz(path: Path) -> TableFile:

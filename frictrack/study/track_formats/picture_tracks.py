@@ -1,11 +1,13 @@
 """Read tracks of pose estimation and of image correlation.
 
-Pose estimation: DeepLabCut (.csv), which movement writes, too.
+Pose estimation: DeepLabCut (.csv, .h5), datasets of movement (.nc), analysis files of SLEAP (.h5).
 
 A table of DeepLabCut as text has rows scorer, (individuals,) bodyparts, coords above the columns. Each point has the
 columns x, y in px (y down) and likelihood; the first column holds the number of the frame. The file is what
 ``pandas.DataFrame.to_csv`` makes of the table in ``pose_estimation_tensorflow/predict_videos.py`` and
 ``pose_estimation_pytorch/apis/videos.py`` of github.com/DeepLabCut/DeepLabCut.
+
+`hdf5_contents` opens files in HDF5 in a process of its own.
 
 Image correlation: solutions of DICe, arrays of pyidi.
 
@@ -26,7 +28,11 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,7 +43,7 @@ import pandas as pd
 from frictrack.records import Array
 from frictrack.study.table_layout import TableFile, check_size
 from frictrack.study.track_formats import track_table
-from frictrack.study.track_formats.track_table import FRAMES, TargetPositions, table_of_tracks
+from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
 
 LEVELS = (("scorer", "bodyparts", "coords"), ("scorer", "individuals", "bodyparts", "coords"))  # rows of the header
 
@@ -86,9 +92,56 @@ def _levels(path: Path) -> tuple[str, ...] | None:
     return next((levels for levels in LEVELS if firsts[: len(levels)] == levels), None)
 
 
-def refuse_hdf5(path: Path) -> TableFile:
-    """Raise `ValueError`: DeepLabCut and movement write the table as .csv, too."""
-    raise ValueError("tables in HDF5 are not read; DeepLabCut, and movement for SLEAP, write the same as .csv")
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+NETCDF_3 = b"CDF"
+TIMEOUT_S, BYTES_PER_EXTRA_SECOND = 30.0, 2e6
+_CHILD = "from frictrack.study.track_formats.hdf5_contents import run; run()"
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5, or netCDF of the older kind, which is refused with a sentence."""
+    with path.open("rb") as file:
+        return file.read(len(SIGNATURE)).startswith((SIGNATURE, NETCDF_3))
+
+
+def read_hdf5_tracks(path: Path) -> TableFile:
+    """Read tracks in HDF5, by time if the file states it, else by frame."""
+    found = read_arrays(path)
+    if "frames" in found:
+        return deeplabcut_table([tuple(map(str, name)) for name in found["names"]], found["frames"], found["values"])
+    at, source = found["at"], str(found["source"])
+    alone = [len(set(names)) == 1 for names in found["names"].T]
+    tracks = []
+    for name, x, y, confidence in zip(found["names"], found["x"], found["y"], found["confidence"], strict=True):
+        shown = " ".join(str(part) for part, same in zip(name, alone, strict=True) if not same)
+        track = TargetPositions(shown, at, x, y)
+        tracks.append(track_table.with_likely_points(track, confidence) if source == "DeepLabCut" else track)
+    return table_of_tracks(str(found["program"]), tracks, SECONDS if found["in_seconds"] else FRAMES)
+
+
+def read_arrays(path: Path) -> Mapping[str, Any]:
+    """Return the arrays that the other process finds in a file; `ValueError` if it cannot read it."""
+    return _arrays_of(path.absolute(), path.stat().st_size, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)  # a table is opened for its columns, its units and for every run in it
+def _arrays_of(path: Path, size: int, *_: int) -> Mapping[str, Any]:
+    with path.open("rb") as file:
+        if file.read(len(NETCDF_3)) == NETCDF_3:
+            raise ValueError('it is netCDF 3; write it with engine="netcdf4" or "h5netcdf"')
+    call = [sys.executable, "-P", "-c", _CHILD, str(path)]
+    timeout = TIMEOUT_S + size / BYTES_PER_EXTRA_SECOND
+    try:
+        done = subprocess.run(call, capture_output=True, timeout=timeout, check=False)
+    except subprocess.TimeoutExpired as e:
+        raise ValueError(f"it could not be opened within {timeout:.0f} s; it is damaged") from e
+    if done.returncode != 0:
+        raise ValueError("it could not be opened; it is damaged")
+    with np.load(BytesIO(done.stdout), allow_pickle=False) as arrays:
+        found = dict(arrays)
+    if "error" in found:
+        raise ValueError(str(found["error"]))
+    return found
 
 
 NAME = "DICe_solution_*.txt"
