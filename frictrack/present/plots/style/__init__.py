@@ -27,7 +27,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
@@ -460,6 +459,8 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
 
 def pdf(figure: Figure) -> bytes:
     """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # noqa: PLC0415 - loads fonts that others do not need
+
     buffer = io.BytesIO()
     with _laid_out(figure):
         FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
