@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -525,3 +526,20 @@ def test_a_study_names_bad_samples_and_copies(tmp_path):
     assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])
     assert any(w["words"].startswith('run "again": it is the same recording as') for w in found["warnings"])
     assert abs(found["parameters"]["coulomb.F_c"]["value"] - 2.0) < 3 * found["parameters"]["coulomb.F_c"]["std"]
+
+
+def test_a_stage_that_repeats_its_path_gives_runs_of_their_own(tmp_path):
+    t = np.arange(0, 4, 0.01)
+    x = 0.02 * np.sin(2 * np.pi * 0.125 * t)
+    rng = np.random.default_rng(5)
+    for name, friction in {"light": 3.0, "heavy": 6.0}.items():
+        force = friction * np.sign(np.gradient(x, t)) + 0.02 * rng.standard_normal(len(t))
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.c_[t, x, force], header="t_s,x_m,friction_N", delimiter=",", comments=""
+        )
+    shutil.copy(tmp_path / "light.csv", tmp_path / "again.csv")
+    lines = [f'[[run]]\nname = "{name}"\ntable = "{name}.csv"' for name in ("light", "heavy", "again")]
+    (tmp_path / "study.toml").write_text("\n".join(lines))
+    rows = {row["run"]: row["notes"] for row in Session(open_study(tmp_path / "study.toml")).measure("motion")["runs"]}
+    assert rows["light"] == rows["heavy"] == []
+    assert rows["again"] == ['the same recording as run "light": it is left out, because it tells nothing more']
