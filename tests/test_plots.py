@@ -430,7 +430,7 @@ def test_limits_show_what_depends_on_a_setting():
     r = results()
     assert plots.has_limits(r.diagnosis, r.figures) == ["texture"]
     ax = plots.limits(r.diagnosis, r.figures).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "amplitude / mN")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "size / mN")
     with pytest.raises(ValueError, match="expected the curve of a detection limit"):
         plots.limits(r.diagnosis, {})
 

@@ -445,13 +445,13 @@ def test_a_rate_that_changes_leaves_the_noise_as_it_is(blocks):
 def test_a_copy_is_found_although_it_is_cut_and_shifted():
     one, other = (displaced(noisy(slide(T), seed)) for seed in range(2))
     cut = displaced(one.x[100:500] + 0.3)
-    assert copies([one, other, cut]) == [(0, 2)]
+    assert copies({"one": one, "other": other, "cut": cut}) == {("one", "cut")}
 
 
 def test_noise_free_runs_of_one_law_are_no_copies():
     one, other = (displaced(slide(T) + s * T + 1e-4 * np.sin(400 * T + s)) for s in (0.0, 0.1))
-    assert copies([one, other]) == []
-    assert copies([one, one]) == [(0, 1)]
+    assert copies({"one": one, "other": other}) == set()
+    assert copies({"one": one, "again": one}) == {("one", "again")}
 
 
 # ---- the fit

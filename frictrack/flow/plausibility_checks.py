@@ -245,19 +245,13 @@ def duplicate_notes(
     displacements: Mapping[str, Displacement], contents: Mapping[str, str], frictions: Mapping[str, Array | None]
 ) -> dict[str, str]:
     """Return a note for every run that repeats an earlier one; a stage repeats its path, but not the friction on it."""
-    names = list(displacements)
     forces = {k: replace(displacements[k], x=force) for k, force in frictions.items() if force is not None}
-    same = _copies(displacements) - (set(combinations(forces, 2)) - _copies(forces))
+    same = sampling.copies(displacements) - (set(combinations(forces, 2)) - sampling.copies(forces))
     same |= {(one, other) for one, other in combinations(contents, 2) if contents[one] == contents[other]}
     found: dict[str, str] = {}
-    for one, other in (pair for pair in combinations(names, 2) if pair in same):
+    for one, other in (pair for pair in combinations(displacements, 2) if pair in same):
         found.setdefault(other, f'the same recording as run "{one}": it is left out, because it tells nothing more')
     return found
-
-
-def _copies(series: Mapping[str, Displacement]) -> set[tuple[str, str]]:
-    names = list(series)
-    return {(names[i], names[j]) for i, j in sampling.copies(list(series.values()))}
 
 
 def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[measure.plausibility.Finding]) -> dict[str, Any]:
