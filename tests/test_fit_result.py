@@ -37,6 +37,10 @@ def test_printed_parameters_are_a_line_each_and_a_symbol_alone_names_its_address
         fit.parameters["x_c"]
 
 
+def test_a_prediction_without_runs_is_that_of_the_fitted_ones(fit):
+    assert [(seen.run, seen.role) for seen in fit.predict()] == [(run.name, "fit") for run in fit.runs]
+
+
 def test_an_address_like_no_other_lists_all_parameters(fit):
     with pytest.raises(KeyError, match=r"it has coulomb\.F_c, viscous\.F_v, patch\.F, patch\.x_c, patch\.w"):
         fit.parameters["mass"]
