@@ -29,6 +29,18 @@ def test_a_wrong_address_lists_the_nearest_parameters(fit, asked, nearest):
     assert isinstance(caught.value, ft.FrictrackError)
 
 
+def test_printed_parameters_are_a_line_each_and_a_symbol_alone_names_its_address(fit):
+    lines = repr(fit.parameters).splitlines()
+    assert [line.split()[0] for line in lines] == list(fit.parameters)
+    assert lines[3].endswith(f"  {fit.parameters['patch.x_c']}")
+    with pytest.raises(KeyError, match=r"did you mean patch\.x_c"):
+        fit.parameters["x_c"]
+
+
+def test_a_prediction_without_runs_is_that_of_the_fitted_ones(fit):
+    assert [(seen.run, seen.role) for seen in fit.predict()] == [(run.name, "fit") for run in fit.runs]
+
+
 def test_an_address_like_no_other_lists_all_parameters(fit):
     with pytest.raises(KeyError, match=r"it has coulomb\.F_c, viscous\.F_v, patch\.F, patch\.x_c, patch\.w"):
         fit.parameters["mass"]

@@ -9,7 +9,15 @@ from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.motion import METHOD_NAMES, MISSING_SIGMA, KnownAcceleration, covariance, differentiate, low_pass
+from frictrack.measure.motion import (
+    METHOD_NAMES,
+    MISSING_SIGMA,
+    KnownAcceleration,
+    covariance,
+    derivatives,
+    differentiate,
+    low_pass,
+)
 from frictrack.measure.motion.banded_equations import LineParameters, SmootherData, cutoff_of, penalty
 from frictrack.measure.motion.derivative import deviations
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
@@ -595,3 +603,13 @@ def test_bad_methods_are_refused():
     x = np.arange(3001.0) ** 2
     with pytest.raises(FrictrackError, match="at most 3000 frames for a Gaussian process but got 3001"):
         low_pass(displacement(np.arange(3001) / FPS, x), method="gaussian-process")
+
+
+def test_derivatives_by_another_filter_need_no_second_smoothing(monkeypatch):
+    t = np.arange(300) / 1000
+    x = 2 * t - t**2 + 1e-5 * np.random.default_rng(0).standard_normal(300)
+    nan = np.full(300, np.nan)
+    filtered = low_pass(Displacement(t, x, nan, nan, np.full(300, 1e-5), nan, np.ones(300, bool)), method="kalman")
+    expected = differentiate(filtered)
+    monkeypatch.setattr("frictrack.measure.motion.derivative.best_smoothing", lambda asked: pytest.fail("smoothed"))
+    assert np.array_equal(derivatives(filtered), [expected.x, expected.v, expected.a])

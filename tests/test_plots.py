@@ -11,6 +11,7 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from frictrack.present import plots
 from frictrack.present.plots import style
@@ -429,7 +430,7 @@ def test_limits_show_what_depends_on_a_setting():
     r = results()
     assert plots.has_limits(r.diagnosis, r.figures) == ["texture"]
     ax = plots.limits(r.diagnosis, r.figures).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "amplitude / mN")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("period / mm", "size / mN")
     with pytest.raises(ValueError, match="expected the curve of a detection limit"):
         plots.limits(r.diagnosis, {})
 
@@ -500,3 +501,12 @@ def test_the_force_of_the_model_is_left_out_where_the_filter_smears_it():
     force = plots.modelled_force(tried, one, run)
     assert np.nanmax(force) == 1.0
     assert np.nanmax(plots.modelled_force(tried, one)) == 50.0
+
+
+@pytest.mark.parametrize("ends", [(0.0096, 0.0152), (3.3e-4, 7.3e-4), (0.9, 4.4), (0.001, 900.0)])
+def test_a_logarithmic_axis_has_at_least_two_ticks_and_not_too_many(ends):
+    ax = Figure(figsize=(4, 2)).subplots()
+    ax.plot(ends, [0, 1], "o")
+    style.log_axis(ax, "x")
+    low, high = ax.get_xlim()
+    assert 2 <= sum(low <= tick <= high for tick in ax.get_xticks()) <= 8

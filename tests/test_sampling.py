@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -444,13 +445,13 @@ def test_a_rate_that_changes_leaves_the_noise_as_it_is(blocks):
 def test_a_copy_is_found_although_it_is_cut_and_shifted():
     one, other = (displaced(noisy(slide(T), seed)) for seed in range(2))
     cut = displaced(one.x[100:500] + 0.3)
-    assert copies([one, other, cut]) == [(0, 2)]
+    assert copies({"one": one, "other": other, "cut": cut}) == {("one", "cut")}
 
 
 def test_noise_free_runs_of_one_law_are_no_copies():
     one, other = (displaced(slide(T) + s * T + 1e-4 * np.sin(400 * T + s)) for s in (0.0, 0.1))
-    assert copies([one, other]) == []
-    assert copies([one, one]) == [(0, 1)]
+    assert copies({"one": one, "other": other}) == set()
+    assert copies({"one": one, "again": one}) == {("one", "again")}
 
 
 # ---- the fit
@@ -525,3 +526,20 @@ def test_a_study_names_bad_samples_and_copies(tmp_path):
     assert any(remark.startswith('run "again" is the same recording as run "good"') for remark in found["remarks"])
     assert any(w["words"].startswith('run "again": it is the same recording as') for w in found["warnings"])
     assert abs(found["parameters"]["coulomb.F_c"]["value"] - 2.0) < 3 * found["parameters"]["coulomb.F_c"]["std"]
+
+
+def test_a_stage_that_repeats_its_path_gives_runs_of_their_own(tmp_path):
+    t = np.arange(0, 4, 0.01)
+    x = 0.02 * np.sin(2 * np.pi * 0.125 * t)
+    rng = np.random.default_rng(5)
+    for name, friction in {"light": 3.0, "heavy": 6.0}.items():
+        force = friction * np.sign(np.gradient(x, t)) + 0.02 * rng.standard_normal(len(t))
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.c_[t, x, force], header="t_s,x_m,friction_N", delimiter=",", comments=""
+        )
+    shutil.copy(tmp_path / "light.csv", tmp_path / "again.csv")
+    lines = [f'[[run]]\nname = "{name}"\ntable = "{name}.csv"' for name in ("light", "heavy", "again")]
+    (tmp_path / "study.toml").write_text("\n".join(lines))
+    rows = {row["run"]: row["notes"] for row in Session(open_study(tmp_path / "study.toml")).measure("motion")["runs"]}
+    assert rows["light"] == rows["heavy"] == []
+    assert rows["again"] == ['the same recording as run "light": it is left out, because it tells nothing more']

@@ -126,6 +126,13 @@ def test_targets_are_rectangles_clicks_and_pictures(folder: Path) -> None:
     assert run.targets == {"beam": (3, 4), "rod": folder / "slider.png"}
 
 
+def test_a_study_of_tables_says_nothing_of_a_camera(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t_s,x_m\n" + "".join(f"{k / 100},{k / 50}\n" for k in range(20)))
+    assert "camera]" not in write_study(tmp_path / "study.toml", [tmp_path / "a.csv"], commented=True).read_text(
+        "utf-8"
+    )
+
+
 def test_init_lists_every_recording_once(tmp_path: Path) -> None:
     """Headers, single pictures and results are no recordings."""
     for name in ("a.mraw", "a.cih", "b.mraw", "b.cihx", "c.cine", "d.avi", "e.m4v", "notes.txt", ".hidden.avi"):

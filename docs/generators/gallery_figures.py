@@ -40,6 +40,7 @@ def failure_figure(failure: Failure) -> Figure:
         row[0].set_ylim(*_limits(failure, quantity))
     for ax, label in zip(panels[1], AXIS_LABELS.values(), strict=True):
         ax.set_xlabel(label)
+        ax.locator_params(axis="x", nbins=7)  # long numbers keep apart
     figure.align_ylabels(panels[:, 0])
     handles = [Line2D([], [], label=made.run.name, **RUN_STYLES[k]) for k, made in enumerate(failure.runs)]
     figure.legend(handles=handles, loc="outside lower left", ncols=6)

@@ -107,6 +107,7 @@ def _leftover(run: Run, curves: list[Curve]) -> Leftover:
     force, guard = ft.friction(run), run.motion.guard
     inner = (t >= force.t[guard]) & (t <= force.t[-1 - guard])
     inner &= np.diff(t, prepend=t[0]) < 1.5 * np.median(np.diff(t))  # no line across frames that were not fitted
+    inner &= np.diff(np.sign(v), prepend=np.sign(v[0])) == 0  # nor across a reversal
     missing = np.interp(t, force.t, force.F) - modelled
     return Leftover(t, x, v, residual, np.where(inner, missing, np.nan), len(curves))
 

@@ -30,9 +30,9 @@ COMMANDS = {
     "compare": (TABLES,),
     "diagnose": (TABLES,),
     "add": (TABLES, "patch"),  # before the first report: that of another model is computed whole again
-    "export --to crate": (TABLES,),
-    "reproduce": ("study_results/study.crate.zip",),
     "report": (TABLES,),
+    "export --to crate": (TABLES,),  # takes the report that is there
+    "reproduce": ("study_results/study.crate.zip",),
     "export": (TABLES,),
     "export --to prior": (TABLES,),
     "verify": (TABLES,),

@@ -338,7 +338,7 @@ class Fit(FittedRuns, StorableFit):
         Parameters
         ----------
         *runs
-            Runs with a measured motion.
+            Runs with a measured motion; none: the runs of the fit, as fitted.
 
         Returns
         -------
@@ -361,7 +361,7 @@ class Fit(FittedRuns, StorableFit):
         """
         others = tuple(replace(run, role="validation") for run in runs)
         predictions = tuple(predict_run(self.solution, run, self.reference) for run in others)
-        return replace(self, validation=others, predictions=predictions).motion[len(self.runs) :]
+        return replace(self, validation=others, predictions=predictions).motion[len(self.runs) if runs else 0 :]
 
     @property
     def convergence(self) -> dict[str, Convergence]:

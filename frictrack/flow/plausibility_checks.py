@@ -21,7 +21,7 @@ from frictrack.effects import models
 from frictrack.flow import store
 from frictrack.flow.pipeline import RunPipeline, digest
 from frictrack.flow.store import GroupContent, Provenance
-from frictrack.records import Displacement, Run
+from frictrack.records import Array, Displacement, Run
 from frictrack.results import to_builtins
 from frictrack.study import COLUMNS, Study, name_of_table, read_toml
 
@@ -237,16 +237,19 @@ def find_duplicate_runs(pipelines: Sequence[RunPipeline]) -> dict[str, str]:
     """Return a note for every run that is the same recording as an earlier one, by the name of the run."""
     displacements = {pipeline.run.name: pipeline.get("displacement") for pipeline in pipelines}
     films = {pipeline.run.name: pipeline.get("recording").hash for pipeline in pipelines if pipeline.run.video}
-    return duplicate_notes(displacements, films)
+    frictions = {pipeline.run.name: pipeline.get("sensors").friction_N for pipeline in pipelines}
+    return duplicate_notes(displacements, films, frictions)
 
 
-def duplicate_notes(displacements: Mapping[str, Displacement], contents: Mapping[str, str]) -> dict[str, str]:
-    """Return a note for every run that repeats an earlier one."""
-    names = list(displacements)
-    same = {(names[i], names[j]) for i, j in sampling.copies(list(displacements.values()))}
+def duplicate_notes(
+    displacements: Mapping[str, Displacement], contents: Mapping[str, str], frictions: Mapping[str, Array | None]
+) -> dict[str, str]:
+    """Return a note for every run that repeats an earlier one; a stage repeats its path, but not the friction on it."""
+    forces = {k: replace(displacements[k], x=force) for k, force in frictions.items() if force is not None}
+    same = sampling.copies(displacements) - (set(combinations(forces, 2)) - sampling.copies(forces))
     same |= {(one, other) for one, other in combinations(contents, 2) if contents[one] == contents[other]}
     found: dict[str, str] = {}
-    for one, other in (pair for pair in combinations(names, 2) if pair in same):
+    for one, other in (pair for pair in combinations(displacements, 2) if pair in same):
         found.setdefault(other, f'the same recording as run "{one}": it is left out, because it tells nothing more')
     return found
 

@@ -333,7 +333,7 @@ class Session:
         fitted = self.models.fit(group)
         found = self.models.stored_summary(f"models/{group}/diagnosis")
         if found is None:
-            return {"next": None, "next_reason": "run `frictrack diagnose` first: it says what is open"}
+            return {"next": None, "next_reason": "`frictrack diagnose` says first what is open in this model"}
         named = next_run(fitted, found, self.study.costs)
         if named is None:
             return {"next": None, "next_reason": describe_no_run(found)}

@@ -359,7 +359,8 @@ class ResultsReader:
         contents = {name: run.film.hash for name, run in runs.items() if run.film is not None}
         displacements = {name: run.displacement for name, run in runs.items()}
         read = {name: states[name] for name in runs}
-        twice = self._keep("twice", read, lambda: duplicate_notes(displacements, contents))
+        frictions = {k: None if run.sensors is None else run.sensors.friction_N for k, run in runs.items()}
+        twice = self._keep("twice", read, lambda: duplicate_notes(displacements, contents, frictions))
         authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():

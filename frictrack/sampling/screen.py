@@ -8,7 +8,7 @@ nor a jump explains all rows as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
@@ -441,10 +441,10 @@ def count_text(n: int, one: str, many: str) -> str:
     return f"1 {one}" if n == 1 else f"{n} {many}"
 
 
-def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
+def copies(displacements: Mapping[str, Displacement]) -> set[tuple[str, str]]:
     """Find pairs of displacements that are the same measurement.
 
-    Returns the numbers of the records of each pair.
+    Returns the names of the records of each pair.
 
     Examples
     --------
@@ -453,13 +453,14 @@ def copies(displacements: Sequence[Displacement]) -> list[tuple[int, int]]:
     >>> t, nan, rng = np.arange(200) / 4000, np.full(200, np.nan), np.random.default_rng(0)
     >>> x = [2 * t + 1e-5 * rng.standard_normal(200) for _ in range(2)]
     >>> made = [Displacement(t, y, nan, nan, nan, nan, np.ones(200, bool)) for y in (*x, x[0] + 0.1)]
-    >>> copies(made)
-    [(0, 2)]
+    >>> copies(dict(zip("abc", made)))
+    {('a', 'c')}
 
     """
-    series = [np.interp(d.t, d.t[d.known], d.x[d.known]) if d.known.any() else d.x for d in displacements]
-    rough = [_clipped_differences(x) for x in series]
-    return [(i, j) for i, j in combinations(range(len(series)), 2) if _is_same_measurement(series, rough, i, j)]
+    kept = displacements.items()
+    series = {k: np.interp(d.t, d.t[d.known], d.x[d.known]) if d.known.any() else d.x for k, d in kept}
+    rough = {k: _clipped_differences(x) for k, x in series.items()}
+    return {pair for pair in combinations(series, 2) if _is_same_measurement(series, rough, *pair)}
 
 
 def _clipped_differences(x: Array) -> Array:
@@ -471,7 +472,7 @@ def _clipped_differences(x: Array) -> Array:
     return np.clip(difference, -CLIP_SIGMAS * usual, CLIP_SIGMAS * usual)
 
 
-def _is_same_measurement(series: Sequence[Array], rough: Sequence[Array], i: int, j: int) -> bool:
+def _is_same_measurement(series: Mapping[str, Array], rough: Mapping[str, Array], i: str, j: str) -> bool:
     """Whether two records agree at the lag at which their noise agrees best."""
     a, b = rough[i], rough[j]
     if not (np.any(a) and np.any(b)):

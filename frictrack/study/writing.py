@@ -121,6 +121,8 @@ def write_study(
     runs = [one if isinstance(one, NewRun) else NewRun(one) for one in recordings]
     known = {"name": path.resolve().parent.name} | {k: v for k, v in (keys or {}).items() if v is not None}
     head = _template("first_keys").replace("<file>", path.name)
+    if runs and all(is_table(one.recording) for one in runs) and not {"fps", "scale"} & {*known, *(remarks or {})}:
+        head = head[: head.index("[camera]")].rstrip() + "\n"
     for key, value in known.items():
         line = f"{key} = {tomlkit.item(value).as_string()}".replace("\\", "\\\\")  # for `re.sub`
         head = re.sub(rf"^# {key} = .*", line, head, count=1, flags=re.MULTILINE)

@@ -147,10 +147,13 @@ class Parameters(dict[str, Estimate]):
     """The estimates of a fit by address; an unknown address raises `UnknownParameterError`, which is a `KeyError`."""
 
     def __missing__(self, address: str) -> NoReturn:
-        by_folded = {name.lower(): name for name in self}  # names differ in their case as well: F_c, f_c
+        by_folded = {key.lower(): name for name in self for key in (name, name.rpartition(".")[2])}  # F_c, f_c
         nearest = [by_folded[found] for found in get_close_matches(str(address).lower(), by_folded, 3, 0.5)]
-        what = f"did you mean {', '.join(nearest)}?" if nearest else f"it has {', '.join(self)}"
+        what = f"did you mean {', '.join(dict.fromkeys(nearest))}?" if nearest else f"it has {', '.join(self)}"
         raise UnknownParameterError(f'expected a parameter of the fit but got "{address}"; {what}', usage=True)
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{address}  {estimate}" for address, estimate in self.items())
 
 
 @dataclass(frozen=True)

@@ -224,6 +224,8 @@ class Derivatives:
 
     Attributes
     ----------
+    filtered
+        What was low-passed.
     grid
         Frame numbers of the n rows, on N frames.
     x
@@ -238,13 +240,10 @@ class Derivatives:
         Weights of the second differences that a sensor measured, (N - 2,).
     measured
         Unfiltered series on the grid, (N,), where the deviations need it.
-    best
-        Derivatives by the default smoother, where another filter was asked for. Given the data, the true motion differs
-        from these by their deviations, whatever the filter. So the error of the filter asked for, noise that it passes
-        and signal that it loses, is its distance from these and their error.
 
     """
 
+    filtered: Filtered
     grid: FrameGrid
     x: Array
     w: Array
@@ -252,7 +251,6 @@ class Derivatives:
     smoother: Smoother
     sensor_weights: Array | None = None
     measured: Array | None = None
-    best: Derivatives | None = None
 
     @classmethod
     def of_x(cls, filtered: Filtered) -> Derivatives:
@@ -262,10 +260,7 @@ class Derivatives:
         measured = None if filtered.x_measured is None else grid.to_frames(np.nan_to_num(filtered.x_measured))
         w = grid.to_frames(frame_weights(filtered.sigma_x, known))
         smoother = Smoother.read(filtered.smoother)
-        result = cls(grid, filtered.x, w, noise, smoother, measured=measured)
-        best = best_smoothing(filtered)
-        if best is not filtered:
-            return replace(result, best=cls.of_x(best))
+        result = cls(filtered, grid, filtered.x, w, noise, smoother, measured=measured)
         if filtered.sigma_sensor is None or smoother.method:
             return result
         sigma = grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
@@ -284,6 +279,16 @@ class Derivatives:
                 sigma_sensor=None,
             )
         )
+
+    @cached_property
+    def best(self) -> Derivatives | None:
+        """Derivatives by the default smoother, where another filter was asked for.
+
+        Given the data, the true motion differs from these by their deviations, whatever the filter. So the error of the
+        filter asked for, noise that it passes and signal that it loses, is its distance from these and their error.
+        """
+        best = best_smoothing(self.filtered)
+        return None if best is self.filtered else Derivatives.of_x(best)
 
     def values(self) -> Array:
         """Derivatives of order 0, 1 and 2 of the rows, (3, n)."""

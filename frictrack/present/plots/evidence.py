@@ -228,7 +228,7 @@ def limits(diagnosis: AnySummary, figures: Mapping[str, Mapping[str, Array]] | N
     shown = has_limits(diagnosis, figures)
     if not shown:
         raise ValueError("expected the curve of a detection limit but got none")
-    title = "Detection limits: 95 of 100 repeats detect an amplitude above the line"
+    title = "Detection limits: 95 of 100 repeats detect a size above the line"
     figure, cells = style.panel_grid(len(shown), (1.9, 0.6), title, ("", ""))
     for (ax,), effect in zip(cells, shown, strict=True):
         _draw_limit(ax, effect, diagnosis["detection_limits"][effect]["unit"], figures[effect])
@@ -244,7 +244,7 @@ def _draw_limit(ax: Axes, effect: str, written: str, curves: Mapping[str, Array]
     if limit.max() / limit.min() >= 10:
         style.log_axis(ax, "y")
     ax.set_title(effect, fontweight="normal")
-    ax.set_ylabel(axis_label("amplitude", size_unit))
+    ax.set_ylabel(axis_label("size", size_unit))
     _set_x_axis(ax, name, shown)
 
 

@@ -16,7 +16,7 @@ from frictrack.base.polygons import polygon
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run, as_runs
 from frictrack.present.plots.style import axis_label, axis_scale, draw_band, new_figure, panel_grid, styled
-from frictrack.records import Array, FrameTable, stretches
+from frictrack.records import Array, FrameTable, Motion, stretches
 from frictrack.results import RunResults
 
 TARGET_COLOUR, PATH_COLOUR = style.ORANGE, style.SKY
@@ -144,6 +144,7 @@ def _mark_events(panels: Sequence[Axes], run: RunResults) -> None:
         late = at > 1e3 * float(run.motion.t[-1]) - NAME_WIDTH * reach  # its name stands before its line
         side, shift = ("right", -2) if late else ("left", 2)
         look: dict[str, Any] = {"fontsize": 8, "color": style.PURPLE, "xycoords": ("data", "axes fraction")}
+        look["bbox"] = {"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.85}
         style.note(panels[0], kind, (at, 1.0), (shift, -9 - 10 * (crowded and k % 2)), ha=side, **look)
 
 
@@ -261,6 +262,8 @@ def table(record: FrameTable) -> Figure:
         if sigma is not None:
             draw_band(ax, t, factor * values, factor * sigma, color=style.SKY, alpha=0.55)
         ax.plot(t, factor * values, color=style.BLUE, lw=1.0)
+        if isinstance(record, Motion) and f.name == "a":  # the ends are smeared
+            style.set_y_limits(ax, [factor * values[style.unsmeared(record)]])
     return figure
 
 

@@ -217,8 +217,9 @@ def filters(run: AnyRun) -> Figure:
             if one is not found[0]:
                 draw_band(ax, t, values, sigma, color=look["color"], alpha=0.25)
             ax.plot(t, values, label=f"{one.name}, stated error {format_number(error, 2)} m/s²", **look)
-        shown = row if k == 0 else row[1:]  # differences of what was measured would hide the others
-        style.set_y_limits(ax, [v[inside] + n * s[inside] for v, s in shown for n in (-2.0, 2.0)])
+        ends = [[v[inside] + n * s[inside] for n in (-2.0, 2.0)] for v, s in row]
+        ringing = [np.percentile(end, [25, 75]) for end in ends[1]]  # of the filter; it would hide all else
+        style.set_y_limits(ax, ringing + ends[2] + (ends[0] if k == 0 else []))  # differences of noise as well
     return figure
 
 

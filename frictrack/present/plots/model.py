@@ -433,9 +433,9 @@ def draw_held_out(ax: Axes, errors: Sequence[HeldOutError], noise: float | None,
         colour = style.VERMILION if k == 0 and len(errors) > 1 else style.BLUE
         ax.plot(k, one.value, "o", ms=8, mec=colour, mfc="white" if one.tried else colour, mew=1.6, zorder=2)
         if is_named or k in (0, len(errors) - 1):
-            box = {"fc": "white", "ec": "none", "pad": 1, "alpha": 0.85}
-            number: dict[str, Any] = {"ha": "center", "fontsize": 10, "fontweight": "bold", "bbox": box}
-            style.note(ax, format_number(one.value), (k, one.value), (0, 9), **number)
+            falls = k > 0 and values[k - 1] > one.value  # the line comes from above, on the left
+            number: dict[str, Any] = {"ha": "left" if falls else "center", "fontsize": 10, "fontweight": "bold"}
+            style.note(ax, format_number(one.value), (k, one.value), (5, 5) if falls else (0, 9), **number)
     known = values
     if noise is not None and noise > MIN_NOISE_SHOWN * values.min(initial=np.inf):
         known = np.append(values, noise)

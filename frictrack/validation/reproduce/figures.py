@@ -115,7 +115,8 @@ def generations(title: str, runs: Mapping[str, Array], printed: Mapping[str, flo
         ax.plot(np.arange(1, len(last) + 1), last, **(style.DOT_STYLE | {"color": style.BLUE, "markersize": 4}))
         ax.axhline(last.mean(), color=style.BLUE, label=f"mean {last.mean():.1f}")
         ax.axhline(printed[name], color=style.VERMILION, linestyle=DASHES[1], label=f"printed {printed[name]:g}")
-        ax.set(title=name, xlabel="seed")
+        ax.set(title=name, xlabel="seed", ylim=(0, None))
+        ax.locator_params(axis="x", integer=True)
         _place_legend(ax)
     axes[0].set_ylabel("generations")
     return figure
@@ -142,8 +143,8 @@ def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
         share = np.arange(1, len(ratio) + 1) / len(ratio)
         ax.step(np.sort(ratio), share, where="post", label=name, color=run["color"], linestyle=dash)
     ax.axvline(local, color="#666666", linewidth=0.8)
-    ax.annotate("local optimum beyond", (local, 0.03), (4, 0), textcoords="offset points", fontsize=9)
+    ax.annotate("local optimum beyond", (local, 0.96), (4, 0), textcoords="offset points", fontsize=9)
     ax.set(xscale="log", xlabel="final error / lowest error known", ylabel="share of runs")
     ax.set(ylim=(0, 1.02), xlim=(0.99, None))
-    ax.legend(loc="lower center")
+    ax.legend(loc="lower right")
     return figure

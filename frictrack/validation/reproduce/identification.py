@@ -340,7 +340,7 @@ def _tables_parameters(
             fitted = method.fit_with_frictrack(name, synthetic[group, f"{kind} tables"].run)
             ours = np.full(len(truth), np.nan) if fitted is None else method.parameters_of(name, fitted)
             addresses = np.array(list(laws.addresses(name).values()))[_order_of_sines(ours, truth, name)]
-            estimates = [method.estimate_text(fitted, str(address), ".4g") for address in addresses]
+            estimates = [method.estimate_text(fitted, str(address)) for address in addresses]
             chosen = found.parameters[_order_of_sines(found.parameters, truth, name)]
             columns = laws.addresses(name), source.values, truth, chosen, estimates
             out.append(table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))

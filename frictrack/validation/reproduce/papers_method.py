@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.errors import result_or_none
+from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Path, models
 from frictrack.effects.models import Model, Values
 from frictrack.fit import Fit, fit
@@ -298,15 +299,12 @@ def fit_with_frictrack(law: str, run: Run) -> Fit | None:
     return result_or_none(fit, law, [replace(run, name=laws.RUN)])
 
 
-def estimate_text(found: Fit | None, address: str, form: str = ".3f") -> str:
+def estimate_text(found: Fit | None, address: str) -> str:
     """An estimate of frictrack as text, with its standard deviation."""
     if found is None:
         return "no fit"
     estimate = found.parameters[address]
-    if estimate.value is None:
-        return "not determined"
-    spread = "" if estimate.std is None else f" ± {estimate.std:{'.2g' if form.endswith('g') else form}}"
-    return f"{estimate.value:{form}}{spread}"
+    return format_plus_minus(estimate.value, estimate.std)
 
 
 def range_over_seeds(result: Identification, i: int) -> str:

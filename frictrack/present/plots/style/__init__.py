@@ -27,10 +27,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG, RendererSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from frictrack.base.number_format import format_unit
 from frictrack.present.plots.style.tick_rows import ticks_in_rows
@@ -171,7 +170,7 @@ def log_axis(ax: Axes, which: str) -> None:
     getattr(ax, f"set_{which}scale")("log")
     axis = ax.xaxis if which == "x" else ax.yaxis
     subs = (1, 2, 5) if high < MAX_FINE_RATIO * low else (1,)
-    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_locator(LogLocator(subs=subs) if high > 5 * low else MaxNLocator(4))  # two ticks at least
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -460,6 +459,8 @@ def png(figure: Figure, dpi: float = 110) -> bytes:
 
 def pdf(figure: Figure) -> bytes:
     """Convert a figure to the content of a PDF file, without its date: the same figure gives the same bytes."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # noqa: PLC0415 - loads fonts that others do not need
+
     buffer = io.BytesIO()
     with _laid_out(figure):
         FigureCanvasPdf(figure).print_pdf(buffer, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
