@@ -29,7 +29,13 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, PRIOR_CAMERA, information_criterion, objection
+from frictrack.diagnose.model_selection import (
+    MAX_BIC_EQUAL,
+    MAX_CHI2_NEAR,
+    PRIOR_CAMERA,
+    information_criterion,
+    objection,
+)
 from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit import Fit
@@ -112,7 +118,8 @@ class FinishedSearch:
     formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
     None if nothing was. `alternatives` are other sets that explain as much as the effects found, and `rivals` their
     fits and those of other single effects; `is_beaten` says that one formula explains far more than the effects found.
-    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes.
+    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes; `criterion` is
+    the BIC of what was found, with its prior.
     """
 
     start: Solution
@@ -127,6 +134,7 @@ class FinishedSearch:
     rivals: Sequence[Solution] = ()
     is_beaten: bool = False
     levels: str = ""
+    criterion: float = np.inf
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -164,6 +172,26 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         What may be tried.
 
     """
+    found = _search(runs, start, settings)
+    if found.levels or not any(_acts_run_by_run(found.last.solution, t.effect) for t in found.found):
+        return found
+    # a value of its own for every run may imitate what the friction levels multiply
+    law = _levels_of_other_parts(start)
+    if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
+        return found
+    other = _search(runs, law, settings)
+    return replace(other, levels=other.levels or _describe_levels(law)) if other.criterion < found.criterion else found
+
+
+def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
+    """Whether an effect has a size of its own in several runs."""
+    runs = range(len(solution.problem.layout.run_names))
+    acts = sum((effect.name, run) not in solution.problem.layout.absent for run in runs)
+    return any(p.per_run and not p.role for p in effect.parameters) and acts > 1
+
+
+def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> FinishedSearch:
+    """Search with friction levels that multiply what the model says."""
     rng, own, notify = np.random.default_rng(settings.rng), settings.own, settings.notify
     generators = rng.spawn(2)
     n_runs = len(start.problem.layout.run_names)
@@ -220,7 +248,9 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
-    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels)
+    return FinishedSearch(
+        start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels, best.criterion
+    )
 
 
 def _or_levels_differ(
@@ -268,7 +298,7 @@ def _with_other_level(solution: Solution, effect: Effect) -> Solution:
     """The fit in which one effect follows the friction levels, or does not follow them, if it did."""
     layout = solution.problem.layout
     effects = tuple(e.with_other_level() if e is effect else e for e in layout.model.effects)
-    problem = solution.problem.rebuild(replace(layout, model=Model(effects)))
+    problem = solution.problem.rebuild(replace(layout, model=Model(effects))).with_budget(EvaluationBudget())
     return fit_with_scatter(problem, solution.p, solution.starts, solution.tau)
 
 
