@@ -333,7 +333,9 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
         for effect in (e for e in best.effects if e.title in after.names - before.names):
             gain = after.gain(before, effect)
             p = first.p_of_excess(effect.title, gain) if before.effects else first.p_of_gain(effect, gain)
-            why = objection(best.law, effect)
+            # two of a kind may share what one of them has alone, so that neither is determined
+            alone = sum(e.kind == effect.kind for e in best.effects) == 1
+            why = objection(best.law if alone else after.law, effect)
             found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found
 
