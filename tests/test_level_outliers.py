@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import frictrack as ft
 
@@ -68,3 +69,36 @@ def test_groups_of_runs_that_rub_differently_are_said(rubber: float, said: int) 
         ratio = re.search(r"rubber is ([\d.]+) times that in the group steel", line)
         assert ratio is not None
         assert float(ratio[1]) == pytest.approx(1.1, abs=0.02)
+
+
+# ---- what a friction level multiplies
+
+
+def sliding(level_of: str, scatter: float, patch: float = 0.0) -> list[ft.Run]:
+    """Six runs whose friction scatters as a whole, or only its dry part, integrated by SciPy; a patch does not."""
+    rng, t, runs = np.random.default_rng(2), np.arange(500) / 2500, []
+    for k in range(6):
+        level = 1 + scatter * rng.standard_normal()
+        viscous = 0.08 * (level if level_of == "all" else 1.0)
+
+        def motion(_: float, y: np.ndarray, level: float = level, viscous: float = viscous) -> list[float]:
+            dry = level * (1.0 + 0.35 * np.exp(-y[1] / 0.4))
+            return [y[1], -(dry + viscous * y[1] + patch * np.exp(-0.5 * ((y[0] - 0.25) / 0.012) ** 2)) / 0.35]
+
+        x = solve_ivp(motion, (0, t[-1]), [0.01, 2.0 + 0.3 * k], rtol=1e-10, atol=1e-13, t_eval=t, max_step=1e-3).y[0]
+        runs.append(ft.Run.from_arrays(t, x + 2e-6 * rng.standard_normal(500), mass=0.35, sigma=2e-6, name=f"r{k}"))
+    return runs
+
+
+@pytest.mark.slow
+def test_friction_that_scatters_as_a_whole_lacks_nothing() -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("all", 0.04)), rng=1, quick=True)
+    assert (found.missing, found.leads) == ([], [])
+    assert found.verdict in {"complete", "undetermined"}
+    assert any("viscous changes with the level" in line for line in found.remarks)
+
+
+@pytest.mark.slow
+def test_a_patch_is_named_alone_where_it_does_not_follow_the_friction_levels() -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("dry", 0.01, 0.24)), rng=1, quick=True)
+    assert (found.verdict, found.missing) == ("missing", ["patch"])

@@ -152,7 +152,7 @@ def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
     def conclude(start: Solution, remarks: Sequence[str]) -> Conclusion:
         found = search_effects(fit.runs, start, settings)
         settings.notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
-        return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
+        return Conclusion(fit, found, tuple(filter(None, [found.levels, found.cut, *remarks])))
 
     joined = join_segments(fit)
     if joined is not None:

@@ -29,8 +29,15 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.model_selection import MAX_CHI2_NEAR, PRIOR_CAMERA, information_criterion, objection
+from frictrack.diagnose.model_selection import (
+    MAX_BIC_EQUAL,
+    MAX_CHI2_NEAR,
+    PRIOR_CAMERA,
+    information_criterion,
+    objection,
+)
 from frictrack.effects import Effect
+from frictrack.effects.models import Model
 from frictrack.fit import Fit
 from frictrack.fit.cutting import has_known_history, pieces_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
@@ -38,6 +45,7 @@ from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import MASS, ParameterLayout
 from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
+from frictrack.fit.uncertainty.reported import describe_level_outliers
 from frictrack.records import Run
 from frictrack.results.verdicts import join_as_one
 from frictrack.search import EvaluationBudget
@@ -110,6 +118,8 @@ class FinishedSearch:
     formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
     None if nothing was. `alternatives` are other sets that explain as much as the effects found, and `rivals` their
     fits and those of other single effects; `is_beaten` says that one formula explains far more than the effects found.
+    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes; `criterion` is
+    the BIC of what was found, with its prior.
     """
 
     start: Solution
@@ -123,6 +133,8 @@ class FinishedSearch:
     alternatives: Sequence[dict[str, Any]] = ()
     rivals: Sequence[Solution] = ()
     is_beaten: bool = False
+    levels: str = ""
+    criterion: float = np.inf
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -160,6 +172,26 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         What may be tried.
 
     """
+    found = _search(runs, start, settings)
+    if found.levels or not any(_acts_run_by_run(found.last.solution, t.effect) for t in found.found):
+        return found
+    # a value of its own for every run may imitate what the friction levels multiply
+    law = _levels_of_other_parts(start)
+    if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
+        return found
+    other = _search(runs, law, settings)
+    return replace(other, levels=other.levels or _describe_levels(law)) if other.criterion < found.criterion else found
+
+
+def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
+    """Whether an effect has a size of its own in several runs."""
+    runs = range(len(solution.problem.layout.run_names))
+    acts = sum((effect.name, run) not in solution.problem.layout.absent for run in runs)
+    return any(p.per_run and not p.role for p in effect.parameters) and acts > 1
+
+
+def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> FinishedSearch:
+    """Search with friction levels that multiply what the model says."""
     rng, own, notify = np.random.default_rng(settings.rng), settings.own, settings.notify
     generators = rng.spawn(2)
     n_runs = len(start.problem.layout.run_names)
@@ -206,6 +238,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         pair = space.pair_instead(best, last)
         if pair is not best and _is_more(taken := take(pair), (best, last)):
             best, last = taken
+    best, first, last, levels = _or_levels_differ(space, best, (first, last), own, rng)
     misfit = baseline_misfit(first.draws.law)
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
@@ -215,7 +248,65 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
-    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, is_beaten=beaten)
+    return FinishedSearch(
+        start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels, best.criterion
+    )
+
+
+def _or_levels_differ(
+    space: Explanations,
+    best: Explanation,
+    examined: tuple[Examination, Examination],
+    own: Sequence[Effect],
+    rng: np.random.Generator,
+) -> tuple[Explanation, Examination, Examination, str]:
+    """Return what was found, or the first part of it that leaves nothing where the levels multiply other friction.
+
+    Nobody knows whether what changes the dry friction of a run changes its viscous friction too, or a patch. Where a
+    law assumes the wrong one, effects imitate what is left. Last comes what the levels multiply, in words.
+    """
+    first, last = examined
+    for part in [*space.chain(best)[:-1], *([best] if last.something_is_missing else [])]:
+        law = _levels_of_other_parts(part.law)
+        fall = information_criterion(part.law) - information_criterion(law)
+        if law is part.law or part.criterion - fall >= best.criterion:
+            continue
+        law = observation_of(law.problem).weighted(law)
+        again = examine_again(law, own, rng, first) if part.effects else examine(law, own, rng, first.level)
+        if not again.something_is_missing:
+            return part, first if part.effects else again, again, _describe_levels(law)
+    return best, *examined, ""
+
+
+def _levels_of_other_parts(solution: Solution) -> Solution:
+    """The fit in which the friction levels multiply those parts of friction with which the law is most likely."""
+    layout = solution.problem.layout
+    levels = solution.p[layout.levels]
+    if not solution.levels_are_random or any(describe_level_outliers(layout.run_names, levels, np.diag(0 * levels))):
+        return solution
+    best, left = solution, [e for e in layout.model.effects if e.may_follow_level]
+    while left:
+        others = [(e, _with_other_level(best, e)) for e in left]
+        changed, law = min(others, key=lambda one: information_criterion(one[1]))
+        if information_criterion(law) >= information_criterion(best):
+            break
+        best, left = law, [e for e in left if e is not changed]
+    return best
+
+
+def _with_other_level(solution: Solution, effect: Effect) -> Solution:
+    """The fit in which one effect follows the friction levels, or does not follow them, if it did."""
+    layout = solution.problem.layout
+    effects = tuple(e.with_other_level() if e is effect else e for e in layout.model.effects)
+    problem = solution.problem.rebuild(replace(layout, model=Model(effects))).with_budget(EvaluationBudget())
+    return fit_with_scatter(problem, solution.p, solution.starts, solution.tau)
+
+
+def _describe_levels(law: Solution) -> str:
+    """Say which parts of friction change with the friction level of a run."""
+    parts = [e for e in law.problem.layout.model.effects if e.may_follow_level]
+    says = [f"{e.title} {'changes' if e.linear[0].loaded else 'does not change'} with the level" for e in parts]
+    return f"what fits the friction levels of the runs: {', '.join(says)}; effects would only imitate that"
 
 
 def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:
@@ -242,7 +333,9 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
         for effect in (e for e in best.effects if e.title in after.names - before.names):
             gain = after.gain(before, effect)
             p = first.p_of_excess(effect.title, gain) if before.effects else first.p_of_gain(effect, gain)
-            why = objection(best.law, effect)
+            # two of a kind may share what one of them has alone, so that neither is determined
+            alone = sum(e.kind == effect.kind for e in best.effects) == 1
+            why = objection(best.law if alone else after.law, effect)
             found.append(RefinedCandidate(effect, after.law, after.evidence(before), p, objection=why, passes=True))
     return found
 

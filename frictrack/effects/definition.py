@@ -644,6 +644,24 @@ class Effect:
         changed = replace(self.adjusted(**{name: change}), replaces=self.replaces | {self.kind}, frees=name)
         return replace(changed, what=f"{what}.", looks_like="", confirm="", describe=None)
 
+    @property
+    def may_follow_level(self) -> bool:
+        """Whether it is friction of which nobody knows whether it scatters from run to run as dry friction does."""
+        of_load = {p.loaded for p in self.linear}
+        own = self.acts_on == "force" and not (self.modifies or self.memory or self.kind == "coulomb")
+        return own and (of_load == {True} or (of_load == {False} and self.varies_with == "v"))
+
+    def with_other_level(self) -> Effect:
+        """The version that follows the friction level of each run, or does not follow it, if this one does."""
+        follows = not self.linear[0].loaded
+
+        def columns(path: Path, nonlinear: Nonlinear) -> Array:
+            level = np.broadcast_to(path.load / path.mass_ratio, path.t.shape)[:, None]
+            return self.columns(path, nonlinear) * (level if follows else 1 / level)
+
+        changed = self.adjusted(**{p.name: {"loaded": follows} for p in self.linear})
+        return replace(changed, columns=columns, scales_with="load" if follows else "nothing")
+
     def called(self, name: str) -> Effect:
         """The same cause as another instance."""
         return replace(self, name=name)

@@ -677,7 +677,8 @@ def _with_shared_amplitude(
 ) -> CandidateTrial:
     """The same effect with one amplitude for all runs, started at the mean; refined while it may reach a misfit."""
     old = free_amplitudes.layout
-    layout = replace(old, model=replace(old.model, effects=(*old.model.effects[:-1], effect)))
+    effects = tuple(effect if e.name == effect.name else e for e in old.model.effects)
+    layout = replace(old, model=replace(old.model, effects=effects))
     problem = _projected_problem(linearised, layout)
     p = layout.unknowns(old.by_address(free_amplitudes.p))
     return _trial(effect, problem, _refined(problem, problem.at(p), limit))
