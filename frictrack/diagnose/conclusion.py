@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.distributions import RNG, accepts_seed
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.arguments import checked
+from frictrack.base.distributions import RNG
+from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
@@ -63,10 +64,10 @@ WITHOUT_MEMORY = (
 )
 
 
-@accepts_seed
+@checked
 @one_thread()
 def diagnose(  # noqa: PLR0913 - one function with named settings, all but the fit optional
-    fit: Fit,
+    fit: Fit | GroupFits,
     *,
     own: Sequence[Effect] = (),
     functions: Sequence[str] = (),
@@ -130,9 +131,6 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    given: object = fit
-    if not isinstance(given, Fit):
-        raise UsageError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}")
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     settings = SearchSettings(own, auxiliary, rng, alpha / 2, shapes_of_functions(functions), notify)
