@@ -333,7 +333,7 @@ def one_fit():
         (lambda fit: ft.fit("coulomb", fit.runs, prior="a.toml"), "expected prior to be a prior (from ft.Prior."),
         (lambda fit: ft.compare(5), "compare: expected fits to be a fit (from ft.fit) or a list of fits"),
         (
-            lambda fitted: fit.predict("a"),
+            lambda fit: fit.predict("a"),
             "Fit.predict: expected runs to be a run (from ft.Run.from_arrays) but got",
         ),
         (lambda fit: fit.conf_int(level=95), 'Fit.conf_int: unknown name "level"; known are alpha'),

@@ -151,7 +151,7 @@ def _in_si_units(value: Any, kind: Any, name: str) -> Any:
             return parse_quantity(value, one.__metadata__[0], name)[0]
         if (inner := _values(one)) is not None and isinstance(value, list | tuple):
             parts = [_in_si_units(part, inner, name) for part in value]
-            return value if all(a is b for a, b in zip(parts, value, strict=True)) else parts
+            return value if all(a is b for a, b in zip(parts, value, strict=True)) else type(value)(parts)
     return value
 
 

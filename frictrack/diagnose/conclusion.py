@@ -144,6 +144,29 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     return diagnosis
 
 
+def unsearched(fit: Fit, alpha: float) -> Diagnosis:
+    """Return the diagnosis of a fit for which nothing is searched, as its runs have to be put right first."""
+    observation = observation_of(fit.solution.problem)
+    noise, misfit = observation.noise(fit.solution, fit.reduced_chi2)
+    in_um = observation.unit == "um"
+    return Diagnosis(
+        model=fit.model.names,
+        verdict="undetermined",
+        missing=[],
+        noise_um=1e6 * noise if in_um else None,
+        noise_N=None if in_um else noise,
+        reduced_chi2=misfit,
+        p_lack_of_fit=np.nan,
+        fails_at=[],
+        candidates=[],
+        unexplained=None,
+        detection_limits={},
+        remarks=[],
+        figures={},
+        alpha=alpha,
+    )
+
+
 def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
     """Search and conclude; a fit in segments is searched in one piece first, if that explains everything."""
 
