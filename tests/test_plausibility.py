@@ -6,8 +6,8 @@ import json
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from functools import cache
+from importlib import import_module
 from io import StringIO
 from itertools import pairwise
 from math import cos, radians, sin
