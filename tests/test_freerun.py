@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 
 from frictrack.diagnose import diagnose
 from frictrack.diagnose.compare import compare
-from frictrack.diagnose.search import subsample_pieces
 from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.simulate import Conditions, Start, is_smooth_at_rest, simulate, simulate_displacement
@@ -151,13 +150,6 @@ def test_forty_thousand_frames_are_followed_in_seconds():
     assert time.process_time() - begin < 60  # 10 s on a processor of 2024
     n = 3000
     np.testing.assert_allclose(made[:n], oscillator(t[:n])[0], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_search_leaves_out_the_motion_before_which_little_is_known():
-    some, said = subsample_pieces(fit("viscous,spring", [swinging(1500, sigma=8e-6, lead=300)]).solution)
-    assert min(p.t[0] for p in some.problem.pieces) >= 0.13  # as in a fit of hysteresis
-    assert "the motion before the others is not known" in said
 
 
 @pytest.mark.release

@@ -348,15 +348,10 @@ def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
     problem = solution.problem.rebuild(_limit_spans(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
     some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
+    searched = f"{len(kept)} of its {len(pieces)} segments were searched"
     if not is_long:
-        return some, (
-            f"{len(kept)} of {len(pieces)} segments were searched: the motion before the others is not known, on which an "
-            "effect with memory depends"
-        )
-    return some, (
-        f"long record: {len(kept)} of its {len(pieces)} segments were searched, evenly spaced; "
-        "a single event between them is not detected"
-    )
+        return some, f"{searched}; too little is known of the motion before the others, on which memory depends"
+    return some, f"long record: {searched}, evenly spaced; a single event between them is not detected"
 
 
 def subsample_frames(solution: Solution) -> tuple[Solution, str]:
