@@ -21,30 +21,17 @@ P = ParamSpec("P")
 T = TypeVar("T")
 NUMBERS = (None, Any, float, int, Sequence[float])  # values of lists that need no words
 MAX_SHOWN = 60  # characters of a wrong value in a message
-WORDS = {
-    "bool": "True or False",
-    "float": "a number",
-    "int": "a whole number",
-    "str": "a text",
-    "Callable": "a function",
-    "DataFrame": "a pandas DataFrame",
-    "Generator": "a random generator",
-    "Mapping": "values by name {...}",
-    "Path": "a path",
-    "Areas": "areas of the picture",
-    "Displacement": "a displacement (from ft.calibrate)",
-    "Effect": "an effect (from ft.effects)",
-    "Filtered": "a filtered displacement (from ft.low_pass)",
-    "Fit": "a fit (from ft.fit)",
-    "GroupFits": "a fit (from ft.fit)",
-    "Model": "a model (from ft.models)",
-    "Motion": "a motion (from ft.differentiate)",
-    "Prior": "a prior (from ft.Prior.read or fit.to_prior)",
-    "Recording": "a recording (from ft.open_recording)",
-    "Run": "a run (from ft.Run.from_arrays)",
+WORDS = {  # of types: what is expected
+    "bool": "True or False", "float": "a number", "int": "a whole number", "str": "a text", "Path": "a path",
+    "Callable": "a function", "DataFrame": "a pandas DataFrame", "Generator": "a random generator",
+    "Mapping": "values by name {...}", "Areas": "areas of the picture", "Track": "a track (from ft.track)",
+    "Displacement": "a displacement (from ft.calibrate)", "Effect": "an effect (from ft.effects)",
+    "Filtered": "a filtered displacement (from ft.low_pass)", "Fit": "a fit (from ft.fit)",
+    "GroupFits": "a fit (from ft.fit)", "Model": "a model (from ft.models)",
+    "Motion": "a motion (from ft.differentiate)", "Prior": "a prior (from ft.Prior.read or fit.to_prior)",
+    "Recording": "a recording (from ft.open_recording)", "Run": "a run (from ft.Run.from_arrays)",
     "SearchMethod": "a search (from ft.search)",
-    "Track": "a track (from ft.track)",
-}  # of types: what is expected
+}  # fmt: skip
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
@@ -89,13 +76,13 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
             raise UsageError(f"{own}: {_mismatch(str(error), signature)}") from None
         kinds = _kinds(function)
         for name, value in bound.arguments.items():
-            shape = signature.parameters[name].kind
+            shape, kind = signature.parameters[name].kind, kinds[name]
             if shape is inspect.Parameter.VAR_KEYWORD:
-                bound.arguments[name] = {one: _taken(value[one], kinds[name], own, one) for one in value}
+                bound.arguments[name] = {one: _taken(value[one], kind, own, one) for one in value}
             elif shape is inspect.Parameter.VAR_POSITIONAL:
-                bound.arguments[name] = tuple(_taken(one, kinds[name], own, name) for one in value)
+                bound.arguments[name] = tuple(_taken(one, kind, own, name) for one in value)
             else:
-                bound.arguments[name] = _taken(value, kinds[name], own, name)
+                bound.arguments[name] = _taken(value, kind, own, name)
         return function(*bound.args, **bound.kwargs)
 
     vars(with_checks)["checked"] = True
