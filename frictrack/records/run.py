@@ -54,7 +54,7 @@ class Run(NotebookView):
         Measured drive and friction force at the frames of `displacement`, N, (n,).
     sigma_drive
         Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
-        default what it scatters, unless the motion follows this scatter.
+        default what it scatters, unless the motion certainly follows this scatter.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
