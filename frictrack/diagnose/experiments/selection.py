@@ -251,7 +251,15 @@ def _direct_check(effect: Effect) -> str:
 
 
 def _point_in_words(effect: Effect, at: Mapping[str, float]) -> str:
-    """Return values of parameters with their units; a number without a unit says in which formula it stands."""
+    """Return values of parameters with their units; a number without a unit says in which formula it stands.
+
+    Examples
+    --------
+    >>> from frictrack import effects
+    >>> _point_in_words(effects.get("power_law_viscosity"), {"n": 0.93})
+    'n = 0.93 in c s |v|^n'
+
+    """
     units = {name: effect.parameter(name).unit for name in at}
     words = [f"{n} = {format_plain(v, 2)}{'' if units[n] == '1' else f' {units[n]}'}" for n, v in at.items()]
     return ", ".join(words) + (f" in {effect.equation}" if "1" in units.values() else "")
