@@ -19,7 +19,7 @@ from __future__ import annotations
 import sys
 import warnings
 from importlib import import_module
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 from frictrack.base.lazy import imports_of
@@ -118,6 +118,9 @@ class _Package(ModuleType):
             return import_module(f"frictrack.{name}")
         if name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
+            if isinstance(value, FunctionType):
+                value = import_module("frictrack.base.arguments").checked(value)
+                value.__module__ = "frictrack"  # where pickle finds it
             setattr(self, name, value)
             return value
         if name in _RENAMED:

@@ -112,3 +112,15 @@ def test_no_standing_is_broken_on_a_narrow_terminal(found):
     lines = out.file.getvalue().splitlines()
     assert "asymmetry: found in addition to patch" in lines
     assert max(map(len, lines)) <= 60
+
+
+def test_an_effect_that_lowers_the_error_only_with_a_later_one_says_so():
+    errors = {"patch": (0.164, 0.304), "asymmetry": (0.164, 0.113)}
+    some = {"p": 0.001, "delta_bic": 300.0, "passes": True, "indistinguishable_from": [], "acts_on": "force"}
+    candidates = [
+        some | {"effect": name, "heldout_rms_before_N": before, "heldout_rms_after_N": after}
+        for name, (before, after) in errors.items()
+    ]
+    patch, asymmetry = candidate_rows({"candidates": candidates, "missing": ["patch", "asymmetry"]})
+    assert patch.error == "held-out error 0.164 to 0.304 N alone, but 0.113 N with asymmetry as well"
+    assert asymmetry.error == "held-out error 0.304 to 0.113 N"

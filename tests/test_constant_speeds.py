@@ -118,7 +118,7 @@ def test_several_loads_in_one_table_separate_what_the_load_carries() -> None:
         (dict(v=SPEEDS[:4], friction=SPEEDS[:4]), "expected at least 5 points at speeds other than 0 but got 4"),
         (dict(v=1e3 * SPEEDS, friction=SPEEDS), "expected speeds in m/s but got 1000 m/s"),
         (dict(v=SPEEDS, friction=SPEEDS[1:]), "expected friction of shape (14,), as v has 14 values, but got (13,)"),
-        (dict(v=SPEEDS, friction=SPEEDS, sigma=0.0), "expected standard deviations above 0"),
+        (dict(v=SPEEDS, friction=SPEEDS, sigma=0.0), "expected sigma_friction above 0 but got 0"),
         (dict(v=SPEEDS, friction=SPEEDS, load=-1.0), "expected normal loads above 0"),
     ],
 )

@@ -154,7 +154,7 @@ def test_evidence_that_makes_a_rival_is_counted_in_units_of_the_misfit_that_is_l
 
 
 def test_anything_but_a_fit_is_refused():
-    with pytest.raises(FrictrackError, match=r"expected a fit, as ft\.fit returns it, but got list"):
+    with pytest.raises(FrictrackError, match=r"expected fit to be a fit \(from ft\.fit\) but got \[\]"):
         diagnose([])
 
 

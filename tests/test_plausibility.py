@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from io import StringIO
 from itertools import pairwise
 from math import cos, radians, sin
@@ -429,6 +430,23 @@ def test_one_mass_that_is_a_power_of_ten_off_is_questioned(wrong, right):
     assert finding.correction == f'mass = "{right} kg"'
     assert "the decimal point elsewhere" in finding.words
     assert finding.grade == "warning"
+    assert finding.contradicts == (wrong == 350.0)  # a unit, and no other slider
+
+
+def test_nothing_is_searched_while_a_mass_is_in_another_unit(tmp_path, monkeypatch):
+    study = ['[study]\nmodel = ["coulomb", "viscous"]\n']
+    for run in family(0.4, {"quick": 0.00035})[:3]:
+        table = np.column_stack([run.displacement.t, run.displacement.x])
+        np.savetxt(tmp_path / f"{run.name}.csv", table, delimiter=",", header="t_s,x_m", comments="")
+        study.append(f'[[run]]\ntable = "{run.name}.csv"\nmass = "{run.mass} kg"\n')
+    (tmp_path / "study.toml").write_text("".join(study))
+    monkeypatch.setattr(import_module("frictrack.diagnose.conclusion"), "search_effects", None)
+    session = Session(open_study(tmp_path / "study.toml"))
+    session.fit()
+    found = session.diagnose()
+    assert (found["verdict"], found["candidates"]) == ("undetermined", [])
+    assert found["undetermined"][0]["what"] == "the mass of quick"
+    assert "nothing was searched before the mass of quick is right" in found["undetermined"][0]["why"]
 
 
 def test_runs_of_several_masses_are_not_doubted():

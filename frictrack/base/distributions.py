@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from functools import wraps
 from math import comb
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy
@@ -88,38 +85,6 @@ def f_isf(p: Any, df_numerator: Any, df_denominator: Any) -> Any:
 
 RNG = np.random.Generator | int | None
 """What `rng` takes: a generator, which is advanced; a seed; or None for other numbers in every call."""
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def accepts_seed(function: Callable[P, T]) -> Callable[P, T]:
-    """Let a function with the keyword `rng` also accept the older keyword `seed`, with a deprecation warning.
-
-    References
-    ----------
-    SPEC 7, Seeding pseudo-random number generation, https://scientific-python.org/specs/spec-0007
-
-    Examples
-    --------
-    >>> @accepts_seed
-    ... def draw(n, *, rng=0):
-    ...     return np.random.default_rng(rng).integers(10, size=n)
-    >>> draw(3, rng=1).tolist()
-    [4, 5, 7]
-
-    """
-
-    @wraps(function)
-    def with_seed(*args: Any, **keywords: Any) -> T:
-        if "seed" in keywords:
-            if "rng" in keywords:
-                raise TypeError(f"expected rng or seed in {function.__name__}() but got both")
-            warnings.warn(f"seed is deprecated in {function.__name__}(); use rng", DeprecationWarning, stacklevel=2)
-            keywords["rng"] = keywords.pop("seed")
-        return function(*args, **keywords)
-
-    return with_seed
 
 
 def as_seed(rng: RNG) -> int | None:

@@ -23,6 +23,7 @@ _UNITS: dict[str, tuple[Fraction, tuple[int, int, int, int]]] = {
     "g": (Fraction(1, 1000), (0, 1, 0, 0)),
     "s": (Fraction(1), (0, 0, 1, 0)),
     "Hz": (Fraction(1), (0, 0, -1, 0)),
+    "fps": (Fraction(1), (0, 0, -1, 0)),
     "N": (Fraction(1), (1, 1, -2, 0)),
     "J": (Fraction(1), (2, 1, -2, 0)),
     "Pa": (Fraction(1), (-1, 1, -2, 0)),
@@ -33,7 +34,7 @@ _UNITS: dict[str, tuple[Fraction, tuple[int, int, int, int]]] = {
 _PREFIXES = {"": 0, "n": -9, "u": -6, "µ": -6, "m": -3, "c": -2, "d": -1, "k": 3, "M": 6}
 _WITHOUT_PREFIX = ("deg", "px")
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
-_POWER = r"([nuµmcdkM]??)(m|g|s|Hz|N|J|Pa|rad|deg|px)(?:\^([1-3]))?"
+_POWER = r"([nuµmcdkM]??)(m|g|s|Hz|fps|N|J|Pa|rad|deg|px)(?:\^([1-3]))?"
 _ORDINARY_UNIT = re.compile(rf"{_POWER}(?:/{_POWER})?")
 _MIN_VALUE, _MAX_VALUE = 1e-20, 1e30  # in any unit; smaller values above zero, and larger ones, are no measurements
 _MAX_UNIT_LENGTH = 60  # characters of a unit
@@ -60,7 +61,15 @@ def lacks_unit(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, float]:
+def parse_quantity(
+    text: str | float,
+    unit: str,
+    what: str,
+    *,
+    above: float = -math.inf,
+    below: float = math.inf,
+    least: float = -math.inf,
+) -> tuple[float, float]:
     """Read a number, or a text with a unit and an uncertainty.
 
     Parameters
@@ -72,6 +81,8 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
         The wanted unit, as pint writes it: ``"kg"``, ``"m/px"``, ``"rad"``.
     what
         Name of the quantity, for messages.
+    above, below, least
+        Limits of the value; it may be the least.
 
     Returns
     -------
@@ -81,7 +92,8 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
     Raises
     ------
     FrictrackError
-        If it is no quantity, its unit is unknown or of another quantity, or its uncertainty is negative.
+        If it is no quantity, its unit is unknown or of another quantity, its uncertainty is negative, or it is beyond
+        the limits.
 
     Examples
     --------
@@ -99,6 +111,12 @@ def parse_quantity(text: str | float, unit: str, what: str) -> tuple[float, floa
         raise FrictrackError(_expected(unit, what) + f" but got {text!r}")
     if not (value == 0 or _MIN_VALUE <= abs(value) < _MAX_VALUE):
         raise FrictrackError(_expected(unit, what) + f" but got {value:g}")
+    if not (above < value < below and value >= least):
+        span = f"above {above:g}" if below == math.inf else f"between {above:.3g} and {below:.3g}"
+        span = span if least == -math.inf else f"of at least {least:g}"
+        is_degrees = unit == "rad" and not isinstance(text, str) and abs(text) < 90
+        hint = f'; a number is in rad: write "{text:g} deg" for degrees' if is_degrees else ""
+        raise FrictrackError(f"expected {what} {span}{'' if unit == '1' else f' {unit}'} but got {text!r}{hint}")
     return value, std
 
 

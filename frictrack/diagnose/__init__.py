@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from frictrack.diagnose.conclusion import diagnose
+from frictrack.diagnose.conclusion import diagnose, unsearched
 from frictrack.diagnose.diagnosis import Candidate, Diagnosis
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED

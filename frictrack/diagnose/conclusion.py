@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.distributions import RNG, accepts_seed
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.arguments import checked
+from frictrack.base.distributions import RNG
+from frictrack.base.errors import FrictrackError
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
@@ -63,10 +64,10 @@ WITHOUT_MEMORY = (
 )
 
 
-@accepts_seed
+@checked
 @one_thread()
 def diagnose(  # noqa: PLR0913 - one function with named settings, all but the fit optional
-    fit: Fit,
+    fit: Fit | GroupFits,
     *,
     own: Sequence[Effect] = (),
     functions: Sequence[str] = (),
@@ -130,9 +131,6 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     notify = progress or (lambda done, total, what: None)
     if isinstance(fit, GroupFits):
         raise FrictrackError("expected one fit of all runs to diagnose but got one per group; fit without --per first")
-    given: object = fit
-    if not isinstance(given, Fit):
-        raise UsageError(f"expected a fit, as ft.fit returns it, but got {type(given).__name__}")
     if not 0 < alpha < 1:
         raise FrictrackError(f"expected a significance level between 0 and 1 but got alpha = {alpha}")
     settings = SearchSettings(own, auxiliary, rng, alpha / 2, shapes_of_functions(functions), notify)
@@ -144,6 +142,29 @@ def diagnose(  # noqa: PLR0913 - one function with named settings, all but the f
     diagnosis = conclusion.completed(auxiliary, lambda what: notify(MAX_SIZE, MAX_SIZE, what))
     notify(MAX_SIZE, MAX_SIZE, "diagnosed")
     return diagnosis
+
+
+def unsearched(fit: Fit, alpha: float) -> Diagnosis:
+    """Return the diagnosis of a fit for which nothing is searched, as its runs have to be put right first."""
+    observation = observation_of(fit.solution.problem)
+    noise, misfit = observation.noise(fit.solution, fit.reduced_chi2)
+    in_um = observation.unit == "um"
+    return Diagnosis(
+        model=fit.model.names,
+        verdict="undetermined",
+        missing=[],
+        noise_um=1e6 * noise if in_um else None,
+        noise_N=None if in_um else noise,
+        reduced_chi2=misfit,
+        p_lack_of_fit=np.nan,
+        fails_at=[],
+        candidates=[],
+        unexplained=None,
+        detection_limits={},
+        remarks=[],
+        figures={},
+        alpha=alpha,
+    )
 
 
 def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:

@@ -60,6 +60,7 @@ N_RUNS_TYPICAL = 10  # more runs have more unknowns of their own (events, phases
 N_NAMED = 3  # effects that a remark names
 
 MAX_CHI2_PER_FRAME = 30.0  # chi-squared per frame beyond which no law can be judged along the motion
+MAX_UNKNOWN_HISTORY_SHARE = 0.1  # of the frames, which a search does without
 MAX_PIECES = 32  # of a long record that are searched, unless there are more runs
 MAX_FREQUENCY_RATIO = 0.2  # of the frame rate, up to which spectral lines are searched for; see `effects.frequencies`
 MAX_FRAMES = 12_000  # over all pieces, in records that are not long; the time of a search is proportional to them
@@ -416,7 +417,8 @@ def subsample(solution: Solution) -> tuple[Solution, list[str]]:
 def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
     """Refit the model on at most `MAX_PIECES` pieces of a long record.
 
-    Short records are divided where an event is missing; that piece must not be left out.
+    Short records are divided where an event is missing; that piece must not be left out. Pieces at the start of a run
+    that was recorded in motion are left out where they are few, as in a fit of an effect with memory.
 
     Parameters
     ----------
@@ -431,16 +433,18 @@ def subsample_pieces(solution: Solution) -> tuple[Solution, str]:
 
     """
     pieces = solution.problem.pieces
-    if len(pieces) <= MAX_PIECES or solution.problem.n_frames <= MAX_FRAMES:
+    is_long = len(pieces) > MAX_PIECES and solution.problem.n_frames > MAX_FRAMES
+    kept = _evenly_spaced(pieces) if is_long else [i for i, p in enumerate(pieces) if has_known_history(p)]
+    n_kept = sum(len(pieces[i].t) for i in kept)
+    if not is_long and not 1 - MAX_UNKNOWN_HISTORY_SHARE <= n_kept / solution.problem.n_frames < 1:
         return solution, ""
-    kept = _evenly_spaced(pieces)
     problem = solution.problem.rebuild(_limit_spans(solution.problem.layout, pieces, kept), [pieces[i] for i in kept])
     starts = [solution.starts[i] for i in kept]
     some = fit_with_scatter(problem, solution.p, starts, solution.tau or 0.03)
-    return some, (
-        f"long record: {len(kept)} of its {len(pieces)} segments were searched, evenly spaced; "
-        "a single event between them is not detected"
-    )
+    searched = f"{len(kept)} of its {len(pieces)} segments were searched"
+    if not is_long:
+        return some, f"{searched}; too little is known of the motion before the others, on which memory depends"
+    return some, f"long record: {searched}, evenly spaced; a single event between them is not detected"
 
 
 def subsample_frames(solution: Solution) -> tuple[Solution, str]:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from frictrack import effects
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Effect, EffectSettings, Path
@@ -407,6 +408,7 @@ def _setting_text(effect: Effect, name: str, key: str, value: Any) -> str:
     return f"{effect.name}.{text.removesuffix(' 1')}"
 
 
+@checked
 def of(names: Iterable[str | Effect], extra: Iterable[Effect] = ()) -> Model:
     """Build the sum of some effects.
 
@@ -451,6 +453,7 @@ def stribeck_model() -> Model:
     return of(["coulomb", effects.get("stribeck").adjusted(delta={"fixed": None}), "viscous"])
 
 
+@checked
 def atm1(n: int) -> Model:
     """Augmented Tustin model 1: Tustin model and n sinusoidal forces in time (first paper, Eq. 3).
 
@@ -460,11 +463,14 @@ def atm1(n: int) -> Model:
     ['coulomb', 'stribeck', 'viscous', 'vibration']
 
     """
+    if n < 1:
+        raise UsageError(f"expected n of at least 1, the number of sinusoids, but got {n}")
     return of(
         ["coulomb", "stribeck", "viscous", *(f"vibration:{i}" if i > 1 else "vibration" for i in range(1, n + 1))]
     )
 
 
+@checked
 def atm2(n: int) -> Model:
     """Augmented Tustin model 2 (first paper, Eq. 4), with t in every sum.
 
@@ -477,6 +483,7 @@ def atm2(n: int) -> Model:
     return of([f"atm2:{n}"])
 
 
+@checked
 def atm2_printed(n: int) -> Model:
     """Augmented Tustin model 2 as printed, without t in two of its three sums (first paper, Eq. 4).
 
@@ -533,7 +540,7 @@ NAMED: dict[str, Any] = {
 }
 
 
-def parse(text: str | Sequence[str], extra: Iterable[Effect] = ()) -> Model:
+def parse(text: str | Sequence[str | Effect], extra: Iterable[Effect] = ()) -> Model:
     """Build a model from its name or from names of effects.
 
     Parameters
@@ -618,6 +625,7 @@ def _effects_of(word: str | Effect, extra: Sequence[Effect], *, whole: bool) -> 
     return (effects.get(word, extra),)
 
 
+@checked
 def from_toml(source: str | FilePath) -> Model:
     """Read a model from TOML.
 

@@ -29,6 +29,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from simpleeval import SimpleEval
 
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.units import is_coherent
 from frictrack.effects.definition import CONSTANTS, Effect, Nonlinear, Parameter, Path
@@ -64,6 +65,7 @@ ZERO = -1
 N_SCAN_VALUES = 41
 
 
+@checked
 def formula(
     name: str,
     text: str,
@@ -366,6 +368,7 @@ class FunctionColumns:
         return made
 
 
+@checked
 def effect(
     *,
     acts_on: Literal["force", "measurement"] = "force",

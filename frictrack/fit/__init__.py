@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypedDict, Unpack, overload
+from typing import Annotated, Any, TypedDict, Unpack, overload
 
 import numpy as np
 
-from frictrack.base.distributions import RNG, accepts_seed
+from frictrack.base.arguments import checked
+from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
-from frictrack.effects import check_ties, models
+from frictrack.effects import Effect, check_ties, models
 from frictrack.effects.models import Model
 from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterEstimates, trend
 from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
@@ -91,26 +92,30 @@ class FitSettings(TypedDict, total=False):
 
 @overload
 def fit(
-    model: Model | str | Sequence[str], runs: Sequence[Run], *, per: None = None, **settings: Unpack[FitSettings]
+    model: Model | str | Sequence[str | Effect],
+    runs: Sequence[Run],
+    *,
+    per: None = None,
+    **settings: Unpack[FitSettings],
 ) -> Fit: ...
 
 
 @overload
 def fit(
-    model: Model | str | Sequence[str], runs: Sequence[Run], *, per: str, **settings: Unpack[FitSettings]
+    model: Model | str | Sequence[str | Effect], runs: Sequence[Run], *, per: str, **settings: Unpack[FitSettings]
 ) -> GroupFits: ...
 
 
-@accepts_seed
+@checked
 @one_thread()
 def fit(  # noqa: PLR0913 - one door with named settings, all but two of them optional
-    model: Model | str | Sequence[str],
+    model: Model | str | Sequence[str | Effect],
     runs: Sequence[Run],
     *,
     domain: str | None = None,
     search: str | SearchMethod = "varpro",
     rng: RNG = 0,
-    reference_mass: float | None = None,
+    reference_mass: Annotated[float, "kg"] | None = None,
     prior: Prior | None = None,
     per: str | None = None,
     over: str = "all",
@@ -172,7 +177,8 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
     check_route(domain or "force", search if isinstance(search, str) else search.name, per, over)
     law = model if isinstance(model, Model) else models.parse(model)
     check_ties(law.effects)
-    _check_runs(runs)
+    if not runs:
+        raise UsageError("expected a list of runs, such as ft.samples.runs(), but got none")
     if uses_measured_friction(runs, domain):
         check_effects(law, runs)
         reference = Reference(1.0, reference_load(runs))
@@ -185,16 +191,6 @@ def fit(  # noqa: PLR0913 - one door with named settings, all but two of them op
         route = Route.of(domain or "displacement", search, rng, over)
         fit_group = partial(_fit_motion, law, route=route, mass=mass, prior=prior, callback=callback)
     return fit_group(runs) if per is None else GroupFits({g: fit_group(own) for g, own in by_group(runs).items()})
-
-
-def _check_runs(given: object) -> None:
-    """Raise an error for anything but a list of runs."""
-    if isinstance(given, Run):
-        raise UsageError("expected a list of runs but got one run; write [run]")
-    runs = list(given) if isinstance(given, Iterable) else [given]
-    other = next((type(run).__name__ for run in runs if not isinstance(run, Run)), "none" if not runs else None)
-    if other is not None:
-        raise UsageError(f"expected a list of runs, such as ft.samples.runs(), but got {other}")
 
 
 def _runs_to_fit(runs: Sequence[Run]) -> tuple[list[Run], tuple[str, ...], float]:

@@ -64,6 +64,7 @@ MAX_REST_SPEED_SHARE = 0.1  # share of the highest speed; a certainly slower beg
 _NOISE: WeakKeyDictionary[Run, NoiseStretch] = WeakKeyDictionary()  # the last one of a run: every model asks for it
 MIN_PIECE_FRAMES = 2 * MIN_FRAMES  # frames; in shorter pieces the start uses up a quarter of the information
 EXCESS_STD = 2.33  # standard deviations of chi-squared: one-sided 1 % level
+LOG_CERTAIN = float(np.log(100.0))  # ratio of likelihoods from which a drive is exact: alpha = 1 %
 MIN_SINGULAR_VALUE = 1e-6  # relative; smaller singular values are left out
 REVERSAL_PIECE_FRAMES = 512  # frames; computing time grows faster than the length
 MIN_HISTORY_FRAMES = 100  # first frames of a record without known history; they determine the states of memory
@@ -379,7 +380,11 @@ def _with_correlated_noise(piece: Piece, found: CorrelatedNoise, rms: float) -> 
 
 
 def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
-    """The same pieces of a run, pushed by the errors of its drive: as stated, or its scatter if that pushes nothing."""
+    """The same pieces of a run, pushed by the errors of its drive: as stated, else its scatter.
+
+    A scatter is no error where the motion certainly follows it: where it is noise, a likelihood ratio above 1/alpha in
+    favour of the exact drive has at most the probability alpha (Ville 1939).
+    """
     sigma = drive_noise(run)
     if not sigma:
         return pieces
@@ -392,8 +397,8 @@ def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
     exact = pieces if run.mass else [p.in_mass_units(guess_mass(pieces)) for p in pieces]
     noisy, rows = pushed(exact), [_smooth_law(p) for p in exact]
     keep = _distinguishable_directions(rows, exact)
-    likelier = _log_likelihood(noisy, [_smooth_law(p) for p in noisy], keep) > _log_likelihood(exact, rows, keep)
-    return pushed(pieces) if likelier else pieces
+    likelier = _log_likelihood(exact, rows, keep) - _log_likelihood(noisy, [_smooth_law(p) for p in noisy], keep)
+    return pieces if likelier > LOG_CERTAIN else pushed(pieces)
 
 
 def _smooth_law(piece: Piece) -> Array:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.base.arguments import checked
 from frictrack.base.distributions import as_seed, normal_ppf
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.lazy import imported
@@ -222,6 +223,7 @@ class Fit(FittedRuns, StorableFit):
         missing = 0.0 if self.misfit is None else self.misfit.covariance
         return prior_agreement(self.compared, self.covariance + missing)
 
+    @checked
     def to_prior(self, study: str = "") -> Prior:
         """Return the law as a prior for another set-up: the parameters that carry over, with their covariance.
 
@@ -243,6 +245,7 @@ class Fit(FittedRuns, StorableFit):
         """Estimates by address."""
         return self.estimates.parameters
 
+    @checked
     def conf_int(self, alpha: float = 0.05) -> pd.DataFrame:
         """Return confidence intervals of all parameters as a pandas DataFrame, ``lower`` and ``upper`` by address.
 
@@ -330,6 +333,7 @@ class Fit(FittedRuns, StorableFit):
         """
         return self.observation.motion(self, lambda: self.estimates.covariance)
 
+    @checked
     def predict(self, *runs: Run) -> tuple[ModelledMotion, ...]:
         """Predict runs that were not fitted, with bands.
 

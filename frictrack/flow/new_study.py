@@ -12,7 +12,7 @@ from frictrack import measure, study
 from frictrack.base.errors import FrictrackError, UsageError, result_or_none
 from frictrack.base.files import replace_text
 from frictrack.base.number_format import first_words, format_number
-from frictrack.base.units import lacks_unit
+from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow.opening import check_inputs, open_study
 from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
@@ -309,7 +309,7 @@ def read_keys(keys: Mapping[str, Any]) -> measure.plausibility.EnteredValues:
     mass, scale, fps = (keys.get(key) for key in ("mass", "scale", "fps"))
     bare = frozenset(key for key in ("mass", "scale") if lacks_unit(keys.get(key)))
     try:
-        kilograms = None if mass in (None, "fit") else study.to_si(mass, "kg", "mass", above=0.0)[0]
+        kilograms = None if mass in (None, "fit") else parse_quantity(mass, "kg", "mass", above=0.0)[0]
         return measure.plausibility.EnteredValues(mass=kilograms, pitch=known_pitch(scale), fps=fps, bare=bare)
     except ValueError as e:
         raise UsageError(str(e)) from e

@@ -275,10 +275,28 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[measure.pl
     first = [_undetermined_entry(f) for f in contradictions if f.kind not in explained]
     if not first:
         return dict(diagnosis)
+    if why := why_unsearched(contradictions):
+        first[0]["why"] = f"{why}; {first[0]['why']}"
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
+
+
+def why_unsearched(findings: Iterable[measure.plausibility.Finding]) -> str:
+    """Return why a search is void: numbers that are contradicted, for which no effect stands; empty if there are none.
+
+    Examples
+    --------
+    >>> from frictrack.measure.plausibility import Finding
+    >>> why_unsearched([Finding("fps", "the clock is wrong", contradicts=True)])  # clock_rate may say so
+    ''
+
+    """
+    searched = {effect.same_cause_as for effect in effects.known().values()}
+    wrong = [f for f in findings if f.contradicts and f.kind not in searched]
+    whose = ", ".join(dict.fromkeys(f"the {f.kind} of {f.run or 'the study'}" for f in wrong))
+    return f"nothing was searched before {whose} is right" if wrong else ""
 
 
 def _undetermined_entry(finding: measure.plausibility.Finding) -> dict[str, Any]:
     """Return a contradiction as an entry of "undetermined"."""
-    what = f'run "{finding.run}"' if finding.run else "what was typed"
+    what = f"the {finding.kind} of {finding.run or 'the study'}"
     return {"what": what, "why": finding.words, "settled_by": finding.correction, "limit_over_friction": None}

@@ -24,7 +24,7 @@ from frictrack.flow import sensor_stage, store, stored_results, study_edits
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
-from frictrack.flow.plausibility_checks import find_duplicate_runs, withhold_verdict
+from frictrack.flow.plausibility_checks import find_duplicate_runs, why_unsearched, withhold_verdict
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
@@ -412,7 +412,7 @@ class Session:
 
     def _diagnose(self, group: str, provenance: Provenance, announce: Callable[[Json], None], **how: Any) -> Json:
         """Diagnose a model; store the verdict when it is known, and the whole when that is."""
-        from frictrack.diagnose import Diagnosis, diagnose  # noqa: PLC0415
+        from frictrack.diagnose import Diagnosis, diagnose, unsearched  # noqa: PLC0415
 
         inside = f"models/{group}/diagnosis"
 
@@ -427,7 +427,8 @@ class Session:
         how |= {"functions": self.study.functions, "costs": self.study.costs, "progress": self.progress}
         how |= {"own": configured_effects(self.study.effects), "auxiliary": sensor_stage.auxiliary_signals(self.runs)}
         how |= {"rng": json.loads(provenance.settings)["seed"], "on_verdict": lambda verdict: announce(keep(verdict))}
-        diagnosis = diagnose(self.models.fit(group), **how)
+        fitted, is_void = self.models.fit(group), bool(why_unsearched(self.findings.contradictions))
+        diagnosis = unsearched(fitted, how["alpha"]) if is_void else diagnose(fitted, **how)
         return keep(diagnosis) if diagnosis.complete else self.models.stored_summary(inside) or {}
 
     def _diagnosis_inputs(self) -> list[Any]:

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -673,7 +673,7 @@ def _noise(run: Run, rests: list[slice]) -> float:
     return float(np.sqrt(sum(np.sum((x - np.mean(x)) ** 2) for x in at_rest) / count)) if count else float("nan")
 
 
-def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[float | None]) -> list[Run]:
+def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[Annotated[float, "s"] | None]) -> list[Run]:
     """Return the runs, each with the runs that were made before it.
 
     Parameters

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.base.units import parse_quantity
-from frictrack.measure.tables import checked_column, in_si_units, select_rows
+from frictrack.measure.tables import check_settings, checked_column, select_rows
 from frictrack.records import Array, Displacement, Motion, Run
 from frictrack.study import POINT_COLUMNS, TableData
 
@@ -29,11 +28,8 @@ def run_of_curve(given: Mapping[str, Any], settings: Mapping[str, Any]) -> Run:
             faults += found
     raise_faults(faults, f'run "{settings.get("name", "run")}"')
     read = points_of_table(TableData(np.arange(np.size(values["v"]), dtype=float), **values))
-    mass, sigma_mass = settings.get("mass"), 0.0
-    given = {name: in_si_units(name, value) for name, value in settings.items()}
-    if mass is not None:
-        given["mass"], sigma_mass = parse_quantity(mass, "kg", "mass")
-    bare = Run(*motion_of_points(read), friction_N=read.friction, steady=True, sigma_mass=sigma_mass, **given)
+    check_settings(settings)
+    bare = Run(*motion_of_points(read), friction_N=read.friction, steady=True, **settings)
     return replace(bare, **forces_of_points(read, bare.load))
 
 

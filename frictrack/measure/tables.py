@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frictrack import sampling
 from frictrack.base.distributions import noise_of_differences, robust_std
-from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, UsageError, raise_faults
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.motion import differentiate, low_pass
@@ -27,7 +27,7 @@ from frictrack.measure.plausibility import (
 )
 from frictrack.records import Array, Displacement, Mask, Run
 from frictrack.sampling import noise_level, white_noise
-from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
+from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, suggest, unrolled_clock
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -470,9 +470,12 @@ def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tu
         moments = np.asarray(values)
         if moments.dtype.kind in "mM" and moments.size:  # their type knows their unit
             values = (moments - (moments.flat[0] if moments.dtype.kind == "M" else 0)) / np.timedelta64(1, "s")
-        array = np.asarray(parse_quantity(values, unit, name)[0] if isinstance(values, str) else values, np.float64)
+        values = parse_quantity(values, unit, name)[0] if isinstance(values, str) else values
+        array = np.asarray(values).astype(np.float64, casting="same_kind" if moments.dtype.kind == "c" else "unsafe")
     except (TypeError, ValueError):
         return np.full(n, np.nan), [f"expected numbers in {name} but got {type(values).__name__}"]
+    if "sigma" in name and np.any(array <= 0):
+        return array, [f"expected {name} above 0 but got {np.min(array):g}"]
     if array.ndim == 0 and name not in ("t", "x", "v"):
         array = np.full(n, float(array))
     if array.shape != (n,):
@@ -490,28 +493,23 @@ def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tu
     return array, []
 
 
-def in_si_units(name: str, value: Any) -> Any:
-    """Convert a setting of a run that is a text with a unit, such as ``"9.8 N"`` or ``("10 ms", "0.2 s")``."""
-    if isinstance(value, tuple | list):
-        return tuple(in_si_units(name, part) for part in value)
-    units = {one.name: one.metadata.get("unit", "") for one in fields(Run)} | {"free": "s"}
-    unit = units.get(name, "")
-    return parse_quantity(value, unit, name)[0] if isinstance(value, str) and unit else value
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """Raise an error for a setting that a run does not have."""
+    known = [one.name for one in fields(Run) if one.name not in ("displacement", "motion")]
+    if unknown := next((name for name in settings if name not in known), None):
+        raise UsageError(f'unknown setting "{unknown}" of a run; {suggest(unknown, known)}')
 
 
 def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, Any]) -> Run:
     """Make a run of a table in SI units, and warn of values that are likely in another unit."""
-    weighed, sigma_mass = (None, 0.0) if mass is None else parse_quantity(mass, "kg", "mass")
     table = with_even_clock(data)
     displacement, forces = displacement_of_even_table(table), table.data
-    given: dict[str, Any] = {"sigma_mass": sigma_mass, "drive": forces.drive, "friction_N": forces.friction}
-    given |= {name: in_si_units(name, value) for name, value in settings.items()}
-    if "incline" in settings:
-        stated = parse_quantity(settings["incline"], "rad", "incline")
-        given = {"has_incline": True, "sigma_incline": stated[1]} | given
-    run = Run(displacement, differentiate(low_pass(displacement)), mass=weighed, **given)
+    check_settings(settings)
+    given = {"drive": forces.drive, "friction_N": forces.friction, "has_incline": "incline" in settings, **settings}
+    given["mass"] = mass
+    run = Run(displacement, differentiate(low_pass(displacement)), **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
     for finding in (*entries, *implausible_slide(run, film=False)):
-        warnings.warn(str(replace(finding, run=run.name)), stacklevel=4)
+        warnings.warn(str(replace(finding, run=run.name)), stacklevel=5)  # the caller of `Run.from_arrays`
     return run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.remote import RemoteFile, trim_cache
@@ -30,7 +31,7 @@ __all__ = [
 FORMATS: tuple[type[Recording], ...] = (Video, Tiff, Photron, Phantom)  # a new format is one file and its name here
 
 
-def open_recording(path: str | Path | RemoteFile, fps: float | None = None) -> Recording:
+def open_recording(path: str | Path | RemoteFile, fps: Annotated[float, "Hz"] | None = None) -> Recording:
     """Open a recording.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -121,18 +121,20 @@ def away_from_ends(mask: Mask, guard: int) -> Mask:
     return out
 
 
-def scalar(unit: str, **options: Any) -> Any:
+def scalar(unit: str, limits: Mapping[str, float] | None = None, **options: Any) -> Any:
     """Declare a number of a record, with its unit.
 
     Parameters
     ----------
     unit
         Unit of the number.
+    limits
+        For `parse_quantity`.
     **options
         For `dataclasses.field`.
 
     """
-    return field(metadata={"unit": unit}, **options)
+    return field(metadata={"unit": unit, "limits": limits or {}}, **options)
 
 
 def _is_frozen(value: Any, kind: Any) -> bool:

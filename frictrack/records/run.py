@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.base.lazy import imported
+from frictrack.base.units import parse_quantity
 from frictrack.records.frame_table import Array, Displacement, Motion, NotebookView, scalar
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 GRAVITY = 9.80665  # m/s^2, standard
 SERIES = ("drive", "friction_N", "sigma_friction", "loads")  # one value per frame of the displacement
 ROLLING = {"disc": 0.5, "ball": 0.4, "hollow ball": 2 / 3, "ring": 1.0}  # I / (m r^2)
+POSITIVE, ERROR = {"above": 0.0}, {"least": 0.0}  # limits of scalars
+STATED = ("noise", "drift")  # of the force where friction was measured, else of the position
 EarlierRuns = tuple[tuple[float, float], ...]  # (s since its end, m slid in it) of every run before
 
 
@@ -50,7 +54,7 @@ class Run(NotebookView):
         Measured drive and friction force at the frames of `displacement`, N, (n,).
     sigma_drive
         Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
-        default what it scatters, unless the motion follows this scatter.
+        default what it scatters, unless the motion certainly follows this scatter.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
@@ -88,24 +92,24 @@ class Run(NotebookView):
     drawn_by: ClassVar[str] = "frictrack.present.plots:motion"
     displacement: Displacement
     motion: Motion
-    mass: float | None = scalar("kg", default=None)
+    mass: float | None = scalar("kg", POSITIVE, default=None)
     name: str = "run"
-    sigma_mass: float = scalar("kg", default=0.0)
-    incline: float = scalar("rad", default=0.0)
-    sigma_incline: float = scalar("rad", default=0.0)
-    rolling: float | str = 0.0
-    normal_load: float | None = scalar("N", default=None)
+    sigma_mass: float = scalar("kg", ERROR, default=0.0)
+    incline: float = scalar("rad", {"above": -np.pi / 2, "below": np.pi / 2}, default=0.0)
+    sigma_incline: float = scalar("rad", ERROR, default=0.0)
+    rolling: float | str = scalar("1", default=0.0)
+    normal_load: float | None = scalar("N", POSITIVE, default=None)
     drive: Array | None = None  # N, at displacement.t
-    sigma_drive: float | None = scalar("N", default=None)
+    sigma_drive: float | None = scalar("N", ERROR, default=None)
     friction_N: Array | None = None  # N, at displacement.t
-    free: tuple[float, float] | None = None  # s
+    free: tuple[float, float] | None = scalar("s", default=None)
     clamp_x: float | None = scalar("m", default=None)
-    beam_length: float | None = scalar("m", default=None)
+    beam_length: float | None = scalar("m", POSITIVE, default=None)
     earlier: EarlierRuns | None = None
     role: str = "fit"
     group: str = ""
-    noise: float | None = None
-    drift: float | None = None
+    noise: float | None = scalar("m", ERROR, default=None)
+    drift: float | None = scalar("m", ERROR, default=None)
     has_incline: bool = False
     steady: bool = False
     sigma_friction: Array | None = None  # N, at displacement.t
@@ -114,14 +118,14 @@ class Run(NotebookView):
     def __post_init__(self) -> None:
         faults = []
         self._cut_to_motion()
-        try:
-            object.__setattr__(self, "rolling", rolling_inertia(self.rolling))
-        except ValueError as e:
-            faults.append(str(e))
+        for one in fields(self):
+            if "unit" in one.metadata and getattr(self, one.name) is not None:
+                try:
+                    self._convert(one.name, **one.metadata)
+                except FrictrackError as e:
+                    faults.append(str(e))
         if self.rolling and self.mass is None:
             faults.append("expected a mass of a body that rolls but got none; weigh it and give mass")
-        if self.mass is not None and not (np.isfinite(self.mass) and self.mass > 0):
-            faults.append(f"expected a mass above 0 kg but got {self.mass:g} kg; give the mass that slides")
         if self.mass is None and self.friction_N is None and self.drive is None:
             faults.append(
                 "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
@@ -136,6 +140,21 @@ class Run(NotebookView):
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
         raise_faults(faults, f'run "{self.name}"')
+
+    def _convert(self, name: str, unit: str, limits: Mapping[str, float]) -> None:
+        """Convert a text with a unit, and perhaps its uncertainty, to a number, and check that."""
+        value, unit = getattr(self, name), "N" if name in STATED and self.friction_N is not None else unit
+        if name == "free":
+            if not isinstance(value, tuple | list) or len(value) != 2:
+                raise FrictrackError(f"expected free as (begin, end) in s but got {value!r}")
+            value = tuple(parse_quantity(end, unit, name)[0] for end in value)
+        elif name == "rolling":
+            value = rolling_inertia(value)
+        else:
+            value, std = parse_quantity(value, unit, name, **limits)
+            if std and hasattr(self, f"sigma_{name}"):
+                object.__setattr__(self, f"sigma_{name}", std)
+        object.__setattr__(self, name, value)
 
     def plot(self, what: str = "motion") -> Figure:
         """Draw the run.
@@ -173,6 +192,7 @@ class Run(NotebookView):
                 object.__setattr__(self, name, np.asarray(value)[part])
 
     @classmethod
+    @checked
     def from_arrays(
         cls,
         t: ArrayLike,
@@ -233,6 +253,7 @@ class Run(NotebookView):
         return imported("frictrack.measure.tables:run_of_arrays")(t, x, mass=mass, optional=optional, settings=settings)
 
     @classmethod
+    @checked
     def from_dataframe(
         cls,
         frame: pd.DataFrame,
@@ -282,6 +303,7 @@ class Run(NotebookView):
         return make(frame, columns or {}, mass, settings)
 
     @classmethod
+    @checked
     def from_curve(
         cls,
         v: ArrayLike,
@@ -391,7 +413,7 @@ def rolling_inertia(shape: float | str) -> float:
 
     Raises
     ------
-    ValueError
+    FrictrackError
         If it is no known shape, and no number from 0 to 1.
 
     Examples
@@ -402,7 +424,7 @@ def rolling_inertia(shape: float | str) -> float:
     """
     value = ROLLING.get(shape) if isinstance(shape, str) else shape
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value <= 1:
-        raise ValueError(
+        raise FrictrackError(
             f"expected rolling to be {', '.join(ROLLING)} or a number from 0 to 1, I/(m r^2), but got {shape!r}"
         )
     return float(value)

@@ -8,7 +8,7 @@ The criterion is delta BIC throughout. A candidate without positive evidence is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from frictrack.base.number_format import format_change, format_number, format_quantity, join_words
@@ -57,6 +57,8 @@ class CandidateRow:
     source : mapping
         The candidate in the JSON of the diagnosis; its `words` say what it is, what it looks like, where it shows here,
         and how to confirm it.
+    together : str
+        The held-out error with the effects found after it, where it rises with this one alone; else "".
 
     """
 
@@ -72,6 +74,7 @@ class CandidateRow:
     added_to: tuple[str, ...]
     share: str
     source: Mapping[str, Any]
+    together: str = ""
 
     @property
     def passes(self) -> bool:
@@ -112,7 +115,7 @@ class CandidateRow:
     @property
     def held_out(self) -> str:
         """Held-out error without and with it; "" if nothing was held out."""
-        both = f"{format_number(self.before)} to {format_number(self.after)} {self.unit}"
+        both = f"{format_number(self.before)} to {format_number(self.after)} {self.unit}{self.together}"
         return "" if self.before is None or self.after is None else both
 
 
@@ -149,10 +152,23 @@ def candidate_rows(diagnosis: Mapping[str, Any] | None) -> list[CandidateRow]:
         for rival in by_name[name].get("indistinguishable_from") or []:
             if rival in by_name and rival not in found:
                 rows.setdefault(rival, _row(by_name[rival], "rival", STANDINGS["rival"].format(name)))
+    for k, name in enumerate(found):
+        rows[name] = replace(rows[name], together=_together(rows[name], [rows[later] for later in found[k + 1 :]]))
     best = max((c for c in by_name.values() if passes(c)), key=lambda c: c["delta_bic"], default=None)
     others = (_other(c, best) for name, c in by_name.items() if name not in rows)
     rest = sorted(others, key=lambda row: (_OTHER_KINDS.index(row.kind), -row.delta_bic))
     return [*rows.values(), *(row for row in rest if row.delta_bic > 0)]
+
+
+def _together(row: CandidateRow, later: Sequence[CandidateRow]) -> str:
+    """Say which of the effects found later lower a held-out error that rises with one of them alone."""
+    if row.before is None or row.after is None or row.after <= row.before:
+        return ""
+    for k, one in enumerate(later, 1):
+        if one.after is not None and one.after < row.before:
+            names = join_words([other.effect for other in later[:k]])
+            return f" alone, but {format_number(one.after)} {row.unit} with {names} as well"
+    return ""
 
 
 def not_passing(rows: Sequence[CandidateRow]) -> str:

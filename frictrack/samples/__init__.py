@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.base.arguments import checked
 from frictrack.records import Run
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def films_folder() -> Path:
     return installed if installed.exists() else Path(__file__).parents[2] / "sample_videos"
 
 
+@checked
 def copy_films(folder: Path | str) -> Path:
     """Copy the sample study, four films of 4000 frames/s with a study file, into a folder.
 
@@ -79,6 +81,7 @@ def copy_films(folder: Path | str) -> Path:
     return target / "study.toml"
 
 
+@checked
 def runs(rng: np.random.Generator | int | None = 0) -> list[Run]:
     """Make the four slides of the sample films of arrays, without any film.
 

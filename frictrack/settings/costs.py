@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
+
+from frictrack.base.arguments import checked
 
 SAME_RATIO = 0.02  # relative difference below which two masses are the same
 SAME_ANGLE_RAD = 0.005
 COSTLY_CHECKS = ("accelerometer", "course sensor", "known weight")  # to buy, mount and synchronise
 
 
+@checked
 @dataclass(frozen=True)
 class RunSettings:
     """What a person sets before a run is filmed.
@@ -29,10 +33,10 @@ class RunSettings:
 
     """
 
-    speed: float
-    mass: float
-    incline: float = 0.0
-    fps: float = 0.0
+    speed: Annotated[float, "m/s"]
+    mass: Annotated[float, "kg"]
+    incline: Annotated[float, "rad"] = 0.0
+    fps: Annotated[float, "Hz"] = 0.0
     zoom: float = 1.0
 
     def summary(self) -> dict[str, float]:
@@ -46,6 +50,7 @@ class RunSettings:
         }
 
 
+@checked
 @dataclass(frozen=True)
 class Costs:
     """Costs of the next experiment in any one unit (minutes, euros), and what the set-up can do.
@@ -89,10 +94,11 @@ class Costs:
     camera: float = 0.0
     sensor: float = 10.0
     check: float = 1.0
-    speeds: tuple[float, float] = (0.3, 8.0)
-    masses: tuple[float, ...] = ()
+    speeds: tuple[Annotated[float, "m/s"], Annotated[float, "m/s"]] = (0.3, 8.0)
+    masses: tuple[Annotated[float, "kg"], ...] = ()
     frames: float | None = None
 
+    @checked
     def of_run(self, new: RunSettings, last: RunSettings | None) -> float:
         """Return the cost of a run after the last one filmed; infinite where the set-up cannot do it."""
         if self.masses and not any(_same(new.mass, one) for one in self.masses):

@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
+
+from frictrack.base.arguments import checked
 
 STRUCTURAL, KALMAN, PAPERS = "structural", "kalman", "papers"
 FILTERS = {
@@ -30,6 +33,7 @@ DEFAULT_ORDER = 4
 SETTINGS = ("cutoff", "filter", "order", "window", "causal")  # keys of the study file
 
 
+@checked
 @dataclass(frozen=True)
 class FilterChoice:
     """A filter with the settings that were given; None for those that it chooses from the data.
@@ -58,7 +62,7 @@ class FilterChoice:
     """
 
     method: str = STRUCTURAL
-    cutoff: float | None = None
+    cutoff: Annotated[float, "Hz"] | None = None
     order: int | None = None
     window: int | None = None
     causal: bool = False

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, UsageError, describe_invalid
 from frictrack.base.files import read_small_text, replace_text
 from frictrack.records import Array
@@ -217,12 +218,14 @@ class Prior:
         first, last = ("".join(f"# {line}\n" for line in lines) for lines in (COMMENT.splitlines(), left_out))
         return f"{first}\n{text}{last}"
 
+    @checked
     def save(self, path: str | Path) -> Path:
         """Write the prior file and return its path."""
         replace_text(Path(path), self.to_toml())
         return Path(path)
 
     @classmethod
+    @checked
     def read(cls, path: str | Path) -> Prior:
         """Read a prior file.
 
@@ -240,6 +243,7 @@ class Prior:
         return cls.from_toml(read_small_text(Path(path), MAX_PRIOR_BYTES, "a prior file"), Path(path).name)
 
     @classmethod
+    @checked
     def from_toml(cls, text: str, name: str = "prior") -> Prior:
         """Read the text of a prior file.
 

@@ -36,7 +36,8 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from frictrack.base.distributions import RNG, accepts_seed, as_seed
+from frictrack.base.arguments import checked
+from frictrack.base.distributions import RNG, as_seed
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import is_file_name
 from frictrack.effects import models
@@ -242,7 +243,7 @@ DEFAULT_PAUSE_S = 60.0  # between two runs of which the scene does not say it
 MARGIN_PX = 14.0  # between the block and the edge of the first frame
 
 
-@accepts_seed
+@checked
 def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | None = None) -> None:
     """Simulate and film a scene file.
 
@@ -274,7 +275,7 @@ def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | No
     film_scene(scene, out, rng=rng, progress=progress)
 
 
-@accepts_seed
+@checked
 def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress | None = None) -> None:
     """Simulate, render and write every run of a scene.
 

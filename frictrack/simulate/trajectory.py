@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.effects import Path, direction_of_motion
 from frictrack.effects.models import Model, Values
@@ -93,7 +95,10 @@ class Conditions:
         )
 
 
-def push_force(mass: float, speed: float, duration: float) -> Callable[[Array], Array]:
+@checked
+def push_force(
+    mass: Annotated[float, "kg"], speed: Annotated[float, "m/s"], duration: Annotated[float, "s"]
+) -> Callable[[Array], Array]:
     """Drive force of a smooth push that brings a mass from rest to a speed where there is no friction.
 
     Parameters

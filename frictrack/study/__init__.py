@@ -48,7 +48,6 @@ if TYPE_CHECKING:
         needs_film,
         read_frame_rate,
         suggest,
-        to_si,
     )
     from frictrack.study.table_files import open_table
     from frictrack.study.table_layout import TableFile, stated

@@ -68,44 +68,9 @@ def suggest(word: str, known: Iterable[str]) -> str:
     return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
 
 
-def to_si(raw: Any, unit: str, what: str, above: float = -math.inf, below: float = math.inf) -> Value:
-    """Read a number in `unit`, or a text with a unit and perhaps an uncertainty.
-
-    Parameters
-    ----------
-    raw
-        The value, as TOML has it.
-    unit, what
-        Expected unit, and the name of the quantity for messages.
-    above, below
-        Limits of the value, exclusive.
-
-    Returns
-    -------
-    tuple of (float, float)
-        Value and standard deviation in `unit`.
-
-    Raises
-    ------
-    ValueError
-        If it is no such quantity, or outside of the limits.
-
-    Examples
-    --------
-    >>> to_si("0.35 +/- 0.002", "kg", "mass")
-    (0.35, 0.002)
-
-    """
-    value, std = parse_quantity(raw, unit, what)
-    if not above < value < below:
-        span = f"above {above:g}" if below == math.inf else f"between {above:.3g} and {below:.3g}"
-        raise ValueError(f"expected {what} {span}{'' if unit == '1' else f' {unit}'} but got {raw!r}")
-    return value, std
-
-
 def _number(unit: str, **limits: float) -> BeforeValidator:
     """Return a validator of a physical value; its standard deviation is dropped."""
-    return BeforeValidator(lambda raw, info: to_si(raw, unit, str(info.field_name), **limits)[0])
+    return BeforeValidator(lambda raw, info: parse_quantity(raw, unit, str(info.field_name), **limits)[0])
 
 
 def _pair(unit: str, wanted: str, order: str, *, may_be_equal: bool = False, **limits: float) -> BeforeValidator:
@@ -114,7 +79,7 @@ def _pair(unit: str, wanted: str, order: str, *, may_be_equal: bool = False, **l
     def check(raw: Any, info: ValidationInfo) -> Pair:
         if not isinstance(raw, list) or len(raw) != 2:
             raise ValueError(f"expected {wanted} but got {raw!r}")
-        low, high = (to_si(part, unit, str(info.field_name), **limits)[0] for part in raw)
+        low, high = (parse_quantity(part, unit, str(info.field_name), **limits)[0] for part in raw)
         if low > high or (low == high and not may_be_equal):
             raise ValueError(f"expected {order} but got {raw!r}")
         return low, high
@@ -135,14 +100,14 @@ def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
     if not isinstance(raw, str):
         raise ValueError(f'expected a text with a unit, as in {name} = "0.004 N" or {name} = "5 um", but got {raw!r}')
     try:
-        return to_si(raw, "N", name, above=0.0)[0], "N"
+        return parse_quantity(raw, "N", name, above=0.0)[0], "N"
     except ValueError:
-        return to_si(raw, "m", name, above=0.0)[0], "m"
+        return parse_quantity(raw, "m", name, above=0.0)[0], "m"
 
 
 def _mass(raw: Any) -> Any:
     """Read a mass, kg; "fit" stays as it is."""
-    return raw if raw == "fit" else to_si(raw, "kg", "mass", above=0.0)
+    return raw if raw == "fit" else parse_quantity(raw, "kg", "mass", above=0.0)
 
 
 def read_frame_rate(raw: Any) -> float:
@@ -161,7 +126,7 @@ def read_frame_rate(raw: Any) -> float:
     """
     text = _FRAMES_PER_SECOND.sub("", raw) if isinstance(raw, str) else raw
     try:
-        return to_si(text, "Hz", "fps", above=0.0)[0]
+        return parse_quantity(text, "Hz", "fps", above=0.0)[0]
     except ValueError as e:
         if isinstance(raw, str) and "above 0" not in str(e):
             raise ValueError(f'expected a frame rate such as "4000" or "4 kHz" but got "{raw}"') from e
@@ -170,12 +135,7 @@ def read_frame_rate(raw: Any) -> float:
 
 def _angle(raw: Any, info: ValidationInfo) -> Value:
     """Read an angle below 90 degrees with its standard deviation; a number is in rad."""
-    try:
-        return to_si(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)
-    except ValueError as e:
-        degrees = isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < 90
-        hint = f'; a number is in rad: write "{raw:g} deg" for degrees' if degrees else ""
-        raise ValueError(f"{e}{hint}") from e
+    return parse_quantity(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)
 
 
 def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
@@ -220,7 +180,7 @@ def _share(raw: Any, info: ValidationInfo) -> float:
     """Read a relative number of at least 0: 0.1 or "10 %"."""
     percent = re.fullmatch(r"\s*(\S+)\s*%\s*", raw) if isinstance(raw, str) else None
     try:
-        value = float(percent[1]) / 100 if percent else to_si(raw, "1", str(info.field_name))[0]
+        value = float(percent[1]) / 100 if percent else parse_quantity(raw, "1", str(info.field_name))[0]
     except ValueError:
         value = math.nan
     if not 0 <= value < math.inf:
@@ -289,7 +249,7 @@ def _drive(raw: Any, info: ValidationInfo) -> Any:
         return _sensor_table(raw, info, DRIVE, ("pressure",) if "area" in raw else ("drive",))
     force = isinstance(raw, str) and re.match(r"\s*[+-]?\.?\d", raw) and not _exists(_folder(info) / raw)
     if force or (isinstance(raw, int | float) and not isinstance(raw, bool)):
-        return to_si(raw, "N", "drive")[0]
+        return parse_quantity(raw, "N", "drive")[0]
     if isinstance(raw, str) and raw:
         return _path(raw, info)
     raise ValueError(
@@ -321,8 +281,8 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
         raise ValueError(f"expected no {extra[0]} with a constant force: it belongs to a table")
     read = {
         "table": lambda value: _path(value, info),
-        "force": lambda value: to_si(value, "N", "force")[0],
-        "area": lambda value: to_si(value, "m^2", "area", above=0.0)[0],
+        "force": lambda value: parse_quantity(value, "N", "force")[0],
+        "area": lambda value: parse_quantity(value, "m^2", "area", above=0.0)[0],
         "columns": lambda value: _headers(value, ("t", *wanted)),
         "until": _until,
         "offset": lambda value: value if value == "auto" else _time(value, '"auto"', "offset"),
@@ -333,7 +293,7 @@ def _sensor_table(raw: dict[str, Any], info: ValidationInfo, keys: tuple[str, ..
 def _time(raw: Any, keyword: str, what: str) -> float:
     """Read a time, s, where a keyword is the alternative."""
     try:
-        return to_si(raw, "s", what)[0]
+        return parse_quantity(raw, "s", what)[0]
     except ValueError as e:
         raise ValueError(f'expected {what} as {keyword} or a time like "1.2 ms" but got {raw!r}') from e
 
@@ -343,7 +303,7 @@ def _until(raw: Any) -> Any:
     if raw == "release":
         return raw
     try:
-        return {"x": to_si(raw, "m", "until")[0]} if isinstance(raw, str) else _time(raw, '"release"', "until")
+        return {"x": parse_quantity(raw, "m", "until")[0]} if isinstance(raw, str) else _time(raw, '"release"', "until")
     except ValueError:
         return _time(raw, '"release", a place like "30 cm"', "until")
 
@@ -441,7 +401,7 @@ FrameRate = Annotated[float, BeforeValidator(read_frame_rate)]
 Place = Annotated[float, _number("m")]
 Length = Annotated[float, _number("m", above=0.0)]
 Load = Annotated[float, _number("N", above=0.0)]
-Scatter = Annotated[float, Field(ge=0), _number("N")]
+Scatter = Annotated[float, _number("N", least=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Rolling = Annotated[float, BeforeValidator(rolling_inertia)]

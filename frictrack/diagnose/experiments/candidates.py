@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Annotated
 
 import numpy as np
 
+from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plain
 from frictrack.diagnose.experiments.virtual_runs import DEFAULT_SCATTER, RunConditions, RunDesign, max_frames_of_film
@@ -173,7 +175,10 @@ class ExperimentSetup:
         return RunConditions(self.fps, self.noise, self.mass, max(friction / self.mass, 0.1), path)
 
 
-def default_setup(mass: float, fps: float, pitch: float) -> ExperimentSetup:
+@checked
+def default_setup(
+    mass: Annotated[float, "kg"], fps: Annotated[float, "Hz"], pitch: Annotated[float, "m"]
+) -> ExperimentSetup:
     """Make a setup of which only mass and camera are known; the friction law is typical.
 
     Parameters

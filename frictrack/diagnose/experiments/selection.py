@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.base.distributions import chi2_isf
+from frictrack.base.number_format import format_plain
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.examination import ALPHA
 from frictrack.diagnose.experiments.candidates import ExperimentSetup
@@ -249,6 +250,21 @@ def _direct_check(effect: Effect) -> str:
     return words[:1].lower() + words[1:]
 
 
+def _point_in_words(effect: Effect, at: Mapping[str, float]) -> str:
+    """Return values of parameters with their units; a number without a unit says in which formula it stands.
+
+    Examples
+    --------
+    >>> from frictrack import effects
+    >>> _point_in_words(effects.get("power_law_viscosity"), {"n": 0.93})
+    'n = 0.93 in c s |v|^n'
+
+    """
+    units = {name: effect.parameter(name).unit for name in at}
+    words = [f"{n} = {format_plain(v, 2)}{'' if units[n] == '1' else f' {units[n]}'}" for n, v in at.items()]
+    return ", ".join(words) + (f" in {effect.equation}" if "1" in units.values() else "")
+
+
 def _limit(plan: RunPlan, k: int) -> dict[str, Any]:
     """Detection limit of an effect, in its own unit and relative to its planned size."""
     cause, size, e = plan.tables.causes[k], float(plan.tables.sizes[k]), float(plan.evidence[k, -1])
@@ -265,7 +281,7 @@ def _limit(plan: RunPlan, k: int) -> dict[str, Any]:
         "value": None if share is None else share * size,
         "unit": "" if reason or amplitude is None else amplitude.unit,
         "at": at,
-        "at_words": ", ".join(f"{n} {v:.2g} {effect.parameter(n).unit}" for n, v in at.items()),
+        "at_words": _point_in_words(effect, at),
         "share": share,
         "power": 0.95,
         "reason": reason,

@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.base.distributions import RNG, accepts_seed
+from frictrack.base.arguments import checked
+from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
 from frictrack.fit.least_squares import (
@@ -148,7 +149,7 @@ class Bootstrap:
         return {"draws": len(self.values)} | own | {"parameters": parameters}
 
 
-@accepts_seed
+@checked
 @one_thread()
 def bootstrap(
     result: FittedRuns,

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 
@@ -487,8 +487,8 @@ def calibrate(
     scale: Scale | PlaneMap | None,
     *,
     axis: Axis = None,
-    origin_px: Sequence[float] | None = None,
-    x_offset: float = 0.0,
+    origin_px: Sequence[Annotated[float, "px"]] | None = None,
+    x_offset: Annotated[float, "m"] = 0.0,
     reference: Track | None = None,
 ) -> Displacement:
     """Convert a track in pixels to displacement along and across the course.

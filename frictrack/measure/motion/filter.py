@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -74,7 +74,7 @@ MIN_TRAVEL_M = 1e-15  # of a moving target
 
 def low_pass(
     displacement: Displacement,
-    cutoff: float | None = None,
+    cutoff: Annotated[float, "Hz"] | None = None,
     *,
     method: str | FilterChoice = STRUCTURAL,
     acceleration: KnownAcceleration | None = None,

@@ -537,7 +537,7 @@ def _check_against_masses(run: Run, others: Sequence[float]) -> Finding | None:
         "elsewhere, and friction that goes with the weight cannot show which is right; "
         f'was {line} meant? If not, set plausible = "checked"'
     )
-    return Finding("mass", words, line, run.name)
+    return Finding("mass", words, line, run.name, contradicts=abs(power) in UNIT_POWERS)
 
 
 def _correction_line(mass: float, power: int) -> str:

@@ -9,12 +9,12 @@ from typing import Any
 
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_number, format_plus_minus
-from frictrack.base.units import lacks_unit
+from frictrack.base.units import lacks_unit, parse_quantity
 from frictrack.flow import start_study
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, implausible_entries
 from frictrack.results.verdicts import CHECK_FIRST
-from frictrack.study import RunTable, needs_film, read_frame_rate, to_si
+from frictrack.study import RunTable, needs_film, read_frame_rate
 from frictrack.workbench.summaries.snapshot import Snapshot, surveyed_source
 
 KEYS = ("mass", "fps", "scale")
@@ -230,7 +230,7 @@ def _read(key: str, value: Any) -> dict[str, Any]:
 def _read_mass(value: Any) -> tuple[str, dict[str, Any]]:
     if value == "fit":
         return "fitted from the measured drive", {}
-    mass, std = to_si(value, "kg", "mass", above=0.0)
+    mass, std = parse_quantity(value, "kg", "mass", above=0.0)
     number = format_plus_minus(mass, std) if std else max(f"{mass:g}", format_number(mass), key=len)
     return f"{number} kg", {"mass": mass}
 
