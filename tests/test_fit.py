@@ -24,6 +24,7 @@ from runs import (
     study,
     with_hidden,
 )
+from scipy.integrate import solve_ivp
 
 from frictrack import samples
 from frictrack.base.errors import FrictrackError
@@ -472,3 +473,26 @@ def test_a_model_that_lacks_much_is_fitted_no_worse_with_one_effect_more(effect)
     runs = samples.runs()  # a patch is missing
     law = ["coulomb", "stribeck", "viscous"]
     assert fit([*law, effect], runs).solution.objective < 1.001 * fit(law, runs).solution.objective
+
+
+def test_a_law_beside_a_hidden_magnet_explains_no_less_than_a_part_of_it() -> None:
+    rng, runs = np.random.default_rng(8), []
+    for m, x0, v0 in ((0.35, 0.0, 2.0), (0.35, 0.0, 1.0), (0.35, 0.5, -1.5), (0.7, 0.0, 1.5)):
+
+        def slowed(_: float, y: np.ndarray, m: float = m) -> list[float]:
+            along = (y[0] - 0.2) / 0.03
+            return [y[1], -(2.0 * m * np.sign(y[1]) + 0.1 * y[1] + 1.5 * along * np.exp(-(along**2))) / m]
+
+        def stands(_: float, y: np.ndarray) -> float:
+            return abs(float(y[1])) - 1e-2
+
+        stands.terminal = True  # type: ignore[attr-defined]
+        s = solve_ivp(
+            slowed, (0, 0.4), (x0, v0), events=stands, dense_output=True, max_step=1e-3, rtol=1e-9, atol=1e-12
+        )
+        t = np.arange(0, s.t[-1], 1e-3)
+        x = s.sol(t)[0] + 2e-6 * rng.standard_normal(len(t))
+        runs.append(Run.from_arrays(t, x, mass=m, name=f"r{len(runs)}"))
+    whole, part = (fit(law, runs).solution for law in ("tustin", "coulomb, viscous"))
+    assert whole.chi2 < part.chi2
+    assert whole.p[whole.problem.layout.index("stribeck", "F_s")] < 1000.0
