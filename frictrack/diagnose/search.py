@@ -45,7 +45,7 @@ from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import MASS, ParameterLayout
 from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
-from frictrack.fit.uncertainty.reported import describe_level_outliers
+from frictrack.fit.uncertainty import describe_level_outliers
 from frictrack.records import Run
 from frictrack.results.verdicts import join_as_one
 from frictrack.search import EvaluationBudget

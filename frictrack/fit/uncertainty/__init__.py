@@ -53,6 +53,7 @@ from frictrack.fit.uncertainty.estimates import (
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.reported import (
     MIN_RATIO,
+    describe_level_outliers,
     level_remarks,
     reported_by_address,
     reported_names,
