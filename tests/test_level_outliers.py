@@ -95,7 +95,7 @@ def test_friction_that_scatters_as_a_whole_lacks_nothing() -> None:
     found = ft.diagnose(ft.fit("tustin", sliding("all", 0.04)), rng=1, quick=True)
     assert (found.missing, found.leads) == ([], [])
     assert found.verdict in {"complete", "undetermined"}
-    assert any("viscous changes with the level" in line for line in found.remarks)
+    assert any("level of a run multiplies viscous too" in line for line in found.remarks)
 
 
 @pytest.mark.slow

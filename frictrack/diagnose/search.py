@@ -181,7 +181,11 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
         return found
     other = _search(runs, law, settings)
-    return replace(other, levels=other.levels or _describe_levels(law)) if other.criterion < found.criterion else found
+    return (
+        replace(other, levels=other.levels or _describe_levels(law, start))
+        if other.criterion < found.criterion
+        else found
+    )
 
 
 def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
@@ -275,7 +279,7 @@ def _or_levels_differ(
         law = observation_of(law.problem).weighted(law)
         again = examine_again(law, own, rng, first) if part.effects else examine(law, own, rng, first.level)
         if not again.something_is_missing:
-            return part, first if part.effects else again, again, _describe_levels(law)
+            return part, first if part.effects else again, again, _describe_levels(law, part.law)
     return best, *examined, ""
 
 
@@ -303,11 +307,17 @@ def _with_other_level(solution: Solution, effect: Effect) -> Solution:
     return fit_with_scatter(problem, solution.p, solution.starts, solution.tau)
 
 
-def _describe_levels(law: Solution) -> str:
-    """Say which parts of friction change with the friction level of a run."""
-    parts = [e for e in law.problem.layout.model.effects if e.may_follow_level]
-    says = [f"{e.title} {'changes' if e.linear[0].loaded else 'does not change'} with the level" for e in parts]
-    return f"what fits the friction levels of the runs: {', '.join(says)}; effects would only imitate that"
+def _describe_levels(law: Solution, assumed: Solution) -> str:
+    """Say which parts of friction the levels multiply, against what a law assumes."""
+    pairs = zip(law.problem.layout.model.effects, assumed.problem.layout.model.effects, strict=True)
+    changed = [e for e, before in pairs if e.linear and e.linear[0].loaded != before.linear[0].loaded]
+    more, less = ([e.title for e in changed if e.linear[0].loaded == follows] for follows in (True, False))
+    says = [f"multiplies {' and '.join(more)} too"] if more else []
+    says += [f"does not multiply {' and '.join(less)}"] if less else []
+    return (
+        f"the friction level of a run {' but '.join(says)}: so say the data; where a law assumes otherwise, effects "
+        "imitate the difference"
+    )
 
 
 def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:
