@@ -104,3 +104,29 @@ def test_a_drive_that_covers_part_of_the_run_is_used_there(tmp_path: Path) -> No
         assert abs(found["parameters"][name]["value"] - true) < 2.6 * found["parameters"][name]["std"]
     assert "drive.csv covers 0.24 to 1.676 s: only this part is fitted" in session.runs[0].get("sensors").notes
     assert session.runs[0].to_run().free == pytest.approx((0.24, 1.676))
+
+
+@pytest.mark.parametrize("rate", [100.0, 250.0])
+def test_a_noisy_drive_that_is_read_less_often_than_the_positions_pushes_for_longer(
+    tmp_path: Path, rate: float
+) -> None:
+    lines, t, u = ["[study]", f"mass = {MASS}"], np.arange(0, 1, 2e-3), np.arange(0, 1 + 1 / rate, 1 / rate)
+    rng = np.random.default_rng(4)
+    for k in range(2):
+
+        def force(at: np.ndarray | float, k: int = k) -> np.ndarray:
+            return np.asarray(2.2 + 0.1 * k + 0.5 * np.sin(2 * np.pi * (3 + k) * at + k))
+
+        def motion(at: float, y: np.ndarray) -> list[float]:
+            return [y[1], (float(force(at)) - F_C - F_V * y[1]) / MASS]
+
+        x = solve_ivp(motion, (0, 1), [0, 0.2], t_eval=t, rtol=1e-10, atol=1e-12).y[0] + 1e-5 * rng.normal(size=len(t))
+        read = force(u) + 0.02 * rng.normal(size=len(u))
+        np.savetxt(tmp_path / f"x{k}.csv", np.c_[t, x.round(8)], delimiter=",", header="t_s,x_m", comments="")
+        np.savetxt(tmp_path / f"d{k}.csv", np.c_[u, read], delimiter=",", header="t_s,drive_N", comments="")
+        lines += ["[[run]]", f'name = "r{k}"', f'table = "x{k}.csv"', f'drive = {{table = "d{k}.csv", offset = 0.0}}']
+    (tmp_path / "study.toml").write_text("\n".join(lines) + "\n")
+    runs = [pipeline.to_run() for pipeline in Session(open_study(tmp_path / "study.toml")).runs]
+    found = ft.fit(["coulomb", "viscous"], runs)
+    assert np.max(np.abs(deviations(found))) < 2.6
+    assert 0.8 < found.reduced_chi2 < 1.25

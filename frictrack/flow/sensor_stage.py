@@ -15,6 +15,7 @@ from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.flow.pipeline import RunPipeline
 from frictrack.records import Array, Displacement, Motion, Run, Track
 from frictrack.results import BACKWARD, Sensors
+from frictrack.sampling import noise_of_smooth
 
 if TYPE_CHECKING:
     from frictrack.measure.motion import KnownAcceleration
@@ -99,6 +100,9 @@ class _SensorReader:
         found = measure.sensors.align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
         self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
+        slower = series.interval / float(np.median(np.diff(t)))
+        if slower > 1.0:  # lines between its samples scatter little, but for long: white noise with the same impulse
+            self.found["drive_scatter"] = float(noise_of_smooth(series.values)[0] * np.sqrt(slower))
 
     def add_sensor(self, spec: dict[str, Any]) -> None:
         """Read an accelerometer, a load cell that measures friction, or both."""

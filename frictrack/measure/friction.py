@@ -262,6 +262,8 @@ def drive_noise(run: Run) -> float:
     """White noise of the drive of a run, N, as stated, else what it scatters about any smooth course."""
     if run.drive is None or run.sigma_drive is not None:
         return run.sigma_drive or 0.0
+    if run.drive_scatter is not None:
+        return run.drive_scatter
     return float(np.nan_to_num(noise_of_smooth(np.asarray(run.drive, dtype=float))[0]))
 
 

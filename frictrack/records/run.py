@@ -55,6 +55,8 @@ class Run(NotebookView):
     sigma_drive
         Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
         default what it scatters, unless the motion certainly follows this scatter.
+    drive_scatter
+        That scatter, N, where it is known; by default it is estimated from the drive.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
@@ -101,6 +103,7 @@ class Run(NotebookView):
     normal_load: float | None = scalar("N", POSITIVE, default=None)
     drive: Array | None = None  # N, at displacement.t
     sigma_drive: float | None = scalar("N", ERROR, default=None)
+    drive_scatter: float | None = scalar("N", ERROR, default=None)
     friction_N: Array | None = None  # N, at displacement.t
     free: tuple[float, float] | None = scalar("s", default=None)
     clamp_x: float | None = scalar("m", default=None)

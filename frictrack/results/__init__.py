@@ -64,6 +64,7 @@ class Sensors(FrameTable):
     signals: ClassVar[tuple[str, ...]] = ("friction_N", "a", "drive")
     t: Array = column("s")
     drive: Array | None = column("N", nan=True, default=None)  # NaN beyond its record
+    drive_scatter: float | None = scalar("N", default=None)  # white from frame to frame, of a drive sampled less often
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run
     friction_N: Array | None = column("N", default=None)
     sigma_friction: Array | None = column("N", default=None)  # of points (v, F), as `loads`
