@@ -102,7 +102,7 @@ class _SensorReader:
         self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
         slower = series.interval / float(np.median(np.diff(t)))
         if slower > 1.0:  # lines between its samples scatter little, but for long: white noise with the same impulse
-            self.found["drive_scatter"] = float(noise_of_smooth(series.values)[0] * np.sqrt(slower))
+            self.found["drive_scatter"] = float(np.nan_to_num(noise_of_smooth(series.values)[0]) * np.sqrt(slower))
 
     def add_sensor(self, spec: dict[str, Any]) -> None:
         """Read an accelerometer, a load cell that measures friction, or both."""
