@@ -130,3 +130,24 @@ def test_a_noisy_drive_that_is_read_less_often_than_the_positions_pushes_for_lon
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
     assert 0.8 < found.reduced_chi2 < 1.25
+
+
+@pytest.mark.parametrize("rate", [100.0, 300.0])
+def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_than_its_samples(
+    tmp_path: Path, rate: float
+) -> None:
+    t, u, rng = np.arange(0, 2, 2e-3), np.arange(0, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
+    x = 0.2 * t + 0.015 * np.sin(8 * t) + 1e-5 * rng.normal(size=len(t))
+    friction = F_C + F_V * (0.2 + 0.12 * np.cos(8 * u)) + 0.02 * rng.normal(size=len(u))
+    np.savetxt(tmp_path / "x.csv", np.c_[t, x.round(8)], delimiter=",", header="t_s,x_m", comments="")
+    np.savetxt(tmp_path / "cell.csv", np.c_[u, friction], delimiter=",", header="t_s,friction_N", comments="")
+    lines = [
+        f"[study]\nmass = {MASS}\n[[run]]",
+        'name = "r"\ntable = "x.csv"',
+        'sensor = {table = "cell.csv", offset = 0.0}',
+    ]
+    (tmp_path / "study.toml").write_text("\n".join(lines) + "\n")
+    runs = [pipeline.to_run() for pipeline in Session(open_study(tmp_path / "study.toml")).runs]
+    found = ft.fit(["coulomb", "viscous"], runs)
+    assert np.max(np.abs(deviations(found))) < 2.6
+    assert 0.75 < found.reduced_chi2 < 1.3

@@ -120,6 +120,8 @@ class _SensorReader:
             self._note_alignment("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
             self.found["friction_N"] = self._at_all_frames(series, found, everywhere)
+            if series.interval > float(np.median(np.diff(self.displacement.t))):
+                self.found["friction_interval"] = series.interval
 
     def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
         """Align an accelerometer, compare it with the camera, and use it for fusion if both agree."""

@@ -55,6 +55,8 @@ class Run(NotebookView):
     sigma_drive
         Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
         default what it scatters, unless the motion certainly follows this scatter.
+    friction_interval
+        Time between the samples of a friction that was read less often than the positions, s: one frame of each counts.
     drive_scatter
         That scatter, N, where it is known; by default it is estimated from the drive.
     free
@@ -105,6 +107,7 @@ class Run(NotebookView):
     sigma_drive: float | None = scalar("N", ERROR, default=None)
     drive_scatter: float | None = scalar("N", ERROR, default=None)
     friction_N: Array | None = None  # N, at displacement.t
+    friction_interval: float | None = scalar("s", POSITIVE, default=None)
     free: tuple[float, float] | None = scalar("s", default=None)
     clamp_x: float | None = scalar("m", default=None)
     beam_length: float | None = scalar("m", POSITIVE, default=None)

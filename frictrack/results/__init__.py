@@ -67,6 +67,7 @@ class Sensors(FrameTable):
     drive_scatter: float | None = scalar("N", default=None)  # white from frame to frame, of a drive sampled less often
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run
     friction_N: Array | None = column("N", default=None)
+    friction_interval: float | None = scalar("s", default=None)  # between samples of a friction read less often
     sigma_friction: Array | None = column("N", default=None)  # of points (v, F), as `loads`
     loads: Array | None = column("N", default=None)
     known_a: Array | None = column("m/s^2", nan=True, default=None)  # `a` without its gain and bias, if consistent
