@@ -385,5 +385,13 @@ def test_texts_with_units_are_taken_where_numbers_are():
     assert ft.costs.Costs(masses=("350 g",)).masses == (0.35,)
 
 
+def test_all_that_numpy_takes_for_a_seed_a_number_or_a_list_is_taken(one_fit: ft.Fit) -> None:
+    run = one_fit.runs[0]
+    for rng in (np.random.SeedSequence(3), np.random.PCG64(3), np.int64(3), [3, 4]):
+        assert ft.diagnose(one_fit, rng=rng, quick=np.bool_(True)).verdict
+    again = ft.Run.from_arrays(run.displacement.t, run.displacement.x, mass=np.array(0.35), sigma=1e-6)
+    assert ft.fit("coulomb", (one for one in [again])).reduced_chi2 > 0
+
+
 def test_public_functions_are_pickled():
     assert pickle.loads(pickle.dumps(ft.track)) is ft.track

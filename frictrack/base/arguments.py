@@ -7,7 +7,7 @@ import numbers
 import re
 import types
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache, wraps
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -122,7 +122,13 @@ def _kinds(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _taken(value: Any, kind: Any, where: str, name: str) -> Any:
-    """Return a value as its parameter takes it: a text with a unit as a number."""
+    """Return a value as its parameter takes it: a text with a unit as a number, all that seeds as a generator."""
+    if name == "rng" and isinstance(value, np.random.SeedSequence | np.random.BitGenerator | list | np.ndarray):
+        value = np.random.default_rng(value)
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, Iterator) and any(_values(one) is not None for one in _parts(kind)):
+        value = list(value)
     value = _in_si_units(value, kind, name)
     if _fits(value, kind):
         return value
@@ -172,8 +178,8 @@ def _fits(value: Any, kind: Any) -> bool:  # noqa: PLR0911 - one case per kind o
         other = str | bytes if origin is Iterable else str | bytes | Mapping
         listed = isinstance(value, Iterable) and not isinstance(value, other)
         return listed and (not isinstance(value, list | tuple) or all(_fits(part, inner) for part in value))
-    wanted = {int: numbers.Integral, float: numbers.Real}.get(kind, origin or kind)
-    if kind is Any or not isinstance(wanted, type) or getattr(kind, "_is_protocol", False):
+    wanted = {int: numbers.Integral, float: numbers.Real, bool: bool | np.bool_}.get(kind, origin or kind)
+    if kind is Any or not isinstance(wanted, type | types.UnionType) or getattr(kind, "_is_protocol", False):
         return True
     return isinstance(value, wanted) and not (kind in (int, float) and isinstance(value, bool | np.bool_))
 
