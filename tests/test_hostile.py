@@ -233,9 +233,12 @@ def test_a_study_file_without_end(tmp_path: Path) -> None:
 def test_many_runs_are_read_in_linear_time(study: Path) -> None:
     def cost(runs: int) -> float:
         text = '[study]\nmass = "1 kg"\n' + "".join(RUN.format(name=f'"run {i}"') for i in range(runs))
-        start = time.thread_time()
-        assert len(parse(study, text).runs) == runs
-        return time.thread_time() - start
+        each = []
+        for _ in range(3):
+            start = time.thread_time()
+            assert len(parse(study, text).runs) == runs
+            each.append(time.thread_time() - start)
+        return min(each)
 
     assert cost(3000) < 40 * cost(300)  # quadratic in the runs: a hundred times
 
