@@ -181,11 +181,9 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
         return found
     other = _search(runs, law, settings)
-    return (
-        replace(other, levels=other.levels or _describe_levels(law, start))
-        if other.criterion < found.criterion
-        else found
-    )
+    if other.criterion >= found.criterion:
+        return found
+    return replace(other, levels=other.levels or _describe_levels(law, start))
 
 
 def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
@@ -290,10 +288,9 @@ def _levels_of_other_parts(solution: Solution) -> Solution:
     if not solution.levels_are_random or any(describe_level_outliers(layout.run_names, levels, np.diag(0 * levels))):
         return solution
     best, left = solution, [e for e in layout.model.effects if e.may_follow_level]
-    while left:
-        others = [(e, _with_other_level(best, e)) for e in left]
+    while others := [(e, law) for e in left if (law := result_or_none(_with_other_level, best, e)) is not None]:
         changed, law = min(others, key=lambda one: information_criterion(one[1]))
-        if information_criterion(law) >= information_criterion(best):
+        if not information_criterion(law) < information_criterion(best):
             break
         best, left = law, [e for e in left if e is not changed]
     return best
