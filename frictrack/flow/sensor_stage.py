@@ -71,6 +71,7 @@ class _SensorReader:
 
     def __init__(self, displacement: Displacement) -> None:
         self.displacement = displacement
+        self.interval = float(np.median(np.diff(displacement.t)))  # of the frames, s
         self.found: dict[str, Any] = {}
         self.clocks: dict[str, Any] = {}
         self.notes: list[str] = []
@@ -100,7 +101,7 @@ class _SensorReader:
         found = measure.sensors.align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
         self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
-        slower = series.interval / float(np.median(np.diff(t)))
+        slower = series.interval / self.interval
         if slower > 1.0:  # lines between its samples scatter little, but for long: white noise with the same impulse
             self.found["drive_scatter"] = float(np.nan_to_num(noise_of_smooth(series.values)[0]) * np.sqrt(slower))
 
@@ -120,7 +121,7 @@ class _SensorReader:
             self._note_alignment("friction_N", series, found)
             everywhere = np.ones(len(self.displacement), dtype=bool)
             self.found["friction_N"] = self._at_all_frames(series, found, everywhere)
-            if series.interval > float(np.median(np.diff(self.displacement.t))):
+            if series.interval > self.interval:
                 self.found["friction_interval"] = series.interval
 
     def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
@@ -159,8 +160,7 @@ class _SensorReader:
         A record that covers less than a share of these frames is refused.
         """
         t = self.displacement.t
-        h = float(np.median(np.diff(t)))
-        values = series.average(t - found.lag(t), h)
+        values = series.average(t - found.lag(t), self.interval)
         rows, measured = np.flatnonzero(acting), np.flatnonzero(acting & np.isfinite(values))
         span = t[measured[[0, -1]]] if len(measured) else np.array([np.inf, -np.inf])
         inside = rows[(t[rows] >= span[0]) & (t[rows] <= span[1])]

@@ -55,10 +55,11 @@ class Run(NotebookView):
     sigma_drive
         Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
         default what it scatters, unless the motion certainly follows this scatter.
-    friction_interval
-        Time between the samples of a friction that was read less often than the positions, s: one frame of each counts.
     drive_scatter
         That scatter, N, where it is known; by default it is estimated from the drive.
+    friction_interval
+        Time between the samples of a friction that was read less often than the positions, s. Then one frame per sample
+        counts.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
