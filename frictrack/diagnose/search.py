@@ -29,6 +29,7 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
+from frictrack.diagnose.friction_levels import describe_levels, levels_of_other_parts, or_levels_differ
 from frictrack.diagnose.model_selection import (
     MAX_BIC_EQUAL,
     MAX_CHI2_NEAR,
@@ -37,7 +38,6 @@ from frictrack.diagnose.model_selection import (
     objection,
 )
 from frictrack.effects import Effect
-from frictrack.effects.models import Model
 from frictrack.fit import Fit
 from frictrack.fit.cutting import has_known_history, pieces_of
 from frictrack.fit.least_squares import Solution, fit_with_scatter, refine
@@ -45,7 +45,6 @@ from frictrack.fit.observations import observation_of
 from frictrack.fit.parameters import MASS, ParameterLayout
 from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise import baseline_misfit, bic_penalty
-from frictrack.fit.uncertainty import describe_level_outliers
 from frictrack.records import Run
 from frictrack.results.verdicts import join_as_one
 from frictrack.search import EvaluationBudget
@@ -177,13 +176,13 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     if found.levels or not any(_acts_run_by_run(found.last.solution, t.effect) for t in found.found):
         return found
     # a value of its own for every run may imitate what the friction levels multiply
-    law = _levels_of_other_parts(start)
+    law = levels_of_other_parts(start)
     if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
         return found
     other = _search(runs, law, settings)
     if other.criterion >= found.criterion:
         return found
-    return replace(other, levels=other.levels or _describe_levels(law, start))
+    return replace(other, levels=other.levels or describe_levels(law, start))
 
 
 def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
@@ -241,7 +240,7 @@ def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> F
         pair = space.pair_instead(best, last)
         if pair is not best and _is_more(taken := take(pair), (best, last)):
             best, last = taken
-    best, first, last, levels = _or_levels_differ(space, best, (first, last), own, rng)
+    best, first, last, levels = or_levels_differ(space, best, (first, last), own, rng)
     misfit = baseline_misfit(first.draws.law)
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
@@ -253,67 +252,6 @@ def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> F
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
     return FinishedSearch(
         start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels, best.criterion
-    )
-
-
-def _or_levels_differ(
-    space: Explanations,
-    best: Explanation,
-    examined: tuple[Examination, Examination],
-    own: Sequence[Effect],
-    rng: np.random.Generator,
-) -> tuple[Explanation, Examination, Examination, str]:
-    """Return what was found, or the first part of it that leaves nothing where the levels multiply other friction.
-
-    Nobody knows whether what changes the dry friction of a run changes its viscous friction too, or a patch. Where a
-    law assumes the wrong one, effects imitate what is left. Last comes what the levels multiply, in words.
-    """
-    first, last = examined
-    for part in [*space.chain(best)[:-1], *([best] if last.something_is_missing else [])]:
-        law = _levels_of_other_parts(part.law)
-        fall = information_criterion(part.law) - information_criterion(law)
-        if law is part.law or part.criterion - fall >= best.criterion:
-            continue
-        law = observation_of(law.problem).weighted(law)
-        again = examine_again(law, own, rng, first) if part.effects else examine(law, own, rng, first.level)
-        if not again.something_is_missing:
-            return part, first if part.effects else again, again, _describe_levels(law, part.law)
-    return best, *examined, ""
-
-
-def _levels_of_other_parts(solution: Solution) -> Solution:
-    """The fit in which the friction levels multiply those parts of friction with which the law is most likely."""
-    layout = solution.problem.layout
-    levels = solution.p[layout.levels]
-    if not solution.levels_are_random or any(describe_level_outliers(layout.run_names, levels, np.diag(0 * levels))):
-        return solution
-    best, left = solution, [e for e in layout.model.effects if e.may_follow_level]
-    while others := [(e, law) for e in left if (law := result_or_none(_with_other_level, best, e)) is not None]:
-        changed, law = min(others, key=lambda one: information_criterion(one[1]))
-        if not information_criterion(law) < information_criterion(best):
-            break
-        best, left = law, [e for e in left if e is not changed]
-    return best
-
-
-def _with_other_level(solution: Solution, effect: Effect) -> Solution:
-    """The fit in which one effect follows the friction levels, or does not follow them, if it did."""
-    layout = solution.problem.layout
-    effects = tuple(e.with_other_level() if e is effect else e for e in layout.model.effects)
-    problem = solution.problem.rebuild(replace(layout, model=Model(effects))).with_budget(EvaluationBudget())
-    return fit_with_scatter(problem, solution.p, solution.starts, solution.tau)
-
-
-def _describe_levels(law: Solution, assumed: Solution) -> str:
-    """Say which parts of friction the levels multiply, against what a law assumes."""
-    pairs = zip(law.problem.layout.model.effects, assumed.problem.layout.model.effects, strict=True)
-    changed = [e for e, before in pairs if e.linear and e.linear[0].loaded != before.linear[0].loaded]
-    more, less = ([e.title for e in changed if e.linear[0].loaded == follows] for follows in (True, False))
-    says = [f"multiplies {' and '.join(more)} too"] if more else []
-    says += [f"does not multiply {' and '.join(less)}"] if less else []
-    return (
-        f"the friction level of a run {' but '.join(says)}: so say the data; where a law assumes otherwise, effects "
-        "imitate the difference"
     )
 
 
