@@ -388,15 +388,22 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
 
 
 def _freed(solution: Solution) -> list[Effect]:
-    """The effects of the model with one parameter freed: a fixed one, a stated incline, a place that all runs share."""
+    """The effects of the model with one parameter freed: a fixed one, a stated incline, what all runs share.
+
+    That is a place, or the size of friction that scatters from run to run, but not as dry friction does.
+    """
     several = len(solution.problem.layout.run_names) > 1
+    scattered = [e for e in solution.problem.model.effects if solution.levels_are_random and e.may_follow_level]
     return [
-        e.freed(p.name)
-        for e in solution.problem.model.effects
-        for p in e.parameters
-        if (p.fixed is not None and p.known is None)
-        or (e.same_cause_as and p.prior is not None)
-        or (several and p.free and p.unit == "m" and not p.per_run and (p.signed or p.linear))
+        *(e.freed(p.name) for e in scattered if e.kind != "coulomb" for p in e.linear),
+        *(
+            e.freed(p.name)
+            for e in solution.problem.model.effects
+            for p in e.parameters
+            if (p.fixed is not None and p.known is None)
+            or (e.same_cause_as and p.prior is not None)
+            or (several and p.free and p.unit == "m" and not p.per_run and (p.signed or p.linear))
+        ),
     ]
 
 

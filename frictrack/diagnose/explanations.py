@@ -45,6 +45,7 @@ from frictrack.fit.stepwise import (
     scan_effects,
     simulate_trial,
     try_effects,
+    with_likely_levels,
 )
 from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
@@ -305,6 +306,7 @@ class Explanations:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
         trials = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
         trials = deepen_trials(law, trials) if search_again else trials
+        trials = [with_likely_levels(law, t) for t in trials]
         expansion = Expansion(centre, law, baseline_misfit(law), trials)
         for t in trials:
             self._enter(expansion, t)
@@ -338,7 +340,7 @@ class Explanations:
                 continue
             if self._budget.stops():
                 break
-            both = try_pair(law, trials[first], trials[second])
+            both = with_likely_levels(law, try_pair(law, trials[first], trials[second]))
             self._enter(expansion, both, trials[first].effect)
             error = max(error, min((left - both.misfit) / max(excess, 1e-300), 1.0))
 

@@ -29,9 +29,8 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.friction_levels import describe_levels, levels_of_other_parts, or_levels_differ
+from frictrack.diagnose.friction_levels import describe_levels, levels_of_other_parts
 from frictrack.diagnose.model_selection import (
-    MAX_BIC_EQUAL,
     MAX_CHI2_NEAR,
     PRIOR_CAMERA,
     information_criterion,
@@ -118,8 +117,7 @@ class FinishedSearch:
     formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
     None if nothing was. `alternatives` are other sets that explain as much as the effects found, and `rivals` their
     fits and those of other single effects; `is_beaten` says that one formula explains far more than the effects found.
-    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes; `criterion` is
-    the BIC of what was found, with its prior.
+    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes.
     """
 
     start: Solution
@@ -134,7 +132,6 @@ class FinishedSearch:
     rivals: Sequence[Solution] = ()
     is_beaten: bool = False
     levels: str = ""
-    criterion: float = np.inf
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -172,33 +169,11 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         What may be tried.
 
     """
-    found = _search(runs, start, settings)
-    if found.levels or not any(_acts_run_by_run(found.last.solution, t.effect) for t in found.found):
-        return found
-    # a value of its own for every run may imitate what the friction levels multiply
-    law = levels_of_other_parts(start)
-    if information_criterion(law) > information_criterion(start) - MAX_BIC_EQUAL:
-        return found
-    other = _search(runs, law, settings)
-    if other.criterion >= found.criterion:
-        return found
-    return replace(other, levels=other.levels or describe_levels(law, start))
-
-
-def _acts_run_by_run(solution: Solution, effect: Effect) -> bool:
-    """Whether an effect has a size of its own in several runs."""
-    runs = range(len(solution.problem.layout.run_names))
-    acts = sum((effect.name, run) not in solution.problem.layout.absent for run in runs)
-    return any(p.per_run and not p.role for p in effect.parameters) and acts > 1
-
-
-def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> FinishedSearch:
-    """Search with friction levels that multiply what the model says."""
     rng, own, notify = np.random.default_rng(settings.rng), settings.own, settings.notify
     generators = rng.spawn(2)
     n_runs = len(start.problem.layout.run_names)
     budget = EvaluationBudget(EVALUATIONS_PER_EFFECT * MAX_SIZE * max(1.0, n_runs / N_RUNS_TYPICAL))
-    start = replace(start, problem=start.problem.with_budget(budget))
+    start = levels_of_other_parts(replace(start, problem=start.problem.with_budget(budget)))
     observation, simulates = observation_of(start.problem), start.problem.simulates
     sensor = assess_accelerometer(start, runs, settings.auxiliary or {}) if simulates else None
     formulas = FormulaSearch.of(start, settings.shapes)
@@ -213,7 +188,9 @@ def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> F
         return contradicted * MAX_CHI2_NEAR - unseen * 2 * log(PRIOR_CAMERA)
 
     space = Explanations(start, own, handicap)
-    best = space.begin(first, scanned if first.something_is_missing else scanned[:N_LISTED])
+    # an effect may have led the choice of what the levels multiply
+    is_open = first.something_is_missing or any(e.level_is_chosen for e in start.problem.model.effects)
+    best = space.begin(first, scanned if is_open else scanned[:N_LISTED])
 
     def take(new: Explanation) -> tuple[Explanation, Examination]:
         new = space.refine_fully(new)
@@ -223,7 +200,7 @@ def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> F
 
     beaten = False
     for size in range(1, MAX_SIZE + 1):
-        if not last.something_is_missing:
+        if not (last.something_is_missing or (is_open and size == 1)):
             break
         if size == MAX_SIZE and simulates and _formula_explains_more(formulas, best):
             beaten = True
@@ -240,19 +217,25 @@ def _search(runs: Sequence[Run], start: Solution, settings: SearchSettings) -> F
         pair = space.pair_instead(best, last)
         if pair is not best and _is_more(taken := take(pair), (best, last)):
             best, last = taken
-    best, first, last, levels = or_levels_differ(space, best, (first, last), own, rng)
+    tried, found, rivals = _listed(space, best, first)
+    cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
+    budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
+    sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
+    levels = describe_levels(best.law.problem.layout.model)
+    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels)
+
+
+def _listed(
+    space: Explanations, best: Explanation, first: Examination
+) -> tuple[list[RefinedCandidate], list[RefinedCandidate], list[Explanation]]:
+    """Return single effects worth listing, best first, the effects found, and what may stand in their place."""
     misfit = baseline_misfit(first.draws.law)
     tried = [_tried(one, first, space.known[frozenset()], misfit) for one in space.of_size(1)]
     tried = [t for i, t in enumerate(tried) if i < N_LISTED or t.p < MAX_P_LISTED or t.solution is not None]
     found = _found(space, best, first)
     rivals = find_rivals(best, space.all()) if found else []
     found = [replace(t, indistinguishable_from=names_in_place_of(t.effect.title, best, rivals)) for t in found]
-    cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
-    budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
-    sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
-    return FinishedSearch(
-        start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels, best.criterion
-    )
+    return tried, found, rivals
 
 
 def _is_more(taken: tuple[Explanation, Examination], before: tuple[Explanation, Examination]) -> bool:

@@ -505,6 +505,8 @@ class Effect:
         Map own fitted values, and all values of the model, to values as they are quoted, where these differ.
     frees : str
         The parameter that this version of an effect frees, or gives every run a value of its own; "" for others.
+    level_is_chosen : bool
+        Whether this version follows the friction levels where the library's does not, or the other way round.
     scan_wave : ScanWave, optional
         The parameter on which the columns depend only as the frequency or period of a sinusoid.
 
@@ -554,6 +556,7 @@ class Effect:
     quote: Callable[[dict[str, float], dict[str, float]], dict[str, float]] | None = field(default=None, compare=False)
     scan_wave: ScanWave | None = field(default=None, compare=False)
     frees: str = ""
+    level_is_chosen: bool = False
 
     @property
     def title(self) -> str:
@@ -562,7 +565,7 @@ class Effect:
 
     @property
     def of_record(self) -> bool:
-        """Whether it is a setting of the record that may be wrong (its incline, its origin), and no cause."""
+        """Whether it is a setting of the record (its incline, its origin, scatter of its friction), and no cause."""
         return self.same_cause_as == "incline" or (bool(self.frees) and self.parameter(self.frees).per_run)
 
     @property
@@ -640,16 +643,20 @@ class Effect:
             return replace(self.adjusted(**{name: {"prior": None}}), replaces=self.replaces | {self.kind}, frees=name)
         else:
             change = {"per_run": True}
-            what = f"{name} of {self.name} differs from run to run, as the origins of two records do; each has its own"
-        changed = replace(self.adjusted(**{name: change}), replaces=self.replaces | {self.kind}, frees=name)
+            as_ = ", as the origins of two records do" if p.unit == "m" else ""
+            what = f"{name} of {self.name} differs from run to run{as_}; each has its own"
+        # a size of its own in every run is none that the friction level of the run multiplies
+        own = self.with_other_level() if p.loaded and change == {"per_run": True} else self
+        changed = replace(own.adjusted(**{name: change}), replaces=self.replaces | {self.kind}, frees=name)
         return replace(changed, what=f"{what}.", looks_like="", confirm="", describe=None)
 
     @property
     def may_follow_level(self) -> bool:
         """Whether it is friction of which nobody knows whether it scatters from run to run as dry friction does."""
         of_load = {p.loaded for p in self.linear}
-        own = self.acts_on == "force" and not (self.modifies or self.memory or self.kind == "coulomb")
-        return own and (of_load == {True} or (of_load == {False} and self.varies_with == "v"))
+        own = self.acts_on == "force" and not (self.modifies or self.memory or any(p.per_run for p in self.linear))
+        of_speed = of_load == {False} and self.varies_with == "v"
+        return own and (of_load == {True} or of_speed or self.level_is_chosen)
 
     def with_other_level(self) -> Effect:
         """The version that follows the friction level of each run, or does not follow it, if this one does."""
@@ -660,7 +667,8 @@ class Effect:
             return self.columns(path, nonlinear) * (level if follows else 1 / level)
 
         changed = self.adjusted(**{p.name: {"loaded": follows} for p in self.linear})
-        return replace(changed, columns=columns, scales_with="load" if follows else "nothing")
+        scales_with, chosen = "load" if follows else "nothing", not self.level_is_chosen
+        return replace(changed, columns=columns, scales_with=scales_with, level_is_chosen=chosen)
 
     def called(self, name: str) -> Effect:
         """The same cause as another instance."""

@@ -21,6 +21,7 @@ from frictrack.fit.stepwise.trial import (
     entry_order,
     gain_by_smaller_scatter,
     is_unconstrained,
+    likely_levels,
     misfit_left_by_other,
     most_by_smaller_scatter,
     refine_on_measured_motion,
@@ -30,4 +31,5 @@ from frictrack.fit.stepwise.trial import (
     try_effect,
     try_effects,
     try_together,
+    with_likely_levels,
 )

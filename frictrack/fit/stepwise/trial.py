@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
 MAX_START_LOSS = (
     4.0  # by which levels that start at one may explain less at first, at the scatter that hides the effect
 )
+MIN_CHI2_OF_LEVELS = 6.0  # by which other friction levels must explain more: evidence of 20 to 1
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
 MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
@@ -450,6 +452,46 @@ def try_together(
     p = np.array([values.get((s.effect, s.parameter, s.run), 1.0 if s.effect == LEVEL else 0.0) for s in layout.slots])
     state = problem.refine(problem.at(p), steps=SET_STEPS, enough=SET_MIN_FALL)
     return _trial(effects[-1], problem, state)
+
+
+def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
+    """Return a trial in which the friction levels of the runs multiply those parts that leave the least misfit.
+
+    Nobody knows whether what changes the dry friction of a run changes its viscous friction too, or a patch. Where a
+    law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters.
+    """
+    best = trial
+    while linearised.solution.levels_are_random:
+        parts = [e for e in best.layout.model.effects if e.may_follow_level]
+        others = [_with_other_levels(linearised, best, some) for k in (1, 2) for some in combinations(parts, k)]
+        gains = [best.misfit - one.misfit - MIN_CHI2_OF_LEVELS * k for one, k in others]
+        if max(gains, default=-np.inf) < 0:
+            break
+        best, _ = others[int(np.argmax(gains))]
+    return best
+
+
+def likely_levels(linearised: LinearisedModel) -> CandidateTrial:
+    """Return the model itself, without an effect more, with the friction levels that leave the least misfit."""
+    solution, layout = linearised.solution, linearised.solution.problem.layout
+    own = CandidateTrial(layout.model.effects[0], layout, solution.p, baseline_misfit(linearised))
+    return with_likely_levels(linearised, own)
+
+
+def _with_other_levels(
+    linearised: LinearisedModel, trial: CandidateTrial, changed: Sequence[Effect]
+) -> tuple[CandidateTrial, float]:
+    """A trial in which some effects follow the friction levels, or do not, if they did; and how many these are."""
+    effects = tuple(e.with_other_level() if e in changed else e for e in trial.layout.model.effects)
+    layout, p = replace(trial.layout, model=Model(effects)), trial.p.copy()
+    if len(layout.slots) != len(p):  # nothing is left that the levels multiply, or nothing was
+        return trial, np.inf
+    problem = _projected_problem(linearised, layout)
+    p[layout.levels] = 1.0  # they mean something else now
+    state = problem.refine(problem.at(p), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
+    below = trial.misfit - MIN_CHI2_OF_LEVELS
+    state = problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
+    return _trial(trial.effect, problem, state), len(changed)
 
 
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
