@@ -37,7 +37,7 @@ from frictrack.fit.linearised import (
 )
 from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.fit.pieces import Piece, Rows
-from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, scan_effects, ties_are_resolved
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, levels_scatter, scan_effects, ties_are_resolved
 from frictrack.measure.motion import slow_spectrum
 from frictrack.records import Array, Mask
 from frictrack.sampling import DIFFERENCE_ORDER, FALLBACK_ORDER, difference_order, difference_variance
@@ -393,7 +393,7 @@ def _freed(solution: Solution) -> list[Effect]:
     That is a place, or the size of friction that scatters from run to run, but not as dry friction does.
     """
     several = len(solution.problem.layout.run_names) > 1
-    scattered = [e for e in solution.problem.model.effects if solution.levels_are_random and e.may_follow_level]
+    scattered = [e for e in solution.problem.model.effects if levels_scatter(solution) and e.may_follow_level]
     return [
         *(e.freed(p.name) for e in scattered if e.kind != "coulomb" for p in e.linear),
         *(

@@ -5,25 +5,20 @@ It is a choice among laws with equally many parameters, compared by their likeli
 
 from __future__ import annotations
 
-import numpy as np
-
 from frictrack.base.errors import result_or_none
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import linearise
-from frictrack.fit.stepwise import likely_levels
-from frictrack.fit.uncertainty import describe_level_outliers
+from frictrack.fit.stepwise import levels_scatter, likely_levels
 
 
 def levels_of_other_parts(solution: Solution) -> Solution:
     """The fit in which the friction levels multiply those parts of friction with which the law is most likely."""
-    layout = solution.problem.layout
-    levels = solution.p[layout.levels]
-    if not solution.levels_are_random or any(describe_level_outliers(layout.run_names, levels, np.diag(0 * levels))):
+    if not levels_scatter(solution):
         return solution
     trial = likely_levels(linearise(solution))
-    if trial.layout is layout:
+    if trial.layout is solution.problem.layout:
         return solution
     problem = solution.problem.rebuild(trial.layout)
     law = result_or_none(fit_with_scatter, problem, trial.p, solution.starts, solution.tau)

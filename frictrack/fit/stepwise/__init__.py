@@ -21,6 +21,7 @@ from frictrack.fit.stepwise.trial import (
     entry_order,
     gain_by_smaller_scatter,
     is_unconstrained,
+    levels_scatter,
     likely_levels,
     misfit_left_by_other,
     most_by_smaller_scatter,

@@ -33,6 +33,7 @@ from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
+from frictrack.fit.uncertainty import describe_level_outliers
 from frictrack.records import Array
 
 EVENT_PARAMETERS = 2.0  # as which an event in one run counts, its moment in addition to its size
@@ -454,6 +455,13 @@ def try_together(
     return _trial(effects[-1], problem, state)
 
 
+def levels_scatter(solution: Solution) -> bool:
+    """Return whether the friction levels are a random effect, and no run is off whose mass or clock may be wrong."""
+    layout, levels = solution.problem.layout, solution.p[solution.problem.layout.levels]
+    is_off = any(describe_level_outliers(layout.run_names, levels, np.zeros(2 * levels.shape)))
+    return solution.levels_are_random and not is_off
+
+
 def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
     """Return a trial in which the friction levels of the runs multiply those parts that leave the least misfit.
 
@@ -461,7 +469,7 @@ def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial) -> Ca
     law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters.
     """
     best = trial
-    while linearised.solution.levels_are_random:
+    while levels_scatter(linearised.solution):
         parts = [e for e in best.layout.model.effects if e.may_follow_level]
         others = [_with_other_levels(linearised, best, some) for k in (1, 2) for some in combinations(parts, k)]
         gains = [best.misfit - one.misfit - MIN_CHI2_OF_LEVELS * k for one, k in others]
@@ -530,6 +538,8 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
     solution = linearised.solution
     if not solution.levels_are_random:
         return 0.0
+    if not trial.layout.levels:
+        return solution.scatter_penalty(solution.tau)
     gain, best, tau = 0.0, trial, solution.tau
     for _ in range(MAX_SCATTER_ESTIMATES):
         problem, p = _projected_problem(linearised, best.layout, tau), np.array(best.p)
