@@ -45,6 +45,7 @@ from frictrack.fit.stepwise import (
     scan_effects,
     simulate_trial,
     try_effects,
+    with_levels,
     with_likely_levels,
 )
 from frictrack.fit.uncertainty import dispersion
@@ -306,7 +307,7 @@ class Explanations:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
         trials = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
         trials = deepen_trials(law, trials) if search_again else trials
-        trials = [with_likely_levels(law, t) for t in trials]
+        trials = with_levels(law, trials)
         expansion = Expansion(centre, law, baseline_misfit(law), trials)
         for t in trials:
             self._enter(expansion, t)

@@ -11,6 +11,7 @@ from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import levels_scatter, likely_levels
+from frictrack.fit.uncertainty import dispersion
 
 
 def levels_of_other_parts(solution: Solution) -> Solution:
@@ -22,9 +23,9 @@ def levels_of_other_parts(solution: Solution) -> Solution:
         return solution
     problem = solution.problem.rebuild(trial.layout)
     law = result_or_none(fit_with_scatter, problem, trial.p, solution.starts, solution.tau)
-    if law is None or information_criterion(law) > information_criterion(solution) - MAX_BIC_EQUAL:
-        return solution
-    return law
+    needed = MAX_BIC_EQUAL * dispersion(solution)
+    more = law is not None and information_criterion(law) < information_criterion(solution) - needed
+    return law if law is not None and more else solution
 
 
 def describe_levels(model: Model) -> str:

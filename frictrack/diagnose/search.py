@@ -173,10 +173,12 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     generators = rng.spawn(2)
     n_runs = len(start.problem.layout.run_names)
     budget = EvaluationBudget(EVALUATIONS_PER_EFFECT * MAX_SIZE * max(1.0, n_runs / N_RUNS_TYPICAL))
-    start = levels_of_other_parts(replace(start, problem=start.problem.with_budget(budget)))
+    assumed = replace(start, problem=start.problem.with_budget(budget))
+    start = levels_of_other_parts(assumed)
+    changed = start is not assumed
     observation, simulates = observation_of(start.problem), start.problem.simulates
     sensor = assess_accelerometer(start, runs, settings.auxiliary or {}) if simulates else None
-    formulas = FormulaSearch.of(start, settings.shapes)
+    formulas = [FormulaSearch.of(one, settings.shapes) for one in [start, assumed][: 1 + changed]]
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, settings.level)
     scanned = sorted(first.scanned, key=lambda s: -s.excess[0])
@@ -189,7 +191,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
 
     space = Explanations(start, own, handicap)
     # an effect may have led the choice of what the levels multiply
-    is_open = first.something_is_missing or any(e.level_is_chosen for e in start.problem.model.effects)
+    is_open = first.something_is_missing or changed
     best = space.begin(first, scanned if is_open else scanned[:N_LISTED])
 
     def take(new: Explanation) -> tuple[Explanation, Examination]:
@@ -202,7 +204,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     for size in range(1, MAX_SIZE + 1):
         if not (last.something_is_missing or (is_open and size == 1)):
             break
-        if size == MAX_SIZE and simulates and _formula_explains_more(formulas, best):
+        if size == MAX_SIZE and simulates and any(_explains_more(one, best) for one in formulas):
             beaten = True
             break
         lacking = join_as_one([e.title for e in best.effects] or ["the model"])
@@ -222,7 +224,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
     levels = describe_levels(best.law.problem.layout.model)
-    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten, levels)
+    own = min(formulas, key=lambda one: one.least_misfit) if last.something_is_missing else formulas[0]
+    return FinishedSearch(start, first, last, tried, found, generators, own, cut, sets, laws, beaten, levels)
 
 
 def _listed(
@@ -269,7 +272,7 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
     return found
 
 
-def _formula_explains_more(formulas: FormulaSearch, best: Explanation) -> bool:
+def _explains_more(formulas: FormulaSearch, best: Explanation) -> bool:
     """Whether one formula leaves only noise, and the effects found explain far less by the BIC: they imitate it."""
     start, misfit = formulas.solution, formulas.least_misfit
     n = start.problem.n_frames

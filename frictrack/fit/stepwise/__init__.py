@@ -32,5 +32,6 @@ from frictrack.fit.stepwise.trial import (
     try_effect,
     try_effects,
     try_together,
+    with_levels,
     with_likely_levels,
 )

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -455,6 +454,14 @@ def try_together(
     return _trial(effects[-1], problem, state)
 
 
+def with_levels(linearised: LinearisedModel, trials: Sequence[CandidateTrial]) -> list[CandidateTrial]:
+    """Return trials with the most likely levels, best first, of those that come near the best with any levels."""
+    misfit, out = baseline_misfit(linearised), list[CandidateTrial]()
+    for trial in sorted(trials, key=lambda t: t.misfit):
+        out.append(with_likely_levels(linearised, trial, _near_best(linearised, out, misfit)))
+    return out
+
+
 def levels_scatter(solution: Solution) -> bool:
     """Return whether the friction levels are a random effect, and no run is off whose mass or clock may be wrong."""
     layout, levels = solution.problem.layout, solution.p[solution.problem.layout.levels]
@@ -462,21 +469,35 @@ def levels_scatter(solution: Solution) -> bool:
     return solution.levels_are_random and not is_off
 
 
-def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
+def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial, below: float = np.inf) -> CandidateTrial:
     """Return a trial in which the friction levels of the runs multiply those parts that leave the least misfit.
 
     Nobody knows whether what changes the dry friction of a run changes its viscous friction too, or a patch. Where a
-    law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters.
+    law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters. None leaves
+    less than parts that have sizes of their own in every run; if those stay above `below`, the trial is returned.
     """
     best = trial
-    while levels_scatter(linearised.solution):
+    if not levels_scatter(linearised.solution) or _misfit_of_own_sizes(linearised, trial, below) > below:
+        return trial
+    while True:
         parts = [e for e in best.layout.model.effects if e.may_follow_level]
-        others = [_with_other_levels(linearised, best, some) for k in (1, 2) for some in combinations(parts, k)]
-        gains = [best.misfit - one.misfit - MIN_CHI2_OF_LEVELS * k for one, k in others]
-        if max(gains, default=-np.inf) < 0:
-            break
-        best, _ = others[int(np.argmax(gains))]
-    return best
+        others = [_with_other_level(linearised, best, e) for e in parts]
+        other = min([best, *others], key=lambda one: one.misfit)
+        if other.misfit > best.misfit - MIN_CHI2_OF_LEVELS:
+            return best
+        best = other
+
+
+def _misfit_of_own_sizes(linearised: LinearisedModel, trial: CandidateTrial, below: float) -> float:
+    """The misfit that a trial leaves if every part of its friction has a size of its own in every run."""
+    effects = trial.layout.model.effects
+    own = tuple(
+        e.adjusted(**{p.name: {"per_run": True} for p in e.linear}) if e.may_follow_level else e for e in effects
+    )
+    layout = replace(trial.layout, model=Model(own))
+    problem = _projected_problem(linearised, layout)
+    state = problem.at(layout.unknowns(trial.layout.by_address(trial.p)))
+    return problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL, below=below).misfit
 
 
 def likely_levels(linearised: LinearisedModel) -> CandidateTrial:
@@ -486,20 +507,17 @@ def likely_levels(linearised: LinearisedModel) -> CandidateTrial:
     return with_likely_levels(linearised, own)
 
 
-def _with_other_levels(
-    linearised: LinearisedModel, trial: CandidateTrial, changed: Sequence[Effect]
-) -> tuple[CandidateTrial, float]:
-    """A trial in which some effects follow the friction levels, or do not, if they did; and how many these are."""
-    effects = tuple(e.with_other_level() if e in changed else e for e in trial.layout.model.effects)
+def _with_other_level(linearised: LinearisedModel, trial: CandidateTrial, changed: Effect) -> CandidateTrial:
+    """A trial in which an effect follows the friction levels, or does not, if it did; if the levels still act."""
+    effects = tuple(e.with_other_level() if e is changed else e for e in trial.layout.model.effects)
     layout, p = replace(trial.layout, model=Model(effects)), trial.p.copy()
     if len(layout.slots) != len(p):  # nothing is left that the levels multiply, or nothing was
-        return trial, np.inf
+        return trial
     problem = _projected_problem(linearised, layout)
     p[layout.levels] = 1.0  # they mean something else now
     state = problem.refine(problem.at(p), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
     below = trial.misfit - MIN_CHI2_OF_LEVELS
-    state = problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL, below=below)
-    return _trial(trial.effect, problem, state), len(changed)
+    return _trial(trial.effect, problem, problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL, below=below))
 
 
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
