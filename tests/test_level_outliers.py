@@ -10,6 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
+from frictrack.fit.linearised import linearise
+from frictrack.fit.stepwise import likely_levels
 
 MU, DRAG, SIGMA = 0.26, 0.05, 5e-7  # of the weight; kg/s per kg; m
 SPEEDS = (3.0, 4.0, 5.0, 6.0)
@@ -74,16 +76,18 @@ def test_groups_of_runs_that_rub_differently_are_said(rubber: float, said: int) 
 # ---- what a friction level multiplies
 
 
-def sliding(level_of: str, scatter: float, patch: float = 0.0) -> list[ft.Run]:
-    """Six runs whose friction scatters as a whole, or only its dry part, integrated by SciPy; a patch does not."""
+def sliding(level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0) -> list[ft.Run]:
+    """Six runs whose friction scatters as a whole, or only its dry or viscous part, by SciPy; other forces do not."""
     rng, t, runs = np.random.default_rng(2), np.arange(500) / 2500, []
     for k in range(6):
         level = 1 + scatter * rng.standard_normal()
-        viscous = 0.08 * (level if level_of == "all" else 1.0)
+        viscous = 0.08 * (1.0 if level_of == "dry" else level)
+        level = 1.0 if level_of == "viscous" else level
 
         def motion(_: float, y: np.ndarray, level: float = level, viscous: float = viscous) -> list[float]:
             dry = level * (1.0 + 0.35 * np.exp(-y[1] / 0.4))
-            return [y[1], -(dry + viscous * y[1] + patch * np.exp(-0.5 * ((y[0] - 0.25) / 0.012) ** 2)) / 0.35]
+            other = drag * y[1] ** 2 + patch * np.exp(-0.5 * ((y[0] - 0.25) / 0.012) ** 2)
+            return [y[1], -(dry + viscous * y[1] + other) / 0.35]
 
         x = solve_ivp(motion, (0, t[-1]), [0.01, 2.0 + 0.3 * k], rtol=1e-10, atol=1e-13, t_eval=t, max_step=1e-3).y[0]
         runs.append(ft.Run.from_arrays(t, x + 2e-6 * rng.standard_normal(500), mass=0.35, sigma=2e-6, name=f"r{k}"))
@@ -102,3 +106,24 @@ def test_friction_that_scatters_as_a_whole_lacks_nothing() -> None:
 def test_a_patch_is_named_alone_where_it_does_not_follow_the_friction_levels() -> None:
     found = ft.diagnose(ft.fit("tustin", sliding("dry", 0.01, 0.24)), rng=1, quick=True)
     assert (found.verdict, found.missing) == ("missing", ["patch"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drag", [0.02, 0.04])
+def test_drag_is_named_beside_friction_that_scatters_as_a_whole(drag: float) -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("all", 0.03, drag=drag)), rng=1, quick=True)
+    assert (found.verdict, found.missing) == ("missing", ["drag"])
+
+
+@pytest.mark.slow
+def test_viscous_friction_that_scatters_alone_is_no_wrong_clock() -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("viscous", 0.05)), rng=1, quick=True)
+    levels = [line for line in found.remarks if "multiplies viscous too but not coulomb" in line]
+    assert found.leads == []
+    assert found.missing == ["viscous.F_v"] or (found.missing == [] and levels)
+
+
+@pytest.mark.parametrize(("level_of", "follows"), [("all", True), ("dry", False)])
+def test_the_levels_multiply_what_they_multiplied(level_of: str, follows: bool) -> None:
+    law = linearise(ft.fit("tustin", sliding(level_of, 0.03)).solution)
+    assert [p.loaded for p in likely_levels(law).layout.model.effects[-1].linear] == [follows]

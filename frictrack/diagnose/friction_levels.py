@@ -33,10 +33,10 @@ def describe_levels(model: Model) -> str:
     changed = [e for e in model.effects if e.level_is_chosen and not e.frees]
     if not changed:
         return ""
-    more, less = ([e.title for e in changed if e.linear[0].loaded == follows] for follows in (True, False))
-    says = [f"multiplies {' and '.join(more)} too"] if more else []
-    says += [f"not {' and '.join(less)}" if more else f"does not multiply {' and '.join(less)}"] if less else []
+    more, less = (" and ".join(e.title for e in changed if e.linear[0].loaded == yes) for yes in (True, False))
+    says = f"multiplies {more} too" if more else f"does not multiply {less}"
+    says += f" but not {less}" if more and less else ""
     return (
-        f"the friction level of a run {' but '.join(says)}: so say the data; where a law assumes otherwise, effects "
-        "imitate the difference"
+        f"the friction level of a run {says}: so say the data, and where a law assumes otherwise, effects imitate what "
+        f"is left; add {', '.join(f'{e.title}.level' for e in changed)} to have it in the law"
     )

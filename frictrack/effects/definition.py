@@ -244,6 +244,7 @@ class TestDraw:
 
 
 PHRASE_FUNCTIONS = {"abs": abs, "exp": math.exp, "log": math.log}
+LEVEL = "level"  # in an address such as "viscous.level": whether the friction levels of the runs multiply an effect
 N_MARKS = 20  # of a rule, or flashes of a diode, that are evaluated
 
 
@@ -566,7 +567,8 @@ class Effect:
     @property
     def of_record(self) -> bool:
         """Whether it is a setting of the record (its incline, its origin, scatter of its friction), and no cause."""
-        return self.same_cause_as == "incline" or (bool(self.frees) and self.parameter(self.frees).per_run)
+        own = [p for p in self.parameters if p.name == self.frees and p.per_run]
+        return bool(own) or self.same_cause_as == "incline" or self.frees == LEVEL
 
     @property
     def kind(self) -> str:
@@ -632,8 +634,10 @@ class Effect:
     def freed(self, name: str) -> Effect:
         """The version, in place of this one, that fits a fixed parameter or one that a stated setting holds.
 
-        Any other gets a value of its own in every run.
+        Any other gets a value of its own in every run; "level" is no parameter, but what the friction levels multiply.
         """
+        if name == LEVEL:
+            return replace(self.with_other_level(), replaces=self.replaces | {self.kind}, frees=name)
         p = self.parameter(name)
         if p.fixed is not None:
             change: dict[str, Any] = {"fixed": None}
@@ -652,7 +656,7 @@ class Effect:
 
     @property
     def may_follow_level(self) -> bool:
-        """Whether it is friction of which nobody knows whether it scatters from run to run as dry friction does."""
+        """Whether it is friction of which nobody knows whether it scatters from run to run as the rest does."""
         of_load = {p.loaded for p in self.linear}
         own = self.acts_on == "force" and not (self.modifies or self.memory or any(p.per_run for p in self.linear))
         of_speed = of_load == {False} and self.varies_with == "v"

@@ -193,6 +193,9 @@ class Model:
         for e in self.effects:
             with suppress(FrictrackError):  # not from the library: no settings to compare with
                 different = effects.differences(e, self.base(e))
+                follows = different.pop("follows_level", None)
+                if follows is not None:
+                    out.append(f"{e.name} {'follows' if follows else 'does not follow'} the friction levels")
                 out += [_setting_text(e, name, key, v) for key, of in different.items() for name, v in of.items()]
         return out
 
@@ -222,7 +225,7 @@ class Model:
         tables = tomlkit.aot()
         for name, keys in self._tables().items():
             table = tomlkit.table()
-            table.update({"effect": name} | {k: v if isinstance(v, str) else _inline(v) for k, v in keys.items()})
+            table.update({"effect": name} | {k: _inline(v) if isinstance(v, Mapping) else v for k, v in keys.items()})
             tables.append(table)
         if len(tables):
             document["effect"] = tables

@@ -9,7 +9,7 @@ from typing import Any
 
 from frictrack.base.errors import UsageError
 from frictrack.effects.atm2 import atm2, atm2_printed
-from frictrack.effects.definition import NEEDS, Effect, Parameter
+from frictrack.effects.definition import LEVEL, NEEDS, Effect, Parameter
 from frictrack.effects.library import load_library
 
 MAX_INSTANCES = 99  # of one effect in a model
@@ -74,7 +74,7 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     whole, dot, parameter = name.partition(".")
     if dot:
         effect = get(whole, extra)
-        if parameter in {p.name for p in effect.parameters}:
+        if parameter in {p.name for p in effect.parameters} or (parameter == LEVEL and effect.may_follow_level):
             return effect.freed(parameter)
     kind, colon, suffix = name.partition(":")
     if kind in OF_AN_ORDER:

@@ -38,6 +38,7 @@ class EffectSettings:
     prior: Mapping[str, Pair] = field(default_factory=dict)  # mean and standard deviation
     tie: Mapping[str, str] = field(default_factory=dict)
     per_run: Mapping[str, bool] = field(default_factory=dict)
+    follows_level: bool | None = None  # whether the friction level of each run multiplies it; None as in the library
     formula: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     acts_on: Literal["force", "measurement"] = "force"
@@ -55,6 +56,10 @@ class EffectSettings:
 
     def applied(self, effect: Effect) -> Effect:
         """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
+        if self.follows_level is not None and not effect.may_follow_level:
+            self._refuse("follows_level: expected it of friction that may follow the friction levels of the runs")
+        if self.follows_level is not None and self.follows_level != effect.linear[0].loaded:
+            effect = effect.with_other_level()
         changes: dict[str, dict[str, Any]] = {}
         for key, what in FIELDS.items():
             if key == "bounds" and self.formula is not None:
@@ -182,6 +187,8 @@ def read_settings(table: Mapping[str, Any]) -> EffectSettings:
 def _shaped(made: EffectSettings, key: str, value: Any) -> Any:
     if key == "per_run" and isinstance(value, list):
         return dict.fromkeys(value, True)
+    if key == "follows_level" and isinstance(value, bool):
+        return value
     if key in _SHAPES:
         fits, words = _SHAPES[key]
         if not isinstance(value, Mapping) or not all(fits(v) for v in value.values()):
@@ -270,9 +277,9 @@ def _untied(effect: str, what: str) -> NoReturn:
     raise UsageError(f'[[effect]] "{effect}": tie: {what}')
 
 
-def differences(effect: Effect, base: Effect) -> dict[str, dict[str, Any]]:
+def differences(effect: Effect, base: Effect) -> dict[str, Any]:
     """What sets an effect apart from the one it was made from, by the keys of an `[[effect]]` table."""
-    out: dict[str, dict[str, Any]] = {}
+    out: dict[str, Any] = {"follows_level": effect.linear[0].loaded} if effect.level_is_chosen else {}
     for p, was in zip(effect.parameters, base.parameters, strict=True):
         for key, what in FIELDS.items():
             now = getattr(p, what)

@@ -757,6 +757,8 @@ class EffectTable(Keys):
         Parameters that equal another one or a multiple of it, by name: "2*vibration.frequency".
     per_run
         Parameters with one value per run; {name = false} for one value for all runs.
+    follows_level
+        Whether the friction level of each run multiplies it, where friction scatters from run to run.
     formula
         Force in N, or shift of the picture in m, of a new effect, as a text.
     units
@@ -772,6 +774,7 @@ class EffectTable(Keys):
     prior: dict[str, Pair] = {}
     tie: dict[str, str] = {}
     per_run: Annotated[dict[str, bool], BeforeValidator(_per_run)] = {}
+    follows_level: bool | None = None
     formula: str | None = None
     units: dict[str, str] = {}
     acts_on: Literal["force", "measurement"] = "force"
