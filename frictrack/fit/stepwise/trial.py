@@ -516,8 +516,7 @@ def _with_other_level(linearised: LinearisedModel, trial: CandidateTrial, change
     problem = _projected_problem(linearised, layout)
     p[layout.levels] = 1.0  # they mean something else now
     state = problem.refine(problem.at(p), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
-    below = trial.misfit - MIN_CHI2_OF_LEVELS
-    return _trial(trial.effect, problem, problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL, below=below))
+    return _trial(trial.effect, problem, problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL))
 
 
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
