@@ -127,3 +127,19 @@ def test_viscous_friction_that_scatters_alone_is_no_wrong_clock() -> None:
 def test_the_levels_multiply_what_they_multiplied(level_of: str, follows: bool) -> None:
     law = linearise(ft.fit("tustin", sliding(level_of, 0.03)).solution)
     assert [p.loaded for p in likely_levels(law).layout.model.effects[-1].linear] == [follows]
+
+
+@pytest.mark.slow
+def test_levels_that_multiply_more_are_added_and_kept() -> None:
+    plain = ft.fit("tustin", sliding("all", 0.03))
+    fit = ft.fit(plain.model + "viscous.level", plain.runs)
+    law = ft.models.from_toml(fit.model.to_toml())
+    assert "viscous follows the friction levels" in law.settings
+    assert [e.linear[0].loaded for e in law.effects] == [True, True, True]
+    assert fit.solution.objective < plain.solution.objective - 30
+    assert not any("friction level of a run" in line for line in ft.diagnose(fit, rng=1, quick=True).remarks)
+
+
+def test_a_force_that_is_no_friction_follows_no_level() -> None:
+    with pytest.raises(ft.FrictrackError, match=r'"spring": follows_level: expected it of friction'):
+        ft.models.from_toml('model = "coulomb, spring"\n[[effect]]\neffect = "spring"\nfollows_level = true')
