@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.linalg import expm
 
 import frictrack as ft
 from frictrack.flow import Session, open_study, propose_study
+from frictrack.measure.friction import drive_noise
 
 MASS, F_C, F_V = 0.5, 1.0, 0.6
 N, STEP = 500, 4e-3
@@ -130,13 +132,16 @@ def test_a_noisy_drive_that_is_read_less_often_than_the_positions_pushes_for_lon
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
     assert 0.8 < found.reduced_chi2 < 1.25
+    known = ft.friction(runs[1])
+    error = known.F - F_C - F_V * runs[1].motion.v
+    assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
 
 
 @pytest.mark.parametrize("rate", [100.0, 300.0])
 def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_than_its_samples(
     tmp_path: Path, rate: float
 ) -> None:
-    t, u, rng = np.arange(0, 2, 2e-3), np.arange(0, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
+    t, u, rng = np.arange(0, 2, 2e-3), np.arange(-0.5 / rate, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
     x = 0.2 * t + 0.015 * np.sin(8 * t) + 1e-5 * rng.normal(size=len(t))
     friction = F_C + F_V * (0.2 + 0.12 * np.cos(8 * u)) + 0.02 * rng.normal(size=len(u))
     np.savetxt(tmp_path / "x.csv", np.c_[t, x.round(8)], delimiter=",", header="t_s,x_m", comments="")
@@ -151,3 +156,11 @@ def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_tha
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
     assert 0.75 < found.reduced_chi2 < 1.3
+    known = ft.friction(runs[0])
+    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * t))
+    assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
+
+
+def test_a_drive_without_scatter_is_exact() -> None:
+    run = replace(driven(0.0, 1, is_force=True), drive_scatter=None)
+    assert drive_noise(run) == 0.0
