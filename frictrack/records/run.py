@@ -58,7 +58,7 @@ class Run(NotebookView):
     drive_scatter
         That scatter, N, where it is known; by default it is estimated from the drive.
     drive_interval
-        Time between the samples of a drive that was read less often than the positions, s: their errors act for as long.
+        Time between the samples of a drive that was read less often than the positions, s: their errors last as long.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length

@@ -28,7 +28,7 @@ from frictrack.effects.models import Model
 from frictrack.fit.cutting import Reference, RunContext, path_of_rows, run_context
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.pieces import Piece, Rows
+from frictrack.fit.pieces import Piece, Rows, cycle_of
 from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
@@ -283,7 +283,8 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 def _span(piece: Piece, fps: float) -> Span:
     """Duration, places and speeds of a run."""
     x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
+    reach = float(x.min()), float(x.max()), float(speed.min()), float(speed.max())
+    return Span(float(piece.t[-1]), *reach, fps, cycle=cycle_of(piece.t, x))
 
 
 def _block(piece: Piece) -> DataBlock:
