@@ -366,11 +366,11 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     white, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
         return _batch_covariance(solution, white), unseen
-    rounded = _rounding_noise(solution)
-    gradients = [np.vstack([_systematic_gradients(r), _rounding_gradients(r, rounded)]) for r in solution.responses]
+    waves, share = _rounding_noise(solution)
+    gradients = [np.vstack([_systematic_gradients(r), _rounding_gradients(r, waves)]) for r in solution.responses]
     systematic = solution.stacked(gradients) @ white
     widening = student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975
-    full = (white * (1.0 - rounded.share) + systematic.T @ systematic) * widening**2
+    full = (white * (1.0 - share) + systematic.T @ systematic) * widening**2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = white_noise_covariance(solution, SCATTER_STEP * (solution.tau or 0.03))
@@ -403,48 +403,31 @@ def _systematic_gradients(r: PieceResponse) -> Array:
     return np.vstack(blocks)
 
 
-@dataclass(frozen=True)
-class RoundingNoise:
-    """Errors of rounded positions: waves over the place whose periods are the step and its fractions.
+def _rounding_noise(solution: Solution) -> tuple[Array, float]:
+    """Errors of rounding: waves (K,) over the place with k periods per step, and their share in all noise.
 
-    Attributes
-    ----------
-    amplitudes : array of shape (K,)
-        Standard deviation over that of rounding, of the wave with k periods per step.
-    share : float
-        Share of the waves in the variance of all noise.
-
-    """
-
-    amplitudes: Array
-    share: float
-
-
-def _rounding_noise(solution: Solution) -> RoundingNoise:
-    """The errors of rounding that a motion turns into vibrations, which are no white noise.
-
-    Other noise, of variance s^2, blurs a wave by exp(-2 (pi k s / step)^2). It is known from the residual, but for its
-    error: the waves are as large, and the rest is as large, as it may be.
+    They are deviations over that of rounding. Other noise, of variance s^2, blurs a wave by exp(-2 (pi k s / step)^2).
+    It is known from the residual, but for its error: the waves are as large, and the rest is as large, as it may be.
     """
     responses = solution.responses
     if not all(r.piece.step and len(r.jac) == len(r.piece.sigma) for r in responses):
-        return RoundingNoise(np.zeros(0), 0.0)
+        return np.zeros(0), 0.0
     n = np.array([len(r.r) for r in responses])
     total = 12.0 * np.array([np.mean((r.r * r.piece.sigma / r.piece.step) ** 2) for r in responses])  # 1 of rounding
     other, k = max(float(n @ total / np.sum(n)) - 1.0, 0.0) / 12.0, np.arange(1.0, N_ROUNDING_WAVES + 1.0)
     most = other + MAX_ERROR_SIGMAS * float(np.sqrt(0.8 / np.sum(n))) / 12.0  # of squares of uniform errors
     waves, least = (6.0 / (np.pi * k) ** 2 * np.exp(-4.0 * (np.pi * k) ** 2 * s) for s in (other, most))
     assumed = 12.0 * np.array([np.mean((r.piece.sigma / r.piece.step) ** 2) for r in responses])
-    return RoundingNoise(np.sqrt(waves), float(np.sum(least) * np.sum(n) / (n @ assumed)))
+    return np.sqrt(waves), float(np.sum(least) * np.sum(n) / (n @ assumed))
 
 
-def _rounding_gradients(r: PieceResponse, noise: RoundingNoise) -> Array:
+def _rounding_gradients(r: PieceResponse, amplitudes: Array) -> Array:
     """Gradient (2 K, A) of the objective under the waves of rounding along the motion of a piece."""
-    if not len(noise.amplitudes):
+    if not len(amplitudes):
         return np.zeros((0, r.jac.shape[1]))
-    piece, k = r.piece, np.arange(1, len(noise.amplitudes) + 1)
+    piece, k = r.piece, np.arange(1, len(amplitudes) + 1)
     phase = 2 * np.pi * k[:, None] * (r.model_y - r.model_y[0]) / piece.step
-    waves = np.concatenate([np.cos(phase), np.sin(phase)]) * np.tile(noise.amplitudes, 2)[:, None]
+    waves = np.concatenate([np.cos(phase), np.sin(phase)]) * np.tile(amplitudes, 2)[:, None]
     return np.asarray(piece.step / np.sqrt(12.0) * waves @ piece.whitening.transposed(r.jac))
 
 
