@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import frictrack as ft
+from frictrack.fit.least_squares import covariance_of, white_noise_covariance
 from frictrack.flow import Session, open_study, propose_study
+from frictrack.measure.friction import drive_noise
 
 MASS, F_C, F_V = 0.5, 1.0, 0.6
 N, STEP = 500, 4e-3
@@ -130,13 +133,16 @@ def test_a_noisy_drive_that_is_read_less_often_than_the_positions_pushes_for_lon
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
     assert 0.8 < found.reduced_chi2 < 1.25
+    known = ft.friction(runs[1])
+    error = known.F - F_C - F_V * runs[1].motion.v
+    assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
 
 
 @pytest.mark.parametrize("rate", [100.0, 300.0])
 def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_than_its_samples(
     tmp_path: Path, rate: float
 ) -> None:
-    t, u, rng = np.arange(0, 2, 2e-3), np.arange(0, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
+    t, u, rng = np.arange(0, 2, 2e-3), np.arange(-0.5 / rate, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
     x = 0.2 * t + 0.015 * np.sin(8 * t) + 1e-5 * rng.normal(size=len(t))
     friction = F_C + F_V * (0.2 + 0.12 * np.cos(8 * u)) + 0.02 * rng.normal(size=len(u))
     np.savetxt(tmp_path / "x.csv", np.c_[t, x.round(8)], delimiter=",", header="t_s,x_m", comments="")
@@ -151,3 +157,46 @@ def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_tha
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
     assert 0.75 < found.reduced_chi2 < 1.3
+    known = ft.friction(runs[0])
+    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * t))
+    assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
+
+
+def test_a_drive_without_scatter_is_exact() -> None:
+    run = replace(driven(0.0, 1, is_force=True), drive_scatter=None)
+    assert drive_noise(run) == 0.0
+
+
+def test_the_deviation_of_friction_has_no_least_value() -> None:
+    t, rng = np.arange(400) / 1000, np.random.default_rng(3)
+    x = [(1 + 0.2 * k) * t - 0.5 * t**2 + 1e-8 * rng.normal(size=len(t)) for k in range(2)]
+    found = ft.fit(["coulomb"], [ft.Run.from_arrays(t, one, mass=MASS, name=f"r{k}") for k, one in enumerate(x)])
+    one = found.parameters["coulomb.F_c"]
+    assert one.std < 1e-5
+    assert abs(one.value - MASS) < 4 * one.std
+
+
+@pytest.mark.slow
+def test_rounded_positions_of_a_motion_with_nearly_whole_steps_per_frame_have_errors_that_are_alike() -> None:
+    t, step, runs, truth = np.arange(1000) / 1000, 1e-4, [], []
+    for k in range(2):
+
+        def force(at: np.ndarray | float, k: int = k) -> np.ndarray:
+            return np.asarray(2.2 + 0.1 * k + 0.5 * np.sin(2 * np.pi * (3 + k) * at + k))
+
+        def motion(at: float, y: np.ndarray) -> list[float]:
+            return [y[1], (float(force(at)) - F_C - F_V * y[1]) / MASS]
+
+        truth.append(solve_ivp(motion, (0, 1), [0, 0.3], t_eval=t, rtol=1e-11, atol=1e-13, max_step=0.02).y[0])
+        x = np.round(truth[-1] / step) * step
+        runs.append(ft.Run.from_arrays(t, x, drive=force(t), sigma_drive=0.0, mass=MASS, name=f"r{k}"))
+    solution, rng, estimates = ft.fit(["coulomb", "viscous"], runs).solution, np.random.default_rng(1), []
+    for _ in range(200):  # the same motion at another place between two steps, in linear approximation
+        gradients = []
+        for r in solution.responses:
+            x = truth[r.piece.run][r.piece.frames] + step * rng.random()
+            gradients.append((np.round(x / step) * step - x)[None] @ r.piece.whitening.transposed(r.jac))
+        estimates.append((solution.stacked(gradients) @ white_noise_covariance(solution)[0]).sum(axis=0))
+    scatter = np.std(estimates, axis=0) / np.sqrt(np.diag(covariance_of(solution)[0]))
+    assert np.min(scatter[:2]) > 0.8
+    assert np.max(scatter[:2]) < 1.25

@@ -20,9 +20,11 @@ from frictrack.diagnose.experiments.proposals import Question, Weighted, _rival_
 from frictrack.diagnose.formulas import _log_prior_odds, _probability, effects_of_terms
 from frictrack.diagnose.power import detection_limits, find_undetermined, mean_friction
 from frictrack.diagnose.search import MAX_PIECES, subsample_pieces
+from frictrack.effects.ranges import Span
 from frictrack.fit import add_effect, cut_into_pieces, fit
 from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.fit.penalties import jacobian_basis
+from frictrack.fit.pieces import cycle_of
 from frictrack.fit.stepwise import refine_to_end
 from frictrack.fit.uncertainty import linear_estimates
 from frictrack.settings.costs import Costs
@@ -303,3 +305,15 @@ def test_a_run_is_worth_filming_just_before_evidence_is_decisive():
     assert nearly.progress(18.0) < 0.01
     assert nearly.gain(18.0) > 0.5
     assert nearly.gain(9.99) == 0.0
+
+
+def test_a_line_that_strokes_repeat_is_no_vibration() -> None:
+    t = np.arange(3100) / 200.0
+    to_and_fro = np.abs((t + 0.4) % 4.0 - 2.0)
+    assert cycle_of(t, to_and_fro) == pytest.approx(4.0, abs=1e-3)
+    assert cycle_of(t, t) == cycle_of(t, np.abs((1.2 * t + 0.03 * t**2) % 4.0 - 2.0)) == 0.0
+    span = Span(t[-1], 0.0, 2.0, 1.0, 1.0, 200.0, cycle=cycle_of(t, to_and_fro))
+    assert "the strokes repeat every 4 s, and 8 periods" in effects.get("vibration").plausible(
+        {"frequency": 2.002}, span
+    )
+    assert effects.get("vibration").plausible({"frequency": 2.1}, span) == ""

@@ -50,6 +50,14 @@ def test_a_mass_that_explains_all_runs_is_asked_before_effects_are_named() -> No
 
 
 @pytest.mark.slow
+def test_a_mass_that_is_typed_for_runs_of_double_mass_is_asked() -> None:
+    runs = [slide(v, m, 0.35) for v, m in zip((3.0, 4.0, 5.0, 6.0), (0.35, 0.35, 0.7, 0.7), strict=True)]
+    found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
+    assert (found.verdict, found.undetermined[0].what) == ("undetermined", "the mass of v5 and v6")
+    assert found.undetermined[0].why.startswith("with 2 times their stated mass, or 0.5 times that of the others,")
+
+
+@pytest.mark.slow
 def test_right_masses_are_not_doubted_and_long_records_are_left_out() -> None:
     assert remarks([0.35] * 4, [0.35] * 4) == []
     long = [slide(v, 0.35, 0.35, MAX_FRAMES // 3) for v in (30.0, 40.0, 50.0)]

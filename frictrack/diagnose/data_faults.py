@@ -42,6 +42,7 @@ MIN_RUNS = 3  # two others show that they agree
 MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
+MASS_STEP = 1e-4  # relative change of a mass, to see what it changes
 MASS_RATIOS = (-1.6, 1.6)  # logarithm of another mass of a run over the stated one
 TOLERANCE: Any = {"xatol": 0.002}  # of that logarithm
 MIN_SHARE_OF_FALL = 0.5  # of what the effects found explain, that a model must explain beyond its bounds
@@ -151,27 +152,69 @@ def _odd_runs(law: Solution, runs: Sequence[Run], rng: np.random.Generator) -> l
     if not (MIN_RUNS <= len(fitted) <= MAX_RUNS and frames <= MAX_FRAMES and law.problem.simulates):
         return []
     odd = [run for run in fitted if _may_be_odd(law, run.name)]
-    return [run for run in odd if _explains(_refit(law, run), rng)]
+    return [run for run in odd if _explains(_refit(law, [run]), rng)]
 
 
 def _run_of(law: Solution, piece: Piece) -> str:
     return law.problem.layout.run_names[piece.run]
 
 
-def _refit(law: Solution, odd: Run, mass_ratio: float | None = None) -> Solution | None:
-    """A model fitted again from where it is, with one run left out, or with so many times its mass."""
-    kept = list(zip(law.problem.pieces, law.starts, strict=True))
+def _refit(law: Solution, odd: Sequence[Run], mass_ratio: float | None = None) -> Solution | None:
+    """A model fitted again from where it is, with some runs left out, or with so many times their mass."""
+    names, pieces, starts = [run.name for run in odd], law.problem.pieces, law.starts
     if mass_ratio is None:
-        kept = [(piece, start) for piece, start in kept if _run_of(law, piece) != odd.name]
+        kept = [i for i, piece in enumerate(pieces) if _run_of(law, piece) not in names]
+        pieces, starts = [pieces[i] for i in kept], [starts[i] for i in kept]
     else:
-        load_ratio = (replace(odd, mass=(odd.mass or 0.0) * mass_ratio).load or 1.0) / (odd.load or 1.0)
-        kept = [(p.of_mass(mass_ratio, load_ratio) if _run_of(law, p) == odd.name else p, start) for p, start in kept]
-    problem = law.problem.rebuild(law.problem.layout, [piece for piece, _ in kept])
-    return result_or_none(fit_with_scatter, problem, law.p, [start for _, start in kept], law.tau or 0.03)
+        pieces = _with_masses(law, odd, mass_ratio)
+    return result_or_none(
+        fit_with_scatter, law.problem.rebuild(law.problem.layout, pieces), law.p, starts, law.tau or 0.03
+    )
+
+
+def _with_masses(law: Solution, odd: Sequence[Run], ratio: float) -> list[Piece]:
+    """The pieces of all runs, of which some have so many times their mass."""
+    loads = {run.name: (replace(run, mass=(run.mass or 0.0) * ratio).load or 1.0) / (run.load or 1.0) for run in odd}
+    return [p.of_mass(ratio, loads[name]) if (name := _run_of(law, p)) in loads else p for p in law.problem.pieces]
+
+
+def _groups_of_masses(law: Solution, runs: Sequence[Run], rng: np.random.Generator) -> list[list[Run]]:
+    """Runs of which other masses may explain all: each that is odd, else those on one side of the widest gap.
+
+    In linear approximation, each run has a mass of its own: where that leaves much of the misfit, no mass explains it.
+    """
+    fitted = [run for run in runs if run.role != "validation"]
+    few = MIN_RUNS < len(fitted) <= MAX_RUNS and sum(len(run.motion) for run in fitted) <= MAX_FRAMES
+    odd = _odd_runs(law, runs, rng)
+    if odd or not few or not law.problem.simulates or any(run.mass is None for run in fitted):
+        return [[run] for run in odd]
+    residual, columns = np.concatenate([r.r for r in law.responses]), []
+    for run in fitted:
+        near = law.problem.rebuild(law.problem.layout, _with_masses(law, [run], 1.0 + MASS_STEP))
+        moved = np.concatenate([r.r for r in near.evaluate(law.p, law.starts)])
+        columns.append((residual - moved) / MASS_STEP)
+    rows = np.column_stack([law.stacked([r.jac for r in law.responses]), *columns])
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    step = np.linalg.lstsq(rows / scale, residual, rcond=1e-8)[0]
+    if not _nearly_noise(float(np.sum((residual - rows / scale @ step) ** 2)) - len(residual), law):
+        return []
+    masses = (step / scale)[-len(fitted) :]
+    order = np.argsort(masses)
+    lighter = int(np.argmax(np.diff(masses[order]))) + 1
+    return [[fitted[i] for i in sorted(min(order[lighter:], order[:lighter], key=len))]]
+
+
+def _nearly_noise(excess: float, law: Solution) -> bool:
+    """Whether a linear approximation leaves so little of the misfit of a model that a refit may explain all of it.
+
+    Its errors are of second order: a refit brings a misfit from half way, in logarithms, to noise.
+    """
+    n = law.problem.n_frames
+    return bool(excess <= np.sqrt(max(law.chi2 - n, 0.0) * np.sqrt(2.0 * n)))
 
 
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
-    """Return the run of which another mass explains all runs, with decisively more evidence than the effects found.
+    """Return the runs of which another mass explains all runs, with decisively more evidence than the effects found.
 
     It may stand in place of all of them, or of one.
     """
@@ -179,7 +222,7 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     if not search.something_is_missing or n != fitted.solution.problem.n_frames:
         return []
 
-    def misfit(log_ratio: float, law: Solution, odd: Run) -> float:
+    def misfit(log_ratio: float, law: Solution, odd: Sequence[Run]) -> float:
         found = _refit(law, odd, float(np.exp(log_ratio)))
         return np.inf if found is None else information_criterion(found)
 
@@ -188,28 +231,30 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     laws = chain([search.first.solution], (result_or_none(remove_effect, last, name) for name in less))
     for law in filter(None, laws):
         doubted = None
-        for odd in _odd_runs(law, fitted.runs, rng):
+        for odd in _groups_of_masses(law, fitted.runs, rng):
             least = minimize_scalar(misfit, args=(law, odd), bounds=MASS_RATIOS, method="bounded", options=TOLERANCE)
             ratio = float(np.exp(least.x))
             found = _refit(law, odd, ratio) if least.fun < best else None
             if found is not None and _explains(found, rng):
                 lacks = [name for name in law.problem.model.names if name not in fitted.model.names]
-                best, doubted = least.fun, _doubt(odd.name, ratio, found, lacks)
+                best, doubted = least.fun, _doubt([run.name for run in odd], ratio, found, lacks)
         if doubted is not None:
             return [doubted]
     return []
 
 
-def _doubt(run: str, mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
-    """What to measure again of a run: its mass or, where its dry friction then differs from the others', its clock."""
-    layout = found.problem.layout
+def _doubt(odd: Sequence[str], mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
+    """What to measure again of runs: their mass or, where their dry friction then differs from others', their clock."""
+    layout, run, its = found.problem.layout, join_words(odd), "its" if len(odd) == 1 else "their"
+    others = "" if len(odd) == 1 else f", or {1 / mass_ratio:.3g} times that of the others,"
     logs = dict(zip(layout.run_names, np.log(found.p[layout.levels]), strict=False))
-    friction = float(np.exp(logs.pop(run, 0.0) - np.mean([*logs.values()] or [0.0])))
+    own = [logs.pop(name, 0.0) for name in odd]
+    friction = float(np.exp(np.mean(own) - np.mean([*logs.values()] or [0.0])))
     rest = f"the model explains all runs, and {f'only {join_words(lacks)}' if lacks else 'no effect'} is missing"
     if max(friction, 1 / friction) < MIN_RATIO:
-        why = f"with {mass_ratio:.3g} times its stated mass {rest}"
+        why = f"with {mass_ratio:.3g} times {its} stated mass{others} {rest}"
         return Undetermined(f"the mass of {run}", why, f"weigh what slid in {run} again")
-    why = f"with {friction:.3g} times the dry friction of the others and {mass_ratio:.3g} times its mass {rest}"
+    why = f"with {friction:.3g} times the dry friction of the others and {mass_ratio:.3g} times {its} mass {rest}"
     rate = f"a frame rate that is {friction**0.5:.3g} times too high does this"
     return Undetermined(f"the frame rate, mass and surface of {run}", f"{why}; {rate}", f"check them in {run}")
 
@@ -218,9 +263,7 @@ def _may_be_odd(last: Solution, run: str) -> bool:
     """Whether the other runs nearly agree without one, in linear approximation; a refit shows whether they do."""
     own = [r for r in last.responses if _run_of(last, r.piece) != run]
     left = chi2_without(replace(last, responses=own), [None] * len(last.problem.layout.run_names))
-    n, frames = last.problem.n_frames, sum(len(r.r) for r in own)
-    # errors of the approximation are of second order: a refit brings a misfit from half way, in logarithms, to noise
-    return bool(left - frames <= np.sqrt(max(last.chi2 - n, 0.0) * np.sqrt(2.0 * n)))
+    return _nearly_noise(left - sum(len(r.r) for r in own), last)
 
 
 def _explains(found: Solution | None, rng: np.random.Generator) -> bool:

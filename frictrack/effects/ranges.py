@@ -22,6 +22,7 @@ from frictrack.records import Array, EarlierRuns
 USUAL_TOP_SPEED = 6.0  # m/s; where runs are faster, or a scale is wrong, the range of Stribeck velocities grows along
 MIN_SCAN_VALUES = 9  # of a scan between bounds
 MIN_PERIODS = 1.5  # of an oscillation in a record: fewer cannot be told from a trend (Bretthorst 1988, section 2)
+MAX_LOCKED_PERIODS = 0.25  # periods in the record by which a line misses a multiple of the frequency of the strokes
 MIN_RINGING = 0.5  # periods within one decay time: a faster decay is a pulse
 MAX_DEPTH = 1.0  # of a modulation: beyond it a contact would pull
 MAX_PICTURE_SHARE = 0.03  # of the travelled span: lens, shake; barrel distortion of ordinary lenses is below 3 %
@@ -50,6 +51,7 @@ class Span:
     clamp_x: float | None = None  # m
     beam_length: float | None = None  # m, where it is known
     earlier: EarlierRuns = ()  # the longest series before a run, where it is known
+    cycle: float = 0.0  # s, after which the motion repeats itself; 0 where it does not
 
 
 @dataclass(frozen=True)
@@ -139,15 +141,20 @@ def _first_objection(checks: Iterable[Check], values: Mapping[str, float], span:
 
 
 def oscillates(values: Mapping[str, float], span: Span) -> str:
-    """Return an objection where the run holds fewer than `MIN_PERIODS` periods of `frequency` (Hz).
+    """Return an objection where a run holds fewer than `MIN_PERIODS` periods of `frequency` (Hz), or strokes repeat it.
 
     Examples
     --------
-    >>> from types import SimpleNamespace
-    >>> oscillates({"frequency": 5.0}, SimpleNamespace(duration=0.1))
+    >>> oscillates({"frequency": 5.0}, Span(0.1, 0, 1, 0, 1, 1000))
     'the record holds 0.5 periods of it, expected at least 1.5'
 
     """
+    per_cycle = values["frequency"] * span.cycle
+    if round(per_cycle) and abs(per_cycle - round(per_cycle)) * span.duration < MAX_LOCKED_PERIODS * span.cycle:
+        return (
+            f"the strokes repeat every {span.cycle:.4g} s, and {round(per_cycle)} periods of it fill that time: any "
+            "misfit of the law repeats so; strokes of another duration tell"
+        )
     return _periods(values["frequency"] * span.duration)
 
 

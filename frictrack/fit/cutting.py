@@ -390,7 +390,7 @@ def _with_errors_of_drive(run: Run, pieces: list[Piece]) -> list[Piece]:
         return pieces
 
     def pushed(some: Sequence[Piece]) -> list[Piece]:
-        return [replace(p, push=(sigma / p.mass) ** 2 * float(np.median(np.diff(p.t)))) for p in some]
+        return [replace(p, push=(sigma / p.mass) ** 2 * (run.drive_interval or np.median(np.diff(p.t)))) for p in some]
 
     if run.sigma_drive is not None:
         return pushed(pieces)

@@ -232,6 +232,7 @@ class ParameterLayout:
             v_min=min(s.v_min for s in self.spans),
             v_max=max(s.v_max for s in self.spans),
             earlier=max((s.earlier for s in self.spans), key=len),
+            cycle=first.cycle if np.allclose([s.cycle for s in self.spans], first.cycle, rtol=1e-3) else 0.0,
         )
 
     @property

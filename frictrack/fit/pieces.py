@@ -28,6 +28,7 @@ from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Pan
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
+MIN_CYCLES, MAX_CYCLE_ERROR = 2, 0.01  # of strokes that repeat; relative error of the times at which they begin
 OF_RUNS = ("mass_ratio", "gravity", "mass", "travelled", "begins")  # that may differ between the runs of a path
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
@@ -380,7 +381,19 @@ def _span(pieces: Sequence[Piece], fps: float) -> Span:
         clamp_x=path.clamp_x,
         beam_length=path.beam_length,
         earlier=(path.earlier or ((),))[0],
+        cycle=cycle_of(np.concatenate([p.t for p in pieces]), np.concatenate([p.y for p in pieces])),
     )
+
+
+def cycle_of(t: Array, x: Array) -> float:
+    """Time (s) after which a motion to and fro at times t (n,) repeats itself; 0 where it does not, or not evenly."""
+    from_middle = x - (np.max(x) + np.min(x)) / 2.0
+    far = np.flatnonzero(np.abs(from_middle) > np.ptp(x) / 4.0)
+    begins = t[far[1:][np.diff(np.sign(from_middle[far])) > 0]]
+    if len(begins) < MIN_CYCLES + 1:
+        return 0.0
+    cycle, first = np.polyfit(number := np.arange(len(begins)), begins, 1)
+    return float(cycle) if np.max(np.abs(begins - first - cycle * number)) < MAX_CYCLE_ERROR * cycle else 0.0
 
 
 @dataclass(frozen=True)

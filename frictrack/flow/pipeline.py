@@ -321,7 +321,7 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
     known |= {"has_incline": run.incline is not None, "steady": run.is_of_points}
     known |= {key: getattr(run, key) for key in KEYS_OF_RUN}
     known |= {key: _specification(getattr(run, key), key, sensors) for key in ("noise", "drift")}
-    measured_with = ("drive", "drive_scatter", "friction_N", "friction_interval", "sigma_friction", "loads")
+    measured_with = ("drive", "drive_scatter", "drive_interval", "friction_N", "sigma_friction", "loads")
     known |= {column: getattr(sensors, column) for column in measured_with}
     if sensors.drive is not None and not np.all(measured := np.isfinite(sensors.drive)):
         t, free = sensors.t[measured], run.free or (-np.inf, np.inf)

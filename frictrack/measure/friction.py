@@ -34,6 +34,7 @@ MAX_EVENT_DISTANCE = 8  # frames between an event of the smoother and its cause
 MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
+MIN_NOISE_SHARE = 1e-9  # smallest noise of a force sensor over its largest force
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
@@ -243,8 +244,7 @@ def friction(run: Run) -> Friction:
     if run.friction_N is not None:
         known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
         force = np.interp(rows, rows[known], run.friction_N[known])
-        white = white_noise(run.friction_N) if run.noise is None else run.noise
-        sigma = np.full(len(force), white) if run.sigma_friction is None else run.sigma_friction
+        sigma = np.full(len(force), cell_noise(run)) if run.sigma_friction is None else run.sigma_friction
         return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
@@ -264,7 +264,18 @@ def drive_noise(run: Run) -> float:
         return run.sigma_drive or 0.0
     if run.drive_scatter is not None:
         return run.drive_scatter
-    return float(np.nan_to_num(noise_of_smooth(np.asarray(run.drive, dtype=float))[0]))
+    drive = np.asarray(run.drive, dtype=float)
+    level = float(np.nan_to_num(noise_of_smooth(drive)[0]))
+    return level if level > MIN_NOISE_SHARE * float(np.nanmax(np.abs(drive))) else 0.0
+
+
+def cell_noise(run: Run) -> float:
+    """White noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
+    if run.noise is not None:
+        return run.noise
+    force = np.asarray(run.friction_N, dtype=float)
+    force = force[np.isfinite(force)]
+    return max(white_noise(force), MIN_NOISE_SHARE * float(np.max(np.abs(force), initial=0.0)), 1e-12)
 
 
 def has_measured_force(run: Run) -> bool:

@@ -51,15 +51,14 @@ class Run(NotebookView):
     normal_load
         Normal load, N; by default m g cos(incline).
     drive, friction_N
-        Measured drive and friction force at the frames of `displacement`, N, (n,).
+        Measured drive and friction force at the frames of `displacement`, N, (n,). NaN where friction was not read.
     sigma_drive
-        Standard deviation of the errors of a measured drive, N, white from frame to frame; 0 for one that is exact. By
-        default what it scatters, unless the motion certainly follows this scatter.
+        Standard deviation of the errors of a measured drive, N, white from sample to sample; 0 for one that is exact.
+        By default what it scatters, unless the motion certainly follows this scatter.
     drive_scatter
         That scatter, N, where it is known; by default it is estimated from the drive.
-    friction_interval
-        Time between the samples of a friction that was read less often than the positions, s. Then one frame per sample
-        counts.
+    drive_interval
+        Time between the samples of a drive that was read less often than the positions, s: their errors last as long.
     free
         Begin and end of the free section, s, instead of the one that is found.
     clamp_x, beam_length
@@ -107,8 +106,8 @@ class Run(NotebookView):
     drive: Array | None = None  # N, at displacement.t
     sigma_drive: float | None = scalar("N", ERROR, default=None)
     drive_scatter: float | None = scalar("N", ERROR, default=None)
+    drive_interval: float | None = scalar("s", POSITIVE, default=None)
     friction_N: Array | None = None  # N, at displacement.t
-    friction_interval: float | None = scalar("s", POSITIVE, default=None)
     free: tuple[float, float] | None = scalar("s", default=None)
     clamp_x: float | None = scalar("m", default=None)
     beam_length: float | None = scalar("m", POSITIVE, default=None)

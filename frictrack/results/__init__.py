@@ -64,10 +64,10 @@ class Sensors(FrameTable):
     signals: ClassVar[tuple[str, ...]] = ("friction_N", "a", "drive")
     t: Array = column("s")
     drive: Array | None = column("N", nan=True, default=None)  # NaN beyond its record
-    drive_scatter: float | None = scalar("N", default=None)  # white from frame to frame, of a drive sampled less often
+    drive_scatter: float | None = scalar("N", default=None)  # noise of a drive that is sampled less often
+    drive_interval: float | None = scalar("s", default=None)  # between its samples
     a: Array | None = column("m/s^2", nan=True, default=None)  # of the accelerometer, NaN where it did not run
-    friction_N: Array | None = column("N", default=None)
-    friction_interval: float | None = scalar("s", default=None)  # between samples of a friction read less often
+    friction_N: Array | None = column("N", nan=True, default=None)  # NaN where the cell was not read
     sigma_friction: Array | None = column("N", default=None)  # of points (v, F), as `loads`
     loads: Array | None = column("N", default=None)
     known_a: Array | None = column("m/s^2", nan=True, default=None)  # `a` without its gain and bias, if consistent

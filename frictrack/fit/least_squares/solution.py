@@ -58,6 +58,7 @@ MIN_SINGULAR_VALUE_PROJECTED = 1e-9  # relative; smaller singular values are not
 NORMAL_QUANTILE_975 = 1.96  # 97.5 % quantile of the normal distribution
 SCATTER_STEP = 1.05  # factor on tau, to see which variances depend on it
 MIN_BATCHES_PER_UNKNOWN = 2  # least number of batches per unknown
+N_ROUNDING_WAVES, MAX_ERROR_SIGMAS = 30, 2.0  # of rounding errors; standard deviations of the noise besides them
 MIN_SINGULAR_VALUE = 1e-8  # relative; smaller singular values are not determined by the data
 MAX_PREDICTION_VARIANCE = 0.25  # largest ratio of prediction variance to noise variance
 MIN_KEPT_SHARE = 0.01  # of the information of all frames, usually a half; own unknowns keep their values below it
@@ -365,9 +366,11 @@ def covariance_of(solution: Solution) -> tuple[Array, Array]:
     white, unseen = white_noise_covariance(solution)
     if any(p.cut for p in solution.problem.pieces):
         return _batch_covariance(solution, white), unseen
-    systematic = solution.stacked([_systematic_gradients(r) for r in solution.responses]) @ white
+    waves, share = _rounding_noise(solution)
+    gradients = [np.vstack([_systematic_gradients(r), _rounding_gradients(r, waves)]) for r in solution.responses]
+    systematic = solution.stacked(gradients) @ white
     widening = student_ppf(0.975, solution.problem.n_frames / CORRELATION_COST) / NORMAL_QUANTILE_975
-    full = (white + systematic.T @ systematic) * widening**2
+    full = (white * (1.0 - share) + systematic.T @ systematic) * widening**2
     if len(layout.levels) < MIN_RUNS_FOR_SCATTER:
         return full, unseen
     larger_scatter, _ = white_noise_covariance(solution, SCATTER_STEP * (solution.tau or 0.03))
@@ -398,6 +401,34 @@ def _systematic_gradients(r: PieceResponse) -> Array:
         phase = 2 * np.pi * frequency * piece.t
         blocks.append(rms * np.stack([np.cos(phase), np.sin(phase)]) @ whitened_jacobian)
     return np.vstack(blocks)
+
+
+def _rounding_noise(solution: Solution) -> tuple[Array, float]:
+    """Errors of rounding: waves (K,) over the place with k periods per step, and their share in all noise.
+
+    They are deviations over that of rounding. Other noise, of variance s^2, blurs a wave by exp(-2 (pi k s / step)^2).
+    It is known from the residual, but for its error: the waves are as large, and the rest is as large, as it may be.
+    """
+    responses = solution.responses
+    if not all(r.piece.step and len(r.jac) == len(r.piece.sigma) for r in responses):
+        return np.zeros(0), 0.0
+    n = np.array([len(r.r) for r in responses])
+    total = 12.0 * np.array([np.mean((r.r * r.piece.sigma / r.piece.step) ** 2) for r in responses])  # 1 of rounding
+    other, k = max(float(n @ total / np.sum(n)) - 1.0, 0.0) / 12.0, np.arange(1.0, N_ROUNDING_WAVES + 1.0)
+    most = other + MAX_ERROR_SIGMAS * float(np.sqrt(0.8 / np.sum(n))) / 12.0  # of squares of uniform errors
+    waves, least = (6.0 / (np.pi * k) ** 2 * np.exp(-4.0 * (np.pi * k) ** 2 * s) for s in (other, most))
+    assumed = 12.0 * np.array([np.mean((r.piece.sigma / r.piece.step) ** 2) for r in responses])
+    return np.sqrt(waves), float(np.sum(least) * np.sum(n) / (n @ assumed))
+
+
+def _rounding_gradients(r: PieceResponse, amplitudes: Array) -> Array:
+    """Gradient (2 K, A) of the objective under the waves of rounding along the motion of a piece."""
+    if not len(amplitudes):
+        return np.zeros((0, r.jac.shape[1]))
+    piece, k = r.piece, np.arange(1, len(amplitudes) + 1)
+    phase = 2 * np.pi * k[:, None] * (r.model_y - r.model_y[0]) / piece.step
+    waves = np.concatenate([np.cos(phase), np.sin(phase)]) * np.tile(amplitudes, 2)[:, None]
+    return np.asarray(piece.step / np.sqrt(12.0) * waves @ piece.whitening.transposed(r.jac))
 
 
 def batch_count(solution: Solution) -> int:

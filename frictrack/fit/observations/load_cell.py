@@ -28,22 +28,19 @@ from frictrack.effects.models import Model
 from frictrack.fit.cutting import Reference, RunContext, path_of_rows, run_context
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, fit_with_scatter, hold
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.pieces import Piece, Rows
+from frictrack.fit.pieces import Piece, Rows, cycle_of
 from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
-from frictrack.measure.friction import free_section, is_moving
+from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, free_section, is_moving
 from frictrack.records import Array, Mask, Run, stretches
-from frictrack.sampling import white_noise
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that are repeats, and of loads that are one
 MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
 LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
 RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
-MIN_NOISE_SHARE = 1e-9  # smallest noise over the largest friction
-MIN_FRAMES_PER_SAMPLE = 4  # of a load cell, from which a frame holds a tenth of the next sample at most
 PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
@@ -286,7 +283,8 @@ class MeasuredFrictionProblem(LeastSquaresProblem):
 def _span(piece: Piece, fps: float) -> Span:
     """Duration, places and speeds of a run."""
     x, speed = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
-    return Span(float(piece.t[-1]), float(x.min()), float(x.max()), float(speed.min()), float(speed.max()), fps)
+    reach = float(x.min()), float(x.max()), float(speed.min()), float(speed.max())
+    return Span(float(piece.t[-1]), *reach, fps, cycle=cycle_of(piece.t, x))
 
 
 def _block(piece: Piece) -> DataBlock:
@@ -359,7 +357,7 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
 
     Newtons are reported at the normal load `reference`, N; NaN if a load is not known.
     """
-    noise = float(np.sqrt(np.mean([0.0 if run.steady else _white_noise(run) ** 2 for run in runs])))
+    noise = float(np.sqrt(np.mean([0.0 if run.steady else cell_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
     return [
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
@@ -367,33 +365,11 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
     ]
 
 
-def _white_noise(run: Run) -> float:
-    """White noise of the load cell, N: as stated, or estimated from the series."""
-    if run.noise is not None:
-        return run.noise
-    series = np.asarray(run.friction_N, dtype=float)[_read_frames(run)]
-    largest = float(np.nanmax(np.abs(series), initial=0.0))
-    return max(white_noise(series), MIN_NOISE_SHARE * largest, 1e-12)
-
-
-def _read_frames(run: Run) -> Rows:
-    """Frames at which the load cell was read: all, or one for each of its samples; lines between these tell nothing.
-
-    Where samples are hardly rarer than frames, a frame mixes two of them, and one for every second sample is kept.
-    """
-    t, interval = run.motion.t, run.friction_interval
-    if interval is None:
-        return np.arange(len(t))
-    apart = interval if interval >= MIN_FRAMES_PER_SAMPLE * float(np.median(np.diff(t))) else 2 * interval
-    return np.unique(np.floor((t - t[0]) / apart + 1e-6), return_index=True)[1]
-
-
 def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
     """The piece of one run."""
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
-    rows = _read_frames(run)
-    rows = rows[(free & np.isfinite(series))[rows]]
+    rows = np.flatnonzero(free & np.isfinite(series))
     rows = rows[rows > 0]  # the first frame only gives the sign of the held friction
     known = np.flatnonzero(np.isfinite(series))
     full_series = np.interp(np.arange(len(series)), known, series[known])

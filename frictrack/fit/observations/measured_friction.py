@@ -176,10 +176,10 @@ def _fewer_frames(response: PieceResponse, stride: int, block: int) -> MeasuredF
     # The model is evaluated at the middle frame alone, and differs there from its mean by its curvature. So not the
     # friction is averaged but its residual.
     n = len(piece.t) // block * block
-    frames = piece.frames[:n].reshape(-1, block)
+    gaps = np.diff(piece.frames[:n].reshape(-1, block), axis=1)
     direction = piece.path.s[piece.at[:n]].reshape(-1, block)
-    kept = (np.ptp(frames, axis=1) == block - 1) & (np.ptp(direction, axis=1) == 0)
-    middle = (np.arange(len(frames)) * block + block // 2)[kept]
+    kept = np.all(gaps < 2 * np.median(gaps), axis=1) & (np.ptp(direction, axis=1) == 0)
+    middle = (np.arange(len(gaps)) * block + block // 2)[kept]
     residual = (piece.y - response.model_y)[:n].reshape(-1, block)[kept].mean(axis=1)
     return replace(piece.at_frames_kept(middle, block), y=response.model_y[middle] + residual)
 
