@@ -431,6 +431,15 @@ def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None
         assert number in out.file.getvalue()
 
 
+def test_no_line_of_the_terminal_ends_within_a_number_or_before_its_unit() -> None:
+    wholes = ("+77\u202f572", "0.701 µm", "8.48 %", "(0.0398 ± 0.0012) N s/m")
+    for width in range(24, 60):
+        out = tables.Terminal(width=width, file=io.StringIO(), highlight=False)
+        out.print(f"delta BIC {wholes[0]}; from 2.64 to {wholes[1]}; force error {wholes[2]}; F_v {wholes[3]}")
+        printed = out.file.getvalue()
+        assert all(whole in printed for whole in wholes), printed
+
+
 def test_a_table_of_films_breaks_no_name_at_80_columns(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:
     result = answer(capsys, "track", "film.toml")
     result["runs"][0]["run"] = "double_mass_2"

@@ -17,6 +17,7 @@ DASH, THIN_SPACE = "\N{EN DASH}", "\N{NARROW NO-BREAK SPACE}"
 NOT_DETERMINED = "not determined"
 PREFIXED_UNITS = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common in friction measurements
 MIN_PROBABILITY_STATED = 0.01
+MIN_P_VALUE = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 MAX_LEADING_ONE = 1.95  # a standard deviation of 1.0 to 1.95 keeps a second digit
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -76,6 +77,18 @@ def format_probability(probability: float) -> str:
 
     """
     return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
+
+
+def format_p_value(p: float | None) -> str:
+    """Format a p-value; it is stated as a bound where none of the simulated studies reached the statistic.
+
+    Examples
+    --------
+    >>> format_p_value(0.001), format_p_value(0.0005), format_p_value(0.2917)
+    ('at most 1/1000', 'at most 1/2000', '0.29')
+
+    """
+    return format_number(p, 2) if p is None or p > MIN_P_VALUE else f"at most 1/{round(1 / max(p, 1e-9))}"
 
 
 def format_change(value: float) -> str:
