@@ -204,6 +204,14 @@ def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[
     assert (here / "study.toml").exists()
 
 
+def test_the_swings_of_a_load_cell_need_no_spring(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "cell"
+    folder.mkdir()
+    shutil.copy(samples.DATA / "tribometer" / "strokes.txt", folder)
+    answer(capsys, "init", str(folder))
+    assert "spring" not in (folder / "study.toml").read_text().partition("[[run]]")[0]
+
+
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "empty").mkdir()
     for argv, sentence in {
@@ -351,7 +359,7 @@ def test_the_demo_tells_the_whole_story(
     code, out, _ = run(capsys, "demo")  # a second time tells the same story
     assert code == 0
     assert "Coulomb + viscous lacks drag" in out
-    assert "drag was added and the model fitted again: the held-out error " in " ".join(out.split())
+    assert "With drag in the model, the held-out error " in " ".join(out.split())
     assert len(out.splitlines()) <= 16
 
 
