@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.padding import Padding
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import describe_change, format_p_value, format_plain, format_plus_minus
@@ -62,7 +61,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     rows = candidate_rows(result)
     for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
         out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
-        out.print(Padding(tables.unbroken(escape(row.line)), (0, 0, 0, 2), expand=False))
+        out.print(f"  {escape(row.line)}")
     if others := not_passing(rows):
         out.print(others)
 
@@ -219,9 +218,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     if result["add"]:
         (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
         change = describe_change(before, after, unit)
-        out.print(
-            f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
-        )
+        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, the held-out error {change}")
         _brief_parameters(out, result["add"])
 
 
