@@ -204,6 +204,14 @@ def test_init_writes_a_study_and_refuses_a_second(capsys: pytest.CaptureFixture[
     assert (here / "study.toml").exists()
 
 
+def test_the_swings_of_a_load_cell_need_no_spring(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "cell"
+    folder.mkdir()
+    shutil.copy(samples.DATA / "tribometer" / "strokes.txt", folder)
+    answer(capsys, "init", str(folder))
+    assert "spring" not in (folder / "study.toml").read_text().partition("[[run]]")[0]
+
+
 def test_wrong_usage_ends_with_2(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "empty").mkdir()
     for argv, sentence in {
@@ -351,7 +359,7 @@ def test_the_demo_tells_the_whole_story(
     code, out, _ = run(capsys, "demo")  # a second time tells the same story
     assert code == 0
     assert "Coulomb + viscous lacks drag" in out
-    assert "drag was added and the model fitted again: the held-out error " in " ".join(out.split())
+    assert "With drag in the model, the held-out error " in " ".join(out.split())
     assert len(out.splitlines()) <= 16
 
 
@@ -429,6 +437,15 @@ def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None
     assert all(word in words for word in name.partition("_")[2].capitalize().split("+"))
     for number in ("12.58", "12.64", "0.6432", "0.6112", "5.71", "483.7"):
         assert number in out.file.getvalue()
+
+
+def test_no_line_of_the_terminal_ends_within_a_number_or_before_its_unit() -> None:
+    wholes = ("+77\u202f572", "0.701 µm", "8.48 %", "(0.0398 ± 0.0012) N s/m")
+    for width in range(24, 60):
+        out = tables.Terminal(width=width, file=io.StringIO(), highlight=False)
+        out.print(f"delta BIC {wholes[0]}; from 2.64 to {wholes[1]}; force error {wholes[2]}; F_v {wholes[3]}")
+        printed = out.file.getvalue()
+        assert all(whole in printed for whole in wholes), printed
 
 
 def test_a_table_of_films_breaks_no_name_at_80_columns(capsys: pytest.CaptureFixture[str], film_study: Path) -> None:

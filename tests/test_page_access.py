@@ -48,7 +48,8 @@ OVERLAPS = """() => {
     }
     return found;
 }"""  # noqa: E501 - JavaScript
-CUT = """() => [...document.querySelectorAll(".ui-button span, .ui-tabs button, .ui-segments span, h2, h3, .ui-echo")]
+CUT = """() => [...document.querySelectorAll(".ui-button span, .ui-tabs button, .ui-segments span, h2, h3, .ui-echo, "
+    + ".ui-parameter-value, .ui-scroll")]
     .filter((n) => n.checkVisibility() && n.scrollWidth > n.clientWidth + 1 && getComputedStyle(n).display !== "inline")
     .map((n) => n.textContent)"""
 RING = """() => {

@@ -226,6 +226,7 @@ def test_a_friction_with_the_sign_of_the_force_on_the_mass_is_refused_with_its_r
     (finding,) = implausible_slide(run_of(t, x, friction_N=-force, mass=None), film=False)
     assert finding.grade == ERROR
     assert finding.correction == 'columns = {friction = "-friction_N"}'
+    assert finding.words.endswith('friction = "-friction_N"')
     spring = 400.0 * x  # gives back what it takes
     assert implausible_slide(run_of(t, x, friction_N=spring + 0.2 * force, mass=None), film=False) == ()
 

@@ -94,7 +94,7 @@ def test_verdict_comes_first_and_tells_the_story(page):
     assert "2 runs were fitted with Coulomb friction, viscous friction and texture." in page.words
     assert "Tustin lacked texture (what texture is; p at most 1/1000, delta BIC +812)" in page.words
     assert "the held-out error falls from 39.6 to 11.0 µm" in page.words
-    assert "the residual is 10.0 µm, the noise 10.0 µm, lack of fit has p = 0.30" in page.words
+    assert "the residual is 10.0 µm, the noise 10.0 µm, lack of fit: p 0.30" in page.words
     assert page.words.index("Tustin + texture is complete") < page.words.index("Film and track")
 
 
@@ -355,6 +355,12 @@ def test_nothing_fixed_in_the_picture_is_said():
     found = measured()
     runs = [replace(r, quality=r.quality | {"noise_floor_px": None}) for r in found.runs]
     assert "no fixed reference was found" in texts.measurement(runs)[0]
+
+
+def test_a_target_that_leaves_the_picture_fails_no_check():
+    (run, *_) = measured(found=188).runs
+    track = replace(run.track, x_px=np.where(np.arange(200) >= 188, np.nan, run.track.x_px))
+    assert texts.failed_checks(replace(run, track=track)) == []
 
 
 def test_lost_frames_have_one_wording_on_terminal_page_and_report():

@@ -16,7 +16,7 @@ MINUS, TIMES, PLUS_MINUS = "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}", "\N{PLUS
 DASH, THIN_SPACE = "\N{EN DASH}", "\N{NARROW NO-BREAK SPACE}"
 NOT_DETERMINED = "not determined"
 PREFIXED_UNITS = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common in friction measurements
-MIN_PROBABILITY_STATED = 0.01
+MIN_P_VALUE = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 MAX_LEADING_ONE = 1.95  # a standard deviation of 1.0 to 1.95 keeps a second digit
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -66,16 +66,16 @@ def format_share(share: float) -> str:
     return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
 
 
-def format_probability(probability: float) -> str:
-    """Format a probability in percent.
+def format_p_value(p: float | None) -> str:
+    """Format a p-value; it is stated as a bound where none of the simulated studies reached the statistic.
 
     Examples
     --------
-    >>> format_probability(0.873), format_probability(0.002)
-    ('87 %', 'below 1 %')
+    >>> format_p_value(0.001), format_p_value(0.0005), format_p_value(0.2917)
+    ('at most 1/1000', 'at most 1/2000', '0.29')
 
     """
-    return "below 1 %" if probability < MIN_PROBABILITY_STATED else f"{100 * probability:.0f} %"
+    return format_number(p, 2) if p is None or p > MIN_P_VALUE else f"at most 1/{round(1 / max(p, 1e-9))}"
 
 
 def format_change(value: float) -> str:
@@ -111,7 +111,8 @@ def format_quantity(value: float | None, std: float | None, unit: str) -> str:
     tail = f" {tail}" if tail else ""
     if not std or not math.isfinite(std):
         return f"{_without_std(value)}{tail}"
-    exponent = _exponent_outside(max(abs(value), std), -4, 6)
+    exponent = math.floor(math.log10(max(abs(value), std)))
+    exponent = 0 if -4 < exponent < 6 else exponent
     value, std = value / 10.0**exponent, std / 10.0**exponent
     text = _both(value, std, _decimal_places(std)).replace("-", MINUS)
     if exponent:
@@ -222,12 +223,6 @@ def prefixed(value: float, unit: str) -> tuple[float, str]:
     if unit not in PREFIXED_UNITS or size == 0 or size >= 0.1 or size < 1e-9:
         return 1.0, unit
     return (1e3, f"m{unit}") if size >= 1e-4 else (1e6, f"µ{unit}")
-
-
-def _exponent_outside(size: float, low: int, high: int) -> int:
-    """Decimal exponent of a size that lies outside ``10**low`` to ``10**high``, both excluded; else 0."""
-    exponent = math.floor(math.log10(size))
-    return 0 if low < exponent < high else exponent
 
 
 def _decimal_places(std: float) -> int:

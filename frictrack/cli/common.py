@@ -129,11 +129,9 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return
-    from rich.console import Console  # noqa: PLC0415
-
     from frictrack.cli import output, tables  # noqa: PLC0415
 
-    out = Console(highlight=False)
+    out = tables.Terminal(highlight=False)
     for name in show.split():
         getattr(output if hasattr(output, name) else tables, name)(out, result)
     if look:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import describe_change, format_plain, format_plus_minus
+from frictrack.base.number_format import describe_change, format_p_value, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
@@ -45,9 +45,9 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     for found in result.get("warnings") or []:
         out.print(f"[bold]{verdicts.CHECK_FIRST}[/bold] {escape(found['words'])}")
     out.print(f"[bold]{escape(verdicts.headline(result))}[/bold]")
-    chi2, p = (format_plain(result.get(k), 3) for k in ("reduced_chi2", "p_lack_of_fit"))
+    chi2, p = format_plain(result.get("reduced_chi2"), 3), format_p_value(result.get("p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
-    out.print(f"reduced chi² {chi2}, lack of fit has p = {p}, noise {format_plain(result.get(key), 3)} {unit}")
+    out.print(f"reduced chi² {chi2}, lack of fit: p {p}, noise {format_plain(result.get(key), 3)} {unit}")
     if rests := result.get("rests_on_repairs"):
         out.print(f"[bold]{escape(rests)}[/bold]")
     findings = result.get("findings") or []
@@ -61,8 +61,7 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     rows = candidate_rows(result)
     for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
         out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
-        for line in textwrap.wrap(row.line, out.width - 2):
-            out.print(f"  {escape(line)}")
+        out.print(f"  {escape(row.line)}")
     if others := not_passing(rows):
         out.print(others)
 
@@ -219,9 +218,7 @@ def demo(out: Console, result: dict[str, Any]) -> None:
     if result["add"]:
         (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
         change = describe_change(before, after, unit)
-        out.print(
-            f"[bold]{result['add']['effect']}[/bold] was added and the model fitted again: the held-out error {change}"
-        )
+        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, the held-out error {change}")
         _brief_parameters(out, result["add"])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -28,11 +29,31 @@ MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
 
 
+UNBROKEN = re.compile(r"\u202f| (?=[±×] )|(?<=[±×]) |(?<=[\d)]) (?=[%°†]|(?:[kmnµ]?[gmNs]|Hz|px)\b)|(?<=N) (?=s\b)")
+LETTERS = {" ": "\ue000", "\u202f": "\ue001"}  # that no text has
+
+
+class Terminal(Console):
+    """Console that ends no line within a number or before its unit, except in tables.
+
+    Rich ends lines also at spaces that do not break, so they are printed as letters first.
+    """
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print texts and tables."""
+        with self.capture() as printed:
+            marked = (UNBROKEN.sub(lambda m: LETTERS[m[0]], one) if isinstance(one, str) else one for one in objects)
+            super().print(*marked, **how)
+        self.file.write(printed.get().translate({ord(letter): space for space, letter in LETTERS.items()}))
+
+
 def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
-    """Return a table without a box; names in the first column and words of the heads stay whole."""
-    new = Table(box=None, pad_edge=False, header_style="dim")
+    """Return a table without a box; names in the first column and words that are not long stay whole."""
+    new, rows = Table(box=None, pad_edge=False, header_style="dim"), list(rows)
     for i, header in enumerate(headers):
-        new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=max(map(len, header.split()), default=None))
+        words = " ".join([header, *(row[i] for row in rows)]).split()
+        longest = max((len(word) for word in words if len(word) <= MAX_NAME_WIDTH), default=None)
+        new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=longest)
     for row in rows:
         new.add_row(*row)
     return new
@@ -167,7 +188,6 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
             model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
             text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
             lines(out, [text], f"{row['run']}: ")
-            lines(out, motion["notes"], "  ")
     for c in result.get("collisions", []):
         share = None if c["relative_std"] is None else 100 * c["relative_std"]
         impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"

@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 from scipy.special import expit, logsumexp
 
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_probability
+from frictrack.base.number_format import format_share
 from frictrack.diagnose.compressed import (
     LENGTH_RATIOS,
     CompressedResidual,
@@ -523,7 +523,7 @@ def _words(first: Mapping[str, Any], added: int, probability: float) -> str:
     decisive = probability > MIN_PROBABILITY_DECISIVE
     much, than = ("more", "than") if decisive else ("as much", "as")
     count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
-    instead = f"; the probability that it is the cause instead is {format_probability(probability)}"
+    instead = f"; the probability that it is the cause instead is {format_share(max(probability, 1e-9))}"
     return (
         f"a force that depends only on {_names_of(first['variables'])} explains {much} with {count}, common to all "
         f"runs, {than} the effects found with {added}: {first['formula']}{'' if decisive else instead}"

@@ -448,7 +448,7 @@ def propose_study(places: Path | Sequence[Path], keys: Mapping[str, Any]) -> dic
     known = {key: value for key, value in (*keys.items(), *common.items()) if value is not None}
     remarks = _remarks(found, known)
     swinging = [measure.plausibility.swing_centre(x) is not None for x in swings.values()]
-    if swings and all(swinging) and not known.get("model"):
+    if swings and all(swinging) and all(one.needs_mass for one in found) and not known.get("model"):
         known["model"] = list(SWINGING)
         remarks["model"] = "the positions swing about one place, so that a spring, or its weight, draws the mass back; "
     runs = [new for one in found for new in _new_runs(one, known)]

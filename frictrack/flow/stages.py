@@ -34,8 +34,8 @@ REASON_COVERED = "the target passes over it"
 # would remain in the others, where the diagnosis could not distinguish it from a vibration of the course.
 MIN_SHAKE_PX = 0.02  # px, rms
 NOTE_NO_REFERENCE = (
-    "no fixed reference was found in the picture, so camera shake was not subtracted from the displacement; set "
-    "reference = [x, y, width, height] to name one"
+    "no fixed reference was found in the picture, so camera shake was not subtracted from the displacement; draw one "
+    "on the page, or set reference = [x, y, width, height]"
 )
 
 

@@ -11,10 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from frictrack.base.number_format import format_change, format_number, format_quantity, join_words
+from frictrack.base.number_format import format_change, format_number, format_p_value, format_quantity, join_words
 
 MAX_P = 0.005  # half of alpha = 0.01, the half that the candidates get
-MIN_P = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 STANDINGS = {  # the words of every kind of candidate, for all that people read
     "named": "found",
     "lead": "explains a part",
@@ -222,7 +221,6 @@ def _row(
     added = f" in addition to {join_words(added_to)}" if added_to else ""
     unit = "N" if c.get("heldout_rms_after_um") is None else "um"
     bare, after = (c.get(f"heldout_rms_{when}_{unit}") for when in ("before", "after"))
-    p = f"at most 1/{round(1 / max(c['p'], 1e-9))}" if c["p"] <= MIN_P else format_number(c["p"], 2)
     shared = {name: q for name, q in c.get("parameters", {}).items() if "[" not in name}
     own = sorted({name.partition("[")[0] for name in c.get("parameters", {}) if "[" in name})
     values = [f"{name} {format_quantity(q['value'], q['std'], q['unit'])}" for name, q in shared.items()]
@@ -231,6 +229,6 @@ def _row(
         values.append(here.partition(":")[0].lower())  # the incline is 0.4 degrees, not 0
     share = "" if c.get("share") is None else f"{100 * c['share']:.1f} %"
     return CandidateRow(
-        c["effect"], kind, standing + added, c["delta_bic"], p, bare if before is None else before, after,
-        unit.replace("u", "µ"), tuple(values), tuple(added_to), share, c,
+        c["effect"], kind, standing + added, c["delta_bic"], format_p_value(c["p"]),
+        bare if before is None else before, after, unit.replace("u", "µ"), tuple(values), tuple(added_to), share, c,
     )  # fmt: skip

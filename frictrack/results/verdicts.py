@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from frictrack.base.number_format import format_change, format_plain, format_probability, join_words
+from frictrack.base.number_format import format_change, format_plain, format_share, join_words
 from frictrack.results.names import AXES, joined_name
 
 VERDICTS = {  # the words of every verdict, for all that people read
@@ -261,7 +261,7 @@ def describe_formula(formula: Mapping[str, Any]) -> list[str]:
 
     """
     probability = formula.get("probability")
-    said = [] if probability is None else [f"probability of this form {format_probability(probability)}"]
+    said = [] if probability is None else [f"probability of this form {format_share(max(probability, 1e-9))}"]
     equal = formula.get("equivalents") or []
     if not equal:
         return said
@@ -273,7 +273,7 @@ def describe_unnamed(unexplained: Mapping[str, Any]) -> str:
     """Describe the probability that none of the formulas listed has the right form; "" if it is not known."""
     probability = unexplained.get("probability_none")
     said = "Probability that none of these forms is right"
-    return "" if probability is None else f"{said}: {format_probability(probability)}."
+    return "" if probability is None else f"{said}: {format_share(max(probability, 1e-9))}."
 
 
 def describe_unexplained(unexplained: Mapping[str, Any]) -> str:

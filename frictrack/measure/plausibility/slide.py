@@ -454,7 +454,7 @@ def _check_sign(force: Array, v: Array, header: Callable[[str], str]) -> Iterato
         words = (
             f"the measured friction drives the mass (its power is negative, {100 * power / exchanged:.0f} % of what "
             "|F||v| gives), so it has the sign of the force on the mass; frictrack takes the force against the motion: "
-            "write a minus before the header of its column"
+            f'write a minus before the header of its column, friction = "-{header("friction")}"'
         )
         yield Finding("friction", words, f'columns = {{friction = "-{header("friction")}"}}', grade=ERROR)
 

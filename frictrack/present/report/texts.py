@@ -300,11 +300,13 @@ def measurement(runs: Sequence[RunResults]) -> list[Markup]:
 def failed_checks(run: RunResults) -> list[str]:
     """Describe the self-checks that one film fails."""
     q = run.quality
-    lost, locking, sigma = q["frames"] - q["found"], q["peak_locking_px"], q["sigma_px"]
+    assert run.track is not None
+    path = int(np.ptp(np.flatnonzero(run.track.found))) + 1  # before and after it, the target is out of the picture
+    lost, locking, sigma = path - q["found"], q["peak_locking_px"], q["sigma_px"]
     backward, blur = (q[key] or 0.0 for key in ("forward_backward_sigmas", "blur_px"))
     is_locked = locking and sigma and locking > max(3 * q["peak_locking_std_px"], MIN_LOCKING_SIGMAS * sigma)
     checks = (
-        (lost, verdicts.describe_lost(lost, q["frames"])),
+        (lost, verdicts.describe_lost(lost, path)),
         (q["shake_px"], f"camera shake of {_px(q['shake_px'])} at {format_number(q['shake_Hz'])} Hz was subtracted"),
         (is_locked, f"peak locking shifts positions by {_px(locking)}"),
         (backward > MIN_BACKWARD_SIGMAS, f"positions tracked backward differ by {_px(q['forward_backward_px'])}"),

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import describe_change, format_number, upper_first
+from frictrack.base.number_format import describe_change, format_number, format_p_value, upper_first
 from frictrack.effects import catalogue
 from frictrack.flow import ResultsReader, effect_of_formula, user_effects
 from frictrack.present import plots
@@ -298,9 +298,9 @@ def _verdict(results: Results, found: Mapping[str, Any]) -> dict[str, Any]:
     """Describe the verdict on the current model of `results`."""
     verdict = study_verdict(results)
     headline = verdict.headline
-    chi2, p = format_number(found["reduced_chi2"]), format_number(found["p_lack_of_fit"], 2)
+    chi2, p = format_number(found["reduced_chi2"]), format_p_value(found["p_lack_of_fit"])
     repeats = [one["axis"] for one in found.get("repeats") or [] if one["holds"]]
-    numbers = [f"Reduced chi-squared {chi2}; lack of fit has p = {p}.", found.get("repeats_words")]
+    numbers = [f"Reduced chi-squared {chi2}; lack of fit: p {p}.", found.get("repeats_words")]
     return {
         "verdict": found["verdict"],
         "title": headline,

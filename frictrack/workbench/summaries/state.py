@@ -253,13 +253,13 @@ def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
 @lru_cache(maxsize=MAX_CACHED_RUNS)
 def _measured_part(run: RunResults) -> dict[str, Any]:
     """Describe a measured run; `RunResults` are compared by identity, so that an unchanged run is described once."""
-    checks = failed_checks(run) if run.quality else []
+    checks, audit = failed_checks(run) if run.quality else [], run.film.audit if run.film else ()
     lost = 0 if run.track is None else int((~run.track.found).sum())
     return {
         "n_frames_lost": lost,
         "lost_words": "" if run.track is None else f"{upper_first(describe_lost(lost, len(run.track)))}.",
         "suspect": suspect_frames(run),
-        "checks": _checks(run),
+        "checks": [{"check": check, "value": value, "verdict": v, "ok": is_good(v)} for check, value, v in audit],
         "notes": list(run.notes),
         "warnings": [*checks, *(run.cutoff.warnings if run.cutoff else ())],
         "motion": _motion(run),
@@ -282,15 +282,6 @@ def suspect_frames(run: RunResults) -> list[dict[str, int | str]]:
     """
     spans = suspect_spans(run.track, run.tracks.get("backward"))[:MAX_SUSPECT_SPANS] if run.track else ()
     return [{"from": span.first, "to": span.last, "words": span.words} for span in spans]
-
-
-def _checks(run: RunResults) -> list[dict[str, Any]]:
-    """Return the checks of the time base of a film, the frame rate first."""
-    if run.film is None:
-        return []
-    rate = ("frame rate while filming", f"{run.film.fps:g} /s", "forces are proportional to its square")
-    rows = [{"check": check, "value": value, "verdict": verdict} for check, value, verdict in (rate, *run.film.audit)]
-    return [{**row, "ok": row is rows[0] or is_good(row["verdict"])} for row in rows]
 
 
 def _motion(run: RunResults) -> dict[str, Any]:

@@ -7,15 +7,18 @@ const letters = (text) => text.replace(/\b(delta|pi|omega|tau)\b/g, (word) => GR
 const MARK = /([_^])(\{[^}]*\}|\([^)]*\)|[A-Za-z0-9]+(?:[.,_][A-Za-z0-9]+)*)/g;
 
 /** Text between marks stays as it is; `_x` becomes a subscript and `^x` a superscript. */
-export function Equation({ text }) {
+function marked(text) {
   const parts = [];
   let at = 0;
-  for (const found of (text || "").matchAll(MARK)) {
+  for (const found of text.matchAll(MARK)) {
     parts.push(text.slice(at, found.index));
     const inner = letters(found[2].replace(/^[{]|[}]$/g, ""));
     parts.push(found[1] === "_" ? html`<sub>${inner}</sub>` : html`<sup>${inner}</sup>`);
     at = found.index + found[0].length;
   }
-  parts.push((text || "").slice(at));
-  return html`<span>${parts.map((part) => (typeof part === "string" ? letters(part).replace(/(^|[\s(])-/g, "$1\u2212") : part))}</span>`;
+  parts.push(text.slice(at));
+  return parts.map((part) => (typeof part === "string" ? letters(part).replace(/(^|[\s(])-/g, "$1\u2212") : part));
 }
+
+/** Lines end between terms, if they can. */
+export const Equation = ({ text }) => html`<span>${(text || "").split(/ (?=\+ )/).map((term) => html`<span>${marked(term)}</span> `)}</span>`;

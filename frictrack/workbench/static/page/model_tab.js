@@ -62,7 +62,7 @@ function StudyKeys() {
   return html`
     <${Panel} title="Known before">
       <${TextBox} wide label="Prior: file of another set-up" value=${keys.prior} placeholder="other_set_up.prior.toml" onCommit=${set("prior", (text) => text)} />
-      <${TextBox} wide label="Conditions, compared by frictrack batch" value=${keys.conditions} placeholder="temperature = 20 degC, oil = none" onCommit=${set("conditions", conditionsOf)} />
+      <${TextBox} wide label="Conditions, compared by frictrack batch" value=${keys.conditions} placeholder="temperature = 20 degC" onCommit=${set("conditions", conditionsOf)} />
       <${TextBox} wide label="Functions of z for an unexplained force" value=${keys.functions} placeholder="z^2*exp(-z); tanh(z)" onCommit=${set("functions", (text) => text.split(";").map((one) => one.trim()).filter(Boolean))} />
     <//>`;
 }
@@ -88,7 +88,7 @@ function Fit({ searches, why }) {
   };
   return html`
     <${Panel} title="Fit">
-      <${TextBox} wide label="Another model" value=${model} placeholder="tustin, atm1:2, or coulomb, viscous" onCommit=${setModel} />
+      <${TextBox} wide label="Another model" value=${model} placeholder="tustin, or coulomb, viscous" onCommit=${setModel} />
       <div class="ui-row">
         <${Choice} label="Search" value=${search} options=${Object.keys(searches.known).map((name) => [name, name])} onChange=${setSearch} />
         <${Choice} label="Parameters" value=${over} options=${[["all", "all"], ["nonlinear", "nonlinear"]]} onChange=${setOver} />
