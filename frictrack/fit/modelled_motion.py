@@ -49,7 +49,7 @@ from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_
 from frictrack.fit.parameters import mass_ratio, without_mass
 from frictrack.fit.pieces import Piece
 from frictrack.fit.smooth_functions import rms
-from frictrack.fit.uncertainty import Estimates
+from frictrack.fit.uncertainty.estimates import Estimates
 from frictrack.measure.friction import count_flights
 from frictrack.records import GRAVITY, Array, Curve, Mask, ModelledMotion, Run
 from frictrack.sampling import noise_level
