@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,6 @@ MAX_PLACES = 3  # grid points of one scan that are refined
 ROUGH_STEPS = 3  # steps while effects are still missing
 MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
 MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
-MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
 LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
 SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
 MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
@@ -471,11 +470,6 @@ class VariableProjection:
         scans, table = self._scan(problem, state, item)
         return scans.one_more(item, table)
 
-    def moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
-        """The gain of every grid point of an item that leaves its own position."""
-        scans, table = self._scan(problem, state, item)
-        return scans.moved(item, table)
-
     # --- search
 
     def _add_items(
@@ -512,18 +506,14 @@ class VariableProjection:
     def _exchange_until_no_gain(
         self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
     ) -> SeparableSolution:
-        """Try other positions of every effect, then of pairs of effects, the most promising first, until none helps."""
-        needed = 1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size)
-        better: SeparableSolution | None = state
-        while better is not None:
-            state, better = better, None
-            for trials in (self._other_positions, self._other_pairs):
-                for trial in trials(problem, state, items):
-                    refined = problem.refine(trial, below=needed * state.misfit)
-                    if refined.misfit < needed * state.misfit:
-                        better = refined
-                        break
-                if better is not None:
+        """Try other positions of every effect, the most promising first, until none helps."""
+        needed, moves = 1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size), True
+        while moves:
+            moves = False
+            for trial in self._other_positions(problem, state, items):
+                refined = problem.refine(trial, below=needed * state.misfit)
+                if refined.misfit < needed * state.misfit:
+                    state, moves = refined, True
                     break
         return state
 
@@ -531,49 +521,12 @@ class VariableProjection:
         self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
     ) -> Iterator[SeparableSolution]:
         """The solution with one effect at another position that is worth a refinement, the most promising first."""
-        places = []
+        places, chance = [], MAX_LAG_CHI2 * state.misfit / self.separable.size
         for item in items:
-            found = self.moved(problem, state, item)
-            for g in found.peaks(-self._max_lag(state, found.loss))[:MAX_PLACES].tolist():
+            scans, table = self._scan(problem, state, item)
+            found = scans.moved(item, table)
+            for g in found.peaks(-MAX_LAG_SHARE * found.loss - chance)[:MAX_PLACES].tolist():
                 if not item.is_at(state.nonlinear_values, g):
                     places.append((float(found.gains[g]), item, found.summit(g)))
         for _, item, values in sorted(places, key=lambda place: -place[0]):
             yield self.with_items_at(problem, state, {item: values})
-
-    def _max_lag(self, state: SeparableSolution, loss: float) -> float:
-        """By how much a grid point may be behind and still be refined, where an effect of some gain moves there."""
-        return MAX_LAG_SHARE * loss + MAX_LAG_CHI2 * state.misfit / self.separable.size
-
-    def _other_pairs(
-        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
-    ) -> Iterator[SeparableSolution]:
-        """The solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
-        if len(items) < 2:
-            return
-        misses_effect = self.misses_effect(problem, state)
-        loss = {i: self.moved(problem, state, i).loss for i in items}
-        for one, other in permutations(items, 2):
-            gain = self.one_more(problem, state, one).largest
-            is_pair = one.kind == other.kind and len(one.slots) == 1
-            if is_pair and min(loss[one], loss[other]) < MAX_PAIR_GAIN_RATIO * gain:
-                yield self._with_line_split(problem, state, one, other)
-            if misses_effect and (one.run == other.run or None in (one.run, other.run)):
-                yield self._with_both_again(problem, state, one, other)
-
-    def _with_line_split(
-        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
-    ) -> SeparableSolution:
-        """Two lines at the grid points on either side of one of them, which a single one hardly differs from."""
-        axis, value = one.grid.axes[0], state.nonlinear_values[one.slots[0][0]]
-        g = int(np.clip(np.searchsorted(axis, value), 1, len(axis) - 1))
-        return self.with_items_at(problem, state, {one: axis[[g - 1]], other: axis[[g]]})
-
-    def _with_both_again(
-        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
-    ) -> SeparableSolution:
-        """Both items removed, then `one` and after it `other` at their best positions."""
-        state = problem.without(state, np.concatenate([one.coefficients, other.coefficients]))
-        for item in (one, other):
-            found = self.one_more(problem, state, item)
-            state = self.with_items_at(problem, state, {item: found.summit(found.best)})
-        return state
