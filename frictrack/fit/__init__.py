@@ -1,5 +1,7 @@
 """Fit a friction model to runs: variable projection for the start, output-error Gauss-Newton for the result."""
 
+# ruff: noqa: F401 - what is imported from here and not used is the interface
+
 from __future__ import annotations
 
 import json
@@ -50,31 +52,6 @@ from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.records import Array, Run
 from frictrack.search import Convergence, SearchMethod
 from frictrack.settings.priors import Prior
-
-__all__ = [
-    "PRIOR_NEEDS_NOISE",
-    "Bootstrap",
-    "CovariateTrend",
-    "CovariateTrends",
-    "Fit",
-    "GroupFits",
-    "ParameterEstimates",
-    "Profile",
-    "UncertaintyAnalysis",
-    "add_effect",
-    "analyse_uncertainty",
-    "bootstrap",
-    "by_group",
-    "fit",
-    "generation_limit",
-    "profile",
-    "remove_effect",
-    "restore",
-    "state",
-    "trend",
-    "with_uncertainty",
-]
-
 
 _Unknowns = tuple[Array, list[Array], float]  # parameters (P,), starts of the pieces, scatter of the levels
 

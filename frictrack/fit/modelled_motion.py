@@ -471,7 +471,8 @@ def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Sta
     def residual(q: Array) -> Array:
         return first.whitened(first.y - simulate(start(q), frames))
 
-    return start(least_squares(residual, np.ones(len(directions)), diff_step=FIRST_STATE_STEP, ftol=1e-3).x)
+    ones = np.ones(len(directions))
+    return start(least_squares(residual, ones, diff_step=FIRST_STATE_STEP * ones, ftol=1e-3).x)
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:

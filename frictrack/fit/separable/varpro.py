@@ -51,7 +51,6 @@ MIN_GAIN_CHI2 = 0.05  # the same in units of chi-squared per frame; less changes
 class ScanGrid:
     """All combinations of values along the axes of some parameters, in row-major order."""
 
-    names: tuple[str, ...]
     axes: tuple[Array, ...]
 
     @cached_property
@@ -67,35 +66,6 @@ class ScanGrid:
     def place(self, values: Array) -> Indices:
         """Return the index on every axis that is nearest to values (d,)."""
         return np.array([np.argmin(np.abs(axis - v)) for axis, v in zip(self.axes, values, strict=True)])
-
-    def peaks(self, heights: Array, least: float) -> Indices:
-        """Return the points not below their neighbours on any axis, with at least some height (G,), highest first."""
-        cube = heights.reshape(self.shape)
-        is_peak = cube >= least
-        for axis in range(cube.ndim):
-            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
-            peak[1:] &= rise >= 0
-            peak[:-1] &= rise <= 0
-        found = np.flatnonzero(is_peak)
-        return found[np.argsort(-heights[found], kind="stable")]
-
-    def summit(self, heights: Array, g: int) -> Array:
-        """Return the values (d,) of the vertex of parabolas through a peak (G,) at a point and its neighbours."""
-        out, cube = self.values[g].copy(), heights.reshape(self.shape)
-        at: tuple[int | slice, ...] = tuple(map(int, np.unravel_index(g, self.shape)))
-        for i, (axis, step) in enumerate(zip(self.axes, np.unravel_index(g, self.shape), strict=True)):
-            if 0 < step < len(axis) - 1:
-                around = slice(step - 1, step + 2)
-                out[i] = _vertex(axis[around], cube[(*at[:i], around, *at[i + 1 :])])
-        return out
-
-
-def _vertex(x: Array, y: Array) -> float:
-    """Place of the vertex of the parabola through three points of which the middle one is the highest."""
-    left, right = np.diff(y) / np.diff(x) * [1, -1]
-    if not left + right > 0:
-        return float(x[1])
-    return float(x[1] + 0.5 * (left * (x[2] - x[1]) - right * (x[1] - x[0])) / (left + right))
 
 
 def is_scannable(effect: Effect) -> bool:
@@ -157,7 +127,7 @@ class ScanItem:
             g=g,
             run=run,
             kind=kind,
-            grid=ScanGrid(tuple(p.name for p in scanned), tuple(_axis(separable, p, run) for p in scanned)),
+            grid=ScanGrid(tuple(_axis(separable, p, run) for p in scanned)),
             coefficients=np.array(
                 [i for i, c in coefficients if c.effect == effect.name and (run is None or c.run in runs)]
             ),
@@ -262,23 +232,26 @@ class ScanGains:
     gains: Array
     loss: float = 0.0
 
-    @cached_property
-    def best(self) -> int:
-        """The point of the largest gain."""
-        return int(np.argmax(self.gains))
-
     @property
     def largest(self) -> float:
         """The largest gain."""
-        return float(self.gains[self.best])
+        return float(np.max(self.gains))
+
+    @property
+    def best(self) -> Array:
+        """The values (d,) of the parameters at the point of the largest gain."""
+        return np.asarray(self.grid.values[np.argmax(self.gains)])
 
     def peaks(self, least: float) -> Indices:
-        """Return the local maxima of at least some gain that explain anything, best first."""
-        return self.grid.peaks(self.gains, max(least, np.finfo(float).tiny - self.loss))
-
-    def summit(self, g: int) -> Array:
-        """Return the values (d,) of the parameters at the local maximum next to a grid point."""
-        return self.grid.summit(self.gains, g)
+        """Return the points that explain anything and are not below their neighbours on any axis, best first."""
+        cube = self.gains.reshape(self.grid.shape)
+        is_peak = cube >= max(least, np.finfo(float).tiny - self.loss)
+        for axis in range(cube.ndim):
+            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
+            peak[1:] &= rise >= 0
+            peak[:-1] &= rise <= 0
+        found = np.flatnonzero(is_peak)
+        return found[np.argsort(-self.gains[found], kind="stable")]
 
 
 class SolutionScan:
@@ -481,7 +454,7 @@ class VariableProjection:
             scans = {i: self.one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
             best = max(scans, key=lambda i: scans[i].largest)
             chosen = {i.run: i for i in sorted(scans, key=lambda i: scans[i].largest) if i.effect is best.effect}
-            added = {i: scans[i].summit(scans[i].best) for i in chosen.values()}
+            added = {i: scans[i].best for i in chosen.values()}
             remaining = [i for i in remaining if i not in added]
             state = self.with_items_at(problem, state, added)
             if remaining:
@@ -527,6 +500,6 @@ class VariableProjection:
             found = scans.moved(item, table)
             for g in found.peaks(-MAX_LAG_SHARE * found.loss - chance)[:MAX_PLACES].tolist():
                 if not item.is_at(state.nonlinear_values, g):
-                    places.append((float(found.gains[g]), item, found.summit(g)))
+                    places.append((float(found.gains[g]), item, found.grid.values[g]))
         for _, item, values in sorted(places, key=lambda place: -place[0]):
             yield self.with_items_at(problem, state, {item: values})
