@@ -232,15 +232,15 @@ class ScanGains:
     gains: Array
     loss: float = 0.0
 
+    @cached_property
+    def best(self) -> int:
+        """The point of the largest gain."""
+        return int(np.argmax(self.gains))
+
     @property
     def largest(self) -> float:
         """The largest gain."""
-        return float(np.max(self.gains))
-
-    @property
-    def best(self) -> Array:
-        """The values (d,) of the parameters at the point of the largest gain."""
-        return np.asarray(self.grid.values[np.argmax(self.gains)])
+        return float(self.gains[self.best])
 
     def peaks(self, least: float) -> Indices:
         """Return the points that explain anything and are not below their neighbours on any axis, best first."""
@@ -454,7 +454,7 @@ class VariableProjection:
             scans = {i: self.one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
             best = max(scans, key=lambda i: scans[i].largest)
             chosen = {i.run: i for i in sorted(scans, key=lambda i: scans[i].largest) if i.effect is best.effect}
-            added = {i: scans[i].best for i in chosen.values()}
+            added = {i: scans[i].grid.values[scans[i].best] for i in chosen.values()}
             remaining = [i for i in remaining if i not in added]
             state = self.with_items_at(problem, state, added)
             if remaining:
