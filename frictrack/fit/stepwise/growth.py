@@ -221,14 +221,9 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
     """Add the later effects of a model to the fit of the others, and refine to convergence."""
-    return refine_to_end(reorder_effects(_added(solution, later), model)) if later else solution
-
-
-def _added(solution: Solution, later: list[Effect]) -> Solution:
-    """Add effects to a fit, each refined as far as a trial needs."""
-    for effect in later:
+    for effect in later:  # refined as far as a trial needs
         solution = add_effect(solution, _alone(effect))
-    return solution
+    return refine_to_end(reorder_effects(solution, model)) if later else solution
 
 
 def _alone(effect: Effect) -> Effect:
