@@ -274,6 +274,17 @@ class TestPopulations:
         assert reduced(some) == pytest.approx(_one_by_one(made, laws, data), rel=1e-7)
         assert np.all(reduced(some) <= full(points) * (1 + 1e-9))
 
+    def test_priors_count_in_both_misfits(self):
+        priors = {"coulomb": {"F_c": {"prior": (5.0, 0.1)}}, "stribeck": {"v_s": {"prior": (0.5, 0.05)}}}
+        made = layout(models.Model(tuple(e.adjusted(**priors.get(e.name, {})) for e in models.tustin().effects)))
+        data = tustin(8, 14, 1.2, 0.4)
+        reduced = ReducedPopulationMisfit(made, [force_block(0, PATH, data, 1.0)])
+        points = np.array([[0.4], [0.6]])
+        laws = reduced.law(points)
+        f_c, v_s = (laws[:, made.names.index(name)] for name in ("coulomb.F_c", "stribeck.v_s"))
+        expected = _one_by_one(made, laws, data) + ((f_c - 5.0) / 0.1) ** 2 + ((v_s - 0.5) / 0.05) ** 2
+        assert reduced(points) == pytest.approx(expected, rel=1e-7)
+
     def test_runs_of_other_length_load_and_mass_are_evaluated_together(self):
         law = models.atm1(1) + "slope"
         ties = {"viscous": {"F_v": {"tie": "0.2*coulomb.F_c"}}}
@@ -381,7 +392,8 @@ def test_moves_let_the_other_parameters_follow_to_first_order(two_lines):
     search, problem, state = two_lines
     made = search.separable
     for item in search.items:
-        mine, found = item.coefficients, search.moved(problem, state, item)
+        scans, table = search._scan(problem, state, item)
+        mine, found = item.coefficients, scans.moved(item, table)
         ((place,),) = item.slots
         for g in range(0, len(found.gains), 40):
             values = state.nonlinear_values.copy()

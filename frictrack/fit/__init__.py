@@ -1,5 +1,7 @@
 """Fit a friction model to runs: variable projection for the start, output-error Gauss-Newton for the result."""
 
+# ruff: noqa: F401 - what is imported from here and not used is the interface
+
 from __future__ import annotations
 
 import json
@@ -20,13 +22,12 @@ from frictrack.fit.covariates import CovariateTrend, CovariateTrends, ParameterE
 from frictrack.fit.cutting import Reference, cut_into_pieces, guess_mass, piece_frames, pieces_of, reference_of
 from frictrack.fit.global_search import Callback, fit_by_search, generation_limit, outcome_of
 from frictrack.fit.least_squares import LeastSquaresProblem, refine
-from frictrack.fit.observations import (
+from frictrack.fit.observations import friction_pieces
+from frictrack.fit.observations.acceleration import fit_accelerations, fit_starts
+from frictrack.fit.observations.load_cell import (
     MeasuredFrictionProblem,
     check_effects,
-    fit_accelerations,
     fit_measured_friction,
-    fit_starts,
-    friction_pieces,
     reference_load,
     uses_measured_friction,
 )
@@ -44,36 +45,13 @@ from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
-from frictrack.fit.stepwise import add_effect, fit_displacement, remove_effect
-from frictrack.fit.uncertainty import Bootstrap, Profile, UncertaintyAnalysis, analyse_uncertainty, bootstrap, profile
+from frictrack.fit.stepwise import add_effect, remove_effect
+from frictrack.fit.stepwise.growth import fit_displacement
+from frictrack.fit.uncertainty import Bootstrap, UncertaintyAnalysis, analyse_uncertainty, bootstrap
+from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.records import Array, Run
 from frictrack.search import Convergence, SearchMethod
 from frictrack.settings.priors import Prior
-
-__all__ = [
-    "PRIOR_NEEDS_NOISE",
-    "Bootstrap",
-    "CovariateTrend",
-    "CovariateTrends",
-    "Fit",
-    "GroupFits",
-    "ParameterEstimates",
-    "Profile",
-    "UncertaintyAnalysis",
-    "add_effect",
-    "analyse_uncertainty",
-    "bootstrap",
-    "by_group",
-    "fit",
-    "generation_limit",
-    "profile",
-    "remove_effect",
-    "restore",
-    "state",
-    "trend",
-    "with_uncertainty",
-]
-
 
 _Unknowns = tuple[Array, list[Array], float]  # parameters (P,), starts of the pieces, scatter of the levels
 

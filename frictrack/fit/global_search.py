@@ -12,7 +12,6 @@ least-squares value with mean one, with a penalty about one.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -23,7 +22,7 @@ import numpy as np
 
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
-from frictrack.fit.observations import fit_starts, linearise_accelerations, through_chains
+from frictrack.fit.observations.acceleration import fit_starts, linearise_accelerations, through_chains
 from frictrack.fit.parameters import LEVEL, MIN_RUNS_FOR_SCATTER, ParameterLayout, Slot, canonical_form
 from frictrack.fit.penalties import prior_misfit
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima
@@ -37,7 +36,7 @@ from frictrack.fit.separable.model import (
 )
 from frictrack.fit.separable.projected import bounded_population
 from frictrack.fit.smooth_functions import rms
-from frictrack.fit.stepwise import refit_until_stop
+from frictrack.fit.stepwise.growth import refit_until_stop
 from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 
@@ -51,8 +50,8 @@ LEVEL_ROUNDS = 5  # of the levels and of the misfit that they are weighed agains
 MAX_SHIFT_SHARE = 0.01  # upper bound of a measurement shift over the distance travelled
 
 
-class _SearchMisfit(ABC):
-    """Misfit of points of a search. Called with points (Q, d), it returns misfits (Q,)."""
+class PopulationMisfit:
+    """Misfit over all unknowns but the friction levels. Called with points (Q, d), it returns misfits (Q,)."""
 
     def __init__(
         self, layout: ParameterLayout, blocks: Sequence[DataBlock], *, tau: float = 0.03, unit: float = 1.0
@@ -75,18 +74,11 @@ class _SearchMisfit(ABC):
             total += float(np.sum(misfits**2) / np.sum(along))
         return total
 
-    @property
-    @abstractmethod
+    @cached_property
     def searched(self) -> list[int]:
         """Positions of the d unknowns in the layout."""
-
-    @abstractmethod
-    def _explained(self, points: Array) -> tuple[Array, Array]:
-        """Modelled data at level one, (Q, M) each: the part that follows the level of the run, and the rest."""
-
-    @abstractmethod
-    def law(self, points: Array) -> Array:
-        """Return parameter vectors (Q, P) of points (Q, d), with levels one."""
+        runs = {None, *self.separable.runs}
+        return [i for i, s in enumerate(self.layout.slots) if s.effect != LEVEL and s.run in runs]
 
     def __call__(self, points: Array) -> Array:
         """Compute the misfits (Q,) of points (Q, d)."""
@@ -95,9 +87,11 @@ class _SearchMisfit(ABC):
         return np.concatenate([self.evaluate(part)[0] for part in parts])
 
     def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Compute misfits and friction levels."""
+        """Compute misfits (Q,), with those of the priors, and friction levels (Q, R) of points (Q, d)."""
         levels = np.ones((len(points), len(self.layout.run_names)))
         misfits = np.full(len(points), sum(b.rest for b in self.blocks))
+        if self.layout.priors:
+            misfits += prior_misfit(self.layout, self.law(points))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             dry, other = self._explained(points)
             residual = self.separable.data - other
@@ -134,28 +128,12 @@ class _SearchMisfit(ABC):
         out[:, self.searched] = points
         return out
 
-
-class PopulationMisfit(_SearchMisfit):
-    """Misfit over all unknowns but the friction levels."""
-
-    @cached_property
-    def searched(self) -> list[int]:
-        """Positions of the d unknowns in the layout."""
-        runs = {None, *self.separable.runs}
-        return [i for i, s in enumerate(self.layout.slots) if s.effect != LEVEL and s.run in runs]
-
-    def evaluate(self, points: Array) -> tuple[Array, Array]:
-        """Compute misfits (Q,), with those of the priors, and friction levels (Q, R) of points (Q, d)."""
-        misfits, levels = super().evaluate(points)
-        if self.layout.priors:
-            misfits += prior_misfit(self.layout, self.full_vectors(points)) * self.unit
-        return misfits, levels
-
     def law(self, points: Array) -> Array:
-        """Return parameter vectors (Q, P) of points (Q, d), as far as these determine them."""
+        """Return parameter vectors (Q, P) of points (Q, d), with levels one."""
         return self.full_vectors(points)
 
     def _explained(self, points: Array) -> tuple[Array, Array]:
+        """Modelled data at level one, (Q, M) each: the part that follows the level of the run, and the rest."""
         vectors = self.full_vectors(points)
         parts = np.concatenate([self._explained_in(block, vectors) for block in self.blocks], axis=2)
         return (parts[0], parts[1]) if self.layout.levels else (np.zeros((len(points), 1)), parts[0])
@@ -180,14 +158,14 @@ class PopulationMisfit(_SearchMisfit):
         return data + block.picture(shift) if any(e.acts_on == "measurement" for e in model.effects) else data
 
 
-class ReducedPopulationMisfit(_SearchMisfit):
+class ReducedPopulationMisfit(PopulationMisfit):
     """Misfit over the non-linear parameters, with the best coefficients of every individual.
 
     The phase of a sinusoid is not searched, because its two quadratures are linear. If the phase belongs to the runs,
     the amplitude is free in every run here.
     """
 
-    @property
+    @cached_property
     def searched(self) -> list[int]:
         """Positions of the d unknowns in the layout."""
         return self.separable.free
@@ -271,7 +249,7 @@ def outcome_of(solution: Solution, runs: Sequence[Run], route: Route, found: Sea
 
 
 def search_parameters(
-    misfit: PopulationMisfit | ReducedPopulationMisfit,
+    misfit: PopulationMisfit,
     method: str | SearchMethod,
     rng: np.random.Generator,
     callback: Callback | None = None,
@@ -350,7 +328,7 @@ def searched_scatter(layout: ParameterLayout, p: Array) -> float:
     return max(float(np.std(levels, ddof=1)), 1e-4) if len(levels) >= MIN_RUNS_FOR_SCATTER else 0.03
 
 
-def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> PopulationMisfit | ReducedPopulationMisfit:
+def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> PopulationMisfit:
     """Create the misfit of a search over "all" unknowns, or over the "nonlinear" ones with the best coefficients.
 
     It is chi-squared of the displacement, or the sum of squared residuals of acceleration or friction, in their unit.
@@ -361,7 +339,7 @@ def population_misfit(problem: LeastSquaresProblem, over: str = "all") -> Popula
     return kind(problem.layout, blocks, unit=problem.noise**2)
 
 
-def search_bounds(misfit: PopulationMisfit | ReducedPopulationMisfit) -> Array:
+def search_bounds(misfit: PopulationMisfit) -> Array:
     """Compute the box (d, 2) of a search: parameter bounds, and what the data allow where these are infinite.
 
     Forces reach 1.5 times the largest measured friction, amplitudes of waves its whole range. Other coefficients

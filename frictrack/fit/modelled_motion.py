@@ -39,6 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.fft import dct
 from scipy.interpolate import make_interp_spline
+from scipy.optimize import least_squares
 from scipy.special import ndtri
 
 from frictrack.base.errors import FrictrackError
@@ -49,7 +50,7 @@ from frictrack.fit.least_squares import PieceResponse, Solution, inverse_normal_
 from frictrack.fit.parameters import mass_ratio, without_mass
 from frictrack.fit.pieces import Piece
 from frictrack.fit.smooth_functions import rms
-from frictrack.fit.uncertainty import Estimates
+from frictrack.fit.uncertainty.estimates import Estimates
 from frictrack.measure.friction import count_flights
 from frictrack.records import GRAVITY, Array, Curve, Mask, ModelledMotion, Run
 from frictrack.sampling import noise_level
@@ -66,11 +67,9 @@ STEP_STD = 1e-4  # of the finite differences, standard deviations
 MIN_SPEED_SHARE = 1e-3  # slowest speed of a curve over the fastest one
 FIRST_FRAMES = (20, 200)  # frames of a driven record to which its first state is fitted: least, most
 FIRST_SHARE = 0.025  # share of the record, between these limits
-MAX_STEPS = 4  # Gauss-Newton steps; the motion depends smoothly on the first state
 FIRST_STATE_STEP = 1e-4  # of a first state, share of the travel and speed in the first frames
 RELATIVE_TOLERANCE = 5e-4  # accuracy of a free run, share of the rms displacement
 PATH_ARRAYS = ("t", "x", "v", "s", "drive", "lift", "angle")  # series of a path
-MIN_SINGULAR_VALUE = 1e-6  # relative; smaller ones are not determined
 
 
 def collisions(solution: Solution, estimates: Estimates) -> list[dict[str, Any]]:
@@ -452,7 +451,7 @@ def _initial_states(model: Model, values: Values, piece: Piece, level: float) ->
 
 
 def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Start, int], Array]) -> Start:
-    """The first state, fitted to the first frames by Gauss-Newton; from rest only the position is fitted."""
+    """The first state, fitted to the first frames; from rest only the position is fitted."""
     frames = min(int(np.clip(FIRST_SHARE * len(piece.t), *FIRST_FRAMES)), len(piece.t))
     first, rests = piece.part(0, frames), piece.path.s[0] == 0
     names = [(name, k) for name, state in states.items() for k in range(state.shape[1])]
@@ -460,32 +459,20 @@ def _first_state(piece: Piece, states: dict[str, Array], simulate: Callable[[Sta
     travel, speed = float(np.ptp(first.x_hat)), float(np.ptp(first.v_hat))
     scales = np.array([travel, max(speed, abs(float(piece.v_hat[0]))), *np.maximum(np.abs(memory), 1e-3 * travel)])
     directions = np.diag(scales + 1e-12)[[0, *range(2, len(scales))] if rests else slice(None)]
+    smoothed = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
 
-    def start(theta: Array) -> Start:
+    def start(q: Array) -> Start:  # one at the smoothed motion, so that relative steps are shares of the scales
+        theta = smoothed + (q - 1.0) @ directions
         own = {name: state.copy() for name, state in states.items()}
         for (name, k), value in zip(names, theta[2:], strict=True):
             own[name][0, k] = value
         return Start(float(theta[0]), float(theta[1]), own)
 
-    def residual(theta: Array) -> Array:
-        return first.whitened(first.y - simulate(start(theta), frames))
+    def residual(q: Array) -> Array:
+        return first.whitened(first.y - simulate(start(q), frames))
 
-    theta = np.array([piece.y[0], 0.0 if rests else piece.v_hat[0], *memory])
-    r = residual(theta)
-    for _ in range(MAX_STEPS):
-        changes = [(residual(theta + FIRST_STATE_STEP * d) - r) / FIRST_STATE_STEP for d in directions]
-        step = -np.linalg.lstsq(np.stack(changes, axis=1), r, rcond=MIN_SINGULAR_VALUE)[0] @ directions
-        for _ in range(MAX_STEPS):  # a step that does not help is halved
-            trial = residual(theta + step)
-            if trial @ trial <= r @ r:
-                break
-            step /= 2
-        gain, before = float(r @ r - trial @ trial), float(r @ r)
-        if gain > 0:
-            theta, r = theta + step, trial
-        if gain <= 1e-3 * before:
-            break
-    return start(theta)
+    ones = np.ones(len(directions))
+    return start(least_squares(residual, ones, diff_step=FIRST_STATE_STEP * ones, ftol=1e-3).x)
 
 
 def _conditions(piece: Piece, run: Run, level: float) -> Conditions:

@@ -509,10 +509,6 @@ class JoinedPieces:
         runs = self._runs_at(t, nodes, pieces, starts)
         return Samples(source, nodes, t, source >= len(self.panels.edges), pieces, starts, runs)
 
-    def path_at_nodes(self, x: Array, v: Array, levels: Sequence[float]) -> Path:
-        """Return the path at the nodes for a motion x, v (3 p,) there, its loads times the levels of the pieces."""
-        return self.path(self.at_nodes, x, v, levels)
-
     def path(  # noqa: PLR0913, PLR0917 - all that a law may look at
         self,
         samples: Samples,

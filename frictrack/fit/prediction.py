@@ -9,7 +9,7 @@ from frictrack.fit.cutting import Reference, cut_into_pieces, piece_frames, piec
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, refine
 from frictrack.fit.observations import friction_pieces
 from frictrack.fit.parameters import ParameterLayout
-from frictrack.fit.stepwise import refit_until_stop
+from frictrack.fit.stepwise.growth import refit_until_stop
 from frictrack.records import Array, Run
 
 TRIED_PHASES = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi  # rad, start values of a per-run phase

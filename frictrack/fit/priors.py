@@ -29,13 +29,9 @@ from frictrack.fit.least_squares import Solution, white_noise_covariance
 from frictrack.fit.parameters import MASS
 from frictrack.fit.penalties import prior_departure, prior_jacobian, prior_residual
 from frictrack.fit.routes import FittedRuns
-from frictrack.fit.uncertainty import (
-    Estimates,
-    Misfit,
-    reported_names,
-    reported_values_and_jacobian,
-    stated_error_changes,
-)
+from frictrack.fit.uncertainty import reported_values_and_jacobian
+from frictrack.fit.uncertainty.estimates import Estimates, Misfit, stated_error_changes
+from frictrack.fit.uncertainty.reported import reported_names
 from frictrack.records import GRAVITY, Array, Run
 from frictrack.settings.priors import Prior
 

@@ -24,18 +24,9 @@ from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, without_mass
 from frictrack.fit.prediction import predict_run
 from frictrack.fit.priors import PriorAgreement, prior_agreement, prior_of
 from frictrack.fit.routes import FittedRuns, SearchedOptima
-from frictrack.fit.uncertainty import (
-    Estimate,
-    Estimates,
-    Misfit,
-    Parameters,
-    UncertaintyAnalysis,
-    level_remarks,
-    reported_by_address,
-    rolling_remarks,
-    with_misfit,
-    with_stated_errors,
-)
+from frictrack.fit.uncertainty import Estimate, UncertaintyAnalysis, reported_by_address
+from frictrack.fit.uncertainty.estimates import Estimates, Misfit, Parameters, with_misfit, with_stated_errors
+from frictrack.fit.uncertainty.reported import level_remarks, rolling_remarks
 from frictrack.records import Array, Curve, ModelledMotion, NotebookView, Run
 from frictrack.results import ModelResults
 from frictrack.search import Convergence

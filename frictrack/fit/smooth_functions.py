@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from frictrack.records import Array
 
@@ -171,10 +172,5 @@ def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:
     [[0.75, 0.25], [0.0, 1.0]]
 
     """
-    right = np.clip(np.searchsorted(knots, axis), 1, len(knots) - 1)
-    share = np.clip((axis - knots[right - 1]) / (knots[right] - knots[right - 1]), 0.0, 1.0)
-    out = np.zeros((len(axis), len(knots)))
-    rows = np.arange(len(axis))
-    out[rows, right - 1] = 1 - share
-    out[rows, right] = share
-    return out
+    inside = np.clip(axis, knots[0], knots[-1])
+    return np.asarray(BSpline.design_matrix(inside, np.pad(knots, 1, mode="edge"), 1).toarray())

@@ -15,7 +15,9 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.measure.friction import drive_noise, friction
-from frictrack.measure.motion import Derivatives, stencil_start, unit_responses
+from frictrack.measure.motion import unit_responses
+from frictrack.measure.motion.derivative import Derivatives
+from frictrack.measure.motion.grid import stencil_start
 from frictrack.records import Array, Filtered, Mask, Run
 
 if TYPE_CHECKING:

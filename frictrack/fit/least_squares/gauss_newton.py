@@ -19,13 +19,12 @@ convergence in algorithms for constrained optimization. Mathematical Programming
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.fit.least_squares.problem import LeastSquaresProblem
 from frictrack.fit.least_squares.solution import Solution
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, canonical_form, normalise_levels
@@ -37,8 +36,6 @@ MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which 
 SCATTER_SHRINKAGE, SCATTER_GROWTH = 0.25, 4.0  # of the largest change of log tau, after a refused and an accepted one
 SCATTER_PATIENCE = 6  # steps in which the simulated motion may follow to a smaller scatter
 MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a refusal
-MAX_PROJECTIONS = 2  # linear solves after a step that went too far
-MAX_PROJECTION_STEPS = 10.0  # length of such a solve over that of the step; what lies farther off is not linear
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals or memory, whose kinks move between nodes
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
@@ -236,7 +233,9 @@ class _Refinement:
         self, state: Solution, step: DampedStep, region: TrustRegion, threshold: float
     ) -> tuple[Solution, TrustRegion, bool, bool]:
         """A state after a trial step, the region from there, whether it moved, and whether little is left to gain."""
-        trial = self.after_trial(state, step)
+        pairs = zip(state.starts, state.responses, strict=True)
+        starts = [start + r.start_step(step.values[r.active]) for start, r in pairs]
+        trial = result_or_none(self.at, state.p + step.values, starts, state.tau)
         if trial is None:  # the motion diverges: take a shorter step
             return state, replace(region, radius=MAX_SHRINKAGE * step.length), False, False
         fall = state.objective - trial.objective
@@ -255,9 +254,9 @@ class _Refinement:
         state = state.with_scatter(tau)
         return state, self.step(state, region), rise
 
-    def step(self, state: Solution, region: TrustRegion, bounds: tuple[Array, Array] | None = None) -> DampedStep:
+    def step(self, state: Solution, region: TrustRegion) -> DampedStep:
         """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
-        low, high = bounds or self.bounds
+        low, high = self.bounds
         rows, right = state.penalised_rows_and_residual
         rows[:, high <= low] = 0.0
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
@@ -274,32 +273,6 @@ class _Refinement:
         """The solution at p, clipped to the bounds and brought to canonical form."""
         p = canonical_form(self.problem.layout, np.clip(p, *self.bounds))
         return Solution.at(self.problem, normalise_levels(self.problem.layout, p) if self.all_free else p, starts, tau)
-
-    def after_step(self, state: Solution, step: Array) -> Solution:
-        """The solution after a step, its starts adjusted."""
-        pairs = zip(state.starts, state.responses, strict=True)
-        return self.at(state.p + step, [s + r.start_step(step[r.active]) for s, r in pairs], state.tau)
-
-    def after_trial(self, state: Solution, step: DampedStep) -> Solution | None:
-        """The solution after a trial step; None if its motion cannot be integrated."""
-        # if the step went too far, the coefficients are solved again for its non-linear parameters (variable
-        # projection)
-        linear, (low, high) = self.problem.layout.coefficients, self.bounds
-        with suppress(FrictrackError):
-            trial = self.after_step(state, step.values)
-            for _ in range(MAX_PROJECTIONS):
-                if trial.objective < state.objective:
-                    break
-                bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
-                projection = self.step(trial, TrustRegion(MIN_DAMPING, MAX_PROJECTION_STEPS * step.length), bounds)
-                if trial.objective - projection.predicted_fall >= state.objective:
-                    break
-                projected = self.after_step(trial, projection.values)
-                if projected.objective >= trial.objective:
-                    break
-                trial = projected
-            return trial
-        return None
 
 
 @dataclass(frozen=True)

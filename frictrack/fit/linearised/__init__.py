@@ -13,7 +13,6 @@ from frictrack.fit.linearised.columns import (
 from frictrack.fit.linearised.model import (
     Float32Array,
     LinearisedModel,
-    LinearisedPiece,
     ScannedSeries,
     is_linearised_about_measurement,
     linearise,

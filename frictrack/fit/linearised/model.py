@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
+from scipy.sparse import diags_array
 
 from frictrack.effects import Effect, Path
 from frictrack.effects.models import Values
@@ -123,13 +124,13 @@ def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
     n = int(rows[-1]) + 1
     weight, data = np.zeros(n), np.zeros(n)
     weight[rows], data[rows] = 1.0, residual
-    correction = np.array(
-        [np.r_[0.0, 0.0, np.ones(n - 2)], np.r_[0.0, -2.0, np.full(n - 3, -4.0), -2.0], _second_difference_diagonal(n)]
-    )
+    differences = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n))
+    penalty = differences.T @ differences
+    bands = np.array([np.pad(penalty.diagonal(k), (k, 0)) for k in (2, 1, 0)])
     eigenvalues = (2 - 2 * np.cos(np.pi * np.arange(n) / n)) ** 2
     best, out = np.inf, np.zeros(n)
     for strength in SMOOTHING_STRENGTHS[::-1]:
-        banded = strength * correction
+        banded = strength * bands
         banded[2] += weight
         found = solveh_banded(banded, data, check_finite=False)
         degrees_of_freedom = float(np.sum(1 / (1 + strength * eigenvalues))) * len(rows) / n
@@ -137,13 +138,6 @@ def smooth_residual(piece: Piece, residual: Array) -> tuple[Array, Array]:
         if score < best:
             best, out = score, found
     return piece.panels.edges[:: piece.per_frame], out
-
-
-def _second_difference_diagonal(n: int) -> Array:
-    """Diagonal of the squared second differences of n samples."""
-    out = np.full(n, 6.0)
-    out[[0, -1]], out[[1, -2]] = 1.0, 5.0
-    return out
 
 
 @dataclass(eq=False)

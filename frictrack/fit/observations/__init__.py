@@ -7,24 +7,9 @@ noise, errors and remarks of that quantity. Everything else is blind to the kind
 # ruff: noqa: F401 - the imports are the interface
 
 from frictrack.fit.least_squares import LeastSquaresProblem
-from frictrack.fit.observations.acceleration import (
-    AccelerationObservation,
-    fit_accelerations,
-    fit_starts,
-    linearise_accelerations,
-    through_chains,
-)
+from frictrack.fit.observations.acceleration import AccelerationObservation
 from frictrack.fit.observations.displacement import DisplacementObservation, Observation
-from frictrack.fit.observations.load_cell import (
-    MeasuredFrictionPiece,
-    MeasuredFrictionProblem,
-    check_effects,
-    fit_measured_friction,
-    friction_pieces,
-    keep_compared_frames,
-    reference_load,
-    uses_measured_friction,
-)
+from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, friction_pieces, keep_compared_frames
 from frictrack.fit.observations.measured_friction import FrictionObservation, weight_by_noise
 
 KINDS: dict[str, Observation] = {

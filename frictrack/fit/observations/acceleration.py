@@ -27,7 +27,6 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator
 from frictrack.base.distributions import student_ppf
 from frictrack.fit.cutting import MIN_FRAMES
 from frictrack.fit.least_squares import (
-    NORMAL_QUANTILE_975,
     LeastSquaresProblem,
     PieceResponse,
     Solution,
@@ -36,6 +35,7 @@ from frictrack.fit.least_squares import (
     inverse_normal_matrix,
     refine,
 )
+from frictrack.fit.least_squares.solution import NORMAL_QUANTILE_975
 from frictrack.fit.observations.displacement import DisplacementObservation
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER, ParameterLayout
 from frictrack.fit.penalties import penalty_jacobian
@@ -43,7 +43,8 @@ from frictrack.fit.pieces import Piece
 from frictrack.fit.routes import FitOutcome, FittedRuns
 from frictrack.fit.separable.model import DataBlock, friction_series, path_of
 from frictrack.fit.smooth_functions import rms
-from frictrack.fit.uncertainty import Estimates, linear_estimates
+from frictrack.fit.uncertainty import linear_estimates
+from frictrack.fit.uncertainty.estimates import Estimates
 from frictrack.measure.motion import (
     STENCIL_FRAMES,
     FactoredSmoother,

@@ -15,7 +15,8 @@ from frictrack.fit.modelled_motion import FreeRun, band_summary, free_errors, fr
 from frictrack.fit.parameters import with_fitted_mass, without_mass
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import rms
-from frictrack.fit.uncertainty import Estimates, Misfit, estimate_parameters, linear_estimates, misfit_of
+from frictrack.fit.uncertainty import linear_estimates
+from frictrack.fit.uncertainty.estimates import Estimates, Misfit, estimate_parameters, misfit_of
 from frictrack.measure.motion import filtered_acceleration
 from frictrack.records import Array, Curve, Mask, ModelledMotion, Run, away_from_ends
 

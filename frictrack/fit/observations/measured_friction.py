@@ -24,14 +24,16 @@ from typing import Any
 
 import numpy as np
 
-from frictrack.fit.least_squares import PieceResponse, Solution, clustered_covariance, covariance_of, hold, refine
+from frictrack.fit.least_squares import PieceResponse, Solution, hold, refine
+from frictrack.fit.least_squares.solution import clustered_covariance, covariance_of
 from frictrack.fit.observations.displacement import Observation
 from frictrack.fit.observations.load_cell import MeasuredFrictionPiece, block_starts
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames, rms
-from frictrack.fit.uncertainty import Estimates, Misfit, linear_estimates
+from frictrack.fit.uncertainty import linear_estimates
+from frictrack.fit.uncertainty.estimates import Estimates, Misfit
 from frictrack.records import Array, Curve, Run
 
 FRAMES_PER_CORRELATION = 4  # frames kept per correlation time

@@ -2,14 +2,7 @@
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.fit.stepwise.growth import (
-    add_effect,
-    fit_displacement,
-    refine_to_end,
-    refit_until_stop,
-    remove_effect,
-    simulate_trial,
-)
+from frictrack.fit.stepwise.growth import add_effect, refine_to_end, remove_effect, simulate_trial
 from frictrack.fit.stepwise.trial import (
     EVENT_PARAMETERS,
     CandidateTrial,

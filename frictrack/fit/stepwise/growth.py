@@ -7,7 +7,6 @@ motion can be integrated, all effects with a scan are added so, one by one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -52,7 +51,6 @@ from frictrack.fit.stepwise.trial import (
 from frictrack.records import Array, Mask
 
 MAX_SETTINGS_TRIED = 600  # grid points tried
-MIN_WINDOW_FRAMES = 32  # frames per window; its start uses two degrees of freedom
 MAX_REFINEMENTS = 30  # function evaluations beyond the grid
 FIRST_SEGMENT_FRAMES = 128  # frames of the first, shortest stretches
 STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
@@ -223,14 +221,9 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:
     """Add the later effects of a model to the fit of the others, and refine to convergence."""
-    return refine_to_end(reorder_effects(_added(solution, later), model)) if later else solution
-
-
-def _added(solution: Solution, later: list[Effect]) -> Solution:
-    """Add effects to a fit, each refined as far as a trial needs."""
-    for effect in later:
+    for effect in later:  # refined as far as a trial needs
         solution = add_effect(solution, _alone(effect))
-    return solution
+    return refine_to_end(reorder_effects(solution, model)) if later else solution
 
 
 def _alone(effect: Effect) -> Effect:
@@ -305,9 +298,6 @@ def _linear_guess(problem: LeastSquaresProblem) -> Array:
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
     """Find the best grid point of the non-linear parameters, refined along the smoothed motion.
 
-    A force that depends on position, such as a spring, turns position errors into slow errors after two integrations.
-    Stretches are therefore compared whole and in windows, at the length at which the model explains most.
-
     Parameters
     ----------
     problem : LeastSquaresProblem
@@ -322,32 +312,29 @@ def best_on_grid(problem: LeastSquaresProblem) -> Array:
     layout = problem.layout
     scanned = [i for i, s in enumerate(layout.slots) if not s.linear and s.effect != LEVEL]
     points = list(product(*(_grid(problem, i) for i in scanned)))
-    longest = max(len(p.t) for p in problem.pieces)
-    lengths = [0, *(n for n in (longest >> k for k in range(1, 32)) if n >= MIN_WINDOW_FRAMES)]  # 0: whole stretches
-    best, smallest_share, length = np.ones(len(layout.slots)), np.inf, 0
+    best, least = np.ones(len(layout.slots)), np.inf
     for point in points[:: -(-len(points) // MAX_SETTINGS_TRIED)]:
         p = np.where([s.effect == LEVEL for s in layout.slots], 1.0, 0.0)
         p[scanned] = point
-        for n, unknowns, residual, right in _solved_in_windows(problem, p, lengths):
-            unexplained_share = float(residual @ residual) / max(float(right @ right), 1e-300)
-            if unexplained_share < smallest_share:
-                best, smallest_share, length = unknowns, unexplained_share, n
+        unknowns, residual = _solved(problem, p)
+        if (misfit := float(residual @ residual)) < least:
+            best, least = unknowns, misfit
     if not scanned:
         return best
     low, high = (bound[scanned] for bound in layout.bounds)
     scale = np.maximum(np.abs(best[scanned]), 1e-12)
 
-    def solved(theta: Array) -> tuple[int, Array, Array, Array]:
+    def solved(theta: Array) -> tuple[Array, Array]:
         unknowns = best.copy()
         unknowns[scanned] = np.clip(theta * scale, low, high)
-        return next(_solved_in_windows(problem, unknowns, [length]))
+        return _solved(problem, unknowns)
 
     def residual_at(theta: Array) -> Array:
-        return solved(theta)[2]
+        return solved(theta)[1]
 
     inside = np.clip(best[scanned], low + 1e-9 * scale, high - 1e-9 * scale) / scale
     bounds = low / scale, high / scale
-    return solved(least_squares(residual_at, inside, bounds=bounds, x_scale=1.0, max_nfev=MAX_REFINEMENTS).x)[1]
+    return solved(least_squares(residual_at, inside, bounds=bounds, max_nfev=MAX_REFINEMENTS).x)[0]
 
 
 def shoot_lengthening(problem: LeastSquaresProblem) -> Array:
@@ -379,18 +366,14 @@ def _grid(problem: LeastSquaresProblem, i: int) -> Array:
     return np.array([np.mean(slot.bounds)]) if scan is None else scan(problem.layout.span)
 
 
-def _solved_in_windows(
-    problem: LeastSquaresProblem, p: Array, lengths: list[int]
-) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Yield window length, unknowns (P,) with the best coefficients, residual (n,) and data (n,), starts taken out."""
+def _solved(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
+    """Unknowns (P,) with the best coefficients along the smoothed motion, and the residual (n,), starts taken out."""
     rows = [(piece, displacement_rows(piece, _forces(problem, piece, p))) for piece in problem.pieces]
-    linear = [i for i, s in enumerate(problem.layout.slots) if s.linear]
+    both = np.concatenate([without_starts(piece, own)[0] for piece, own in rows])
+    linear, out = [i for i, s in enumerate(problem.layout.slots) if s.linear], p.copy()
     low, high = (bound[linear] for bound in problem.layout.bounds)
-    for n in lengths:
-        cut = np.concatenate([window for piece, own in rows for window in without_starts(piece, own, n)])
-        columns, right, out = cut[:, :-1], cut[:, -1], p.copy()
-        out[linear] = np.clip(np.linalg.lstsq(columns, right, rcond=1e-10)[0], low, high)
-        yield n, out, right - columns @ out[linear], right
+    out[linear] = np.clip(np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-10)[0], low, high)
+    return out, both[:, -1] - both[:, :-1] @ out[linear]
 
 
 def _forces(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:

@@ -31,34 +31,20 @@ from frictrack.fit.least_squares import (
     LeastSquaresProblem,
     PieceResponse,
     Solution,
-    batch_count,
     fit_with_scatter,
     white_noise_covariance,
 )
+from frictrack.fit.least_squares.solution import batch_count
 from frictrack.fit.parameters import MIN_RUNS_FOR_SCATTER
 from frictrack.fit.routes import FittedRuns, require_one_fit
-from frictrack.fit.uncertainty.estimates import (
-    Estimate,
-    Estimates,
-    Misfit,
-    Parameters,
-    dispersion,
-    estimate_parameters,
-    linear_estimates,
-    misfit_of,
-    stated_error_changes,
-    with_misfit,
-    with_stated_errors,
-)
+from frictrack.fit.uncertainty.estimates import Estimate, dispersion, linear_estimates
 from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.reported import (
     MIN_RATIO,
     describe_level_outliers,
-    level_remarks,
     reported_by_address,
     reported_names,
     reported_values_and_jacobian,
-    rolling_remarks,
     standard_deviations,
 )
 from frictrack.records import Array

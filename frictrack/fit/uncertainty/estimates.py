@@ -42,15 +42,12 @@ import numpy as np
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus, join_words, lower_first
 from frictrack.effects import Effect
-from frictrack.fit.least_squares import (
+from frictrack.fit.least_squares import PieceResponse, Solution, displacement_response, white_noise_covariance
+from frictrack.fit.least_squares.solution import (
     MIN_SINGULAR_VALUE,
     NORMAL_QUANTILE_975,
-    PieceResponse,
-    Solution,
     covariance_of,
-    displacement_response,
     model_projection,
-    white_noise_covariance,
 )
 from frictrack.fit.parameters import LEVEL, MASS
 from frictrack.fit.penalties import prior_jacobian
@@ -411,22 +408,15 @@ def _shifts(solution: Solution) -> Iterator[Array]:
     values = layout.reported_values(solution.p)
     held = np.array([values[q.address] for q in layout.priors])
     powers = _powers([layout.slots[layout.names.index(q.address)].unit for q in layout.priors], force_has_length=True)
-    known = [r.piece.known for r in solution.responses]
-    drives = [np.zeros(1) if (d := r.piece.path.drive) is None else d / r.piece.mass for r in solution.responses]
-    for power, of_all in zip(powers, (known, drives), strict=True):
-        rows = [_row(r, -own) @ r.jac for r, own in zip(solution.responses, of_all, strict=True)]
-        pull = solution.stacked([row[None] for row in rows]).sum(axis=0)
+    known = [r.piece.mass * r.piece.known for r in solution.responses]
+    drives = [np.zeros_like(r.piece.known) if (d := r.piece.path.drive) is None else d for r in solution.responses]
+    for power, forces in zip(powers, (known, drives), strict=True):
+        pairs = zip(solution.responses, forces, strict=True)
+        rows = [displacement_response(r, force[:, None]).T @ r.jac for r, force in pairs]
+        pull = solution.stacked(rows).sum(axis=0)
         if layout.priors:
             pull += priors.T @ (layout.prior_whitening @ (power * held))
         yield covariance @ pull
-
-
-def _row(r: PieceResponse, acceleration: Array) -> Array:
-    """Whitened change (n,) of the measured position by an acceleration at the nodes (3 p,), another start taken out."""
-    inputs = np.broadcast_to(acceleration, r.piece.known.shape)[:, None]
-    moved = r.linear.edge_states(inputs, np.zeros((2, 1)))[r.piece.at, 0, 0]
-    row = r.piece.whitened((1 + r.shift_slope) * moved)
-    return np.asarray(row - r.q @ (r.q.T @ row))
 
 
 def length_power(unit: str, *, force_has_length: bool) -> float:

@@ -26,14 +26,8 @@ import numpy as np
 from frictrack.base.distributions import normal_ppf
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.workers import one_thread
-from frictrack.fit.least_squares import (
-    MIN_CHI2_FALL,
-    LeastSquaresProblem,
-    PieceResponse,
-    Solution,
-    refine,
-    white_noise_covariance,
-)
+from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution, refine, white_noise_covariance
+from frictrack.fit.least_squares.gauss_newton import MIN_CHI2_FALL
 from frictrack.fit.routes import FittedRuns, require_one_fit
 from frictrack.fit.uncertainty.reported import Quantity, parse_quantity
 from frictrack.records import Array, Mask

@@ -9,7 +9,6 @@ lines, events, forces that are periodic in place, and coloured noise), and `diff
 
 from frictrack.measure.motion.banded_equations import SmootherData
 from frictrack.measure.motion.derivative import (
-    Derivatives,
     FilteredMotion,
     compare_filters,
     covariance,
@@ -20,7 +19,7 @@ from frictrack.measure.motion.derivative import (
 )
 from frictrack.measure.motion.filter import MISSING_SIGMA, KnownAcceleration, frame_weights, low_pass
 from frictrack.measure.motion.filter_methods import FilterMethod, Smoother, unit_responses
-from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencil_start, stencil_weights, stencils
+from frictrack.measure.motion.grid import STENCIL_FRAMES, frame_grid, stencils
 from frictrack.measure.motion.noise import CorrelatedNoise, NoiseStretch, correlated_noise, slow_spectrum
 from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.settings.filters import METHOD_NAMES

@@ -356,23 +356,16 @@ class Derivatives:
         if self.best is not None:
             away = weights.T @ (self.values() - self.best.values())[order]
             return self.best.covariance(order, weights) + np.outer(away, away)
-        variance = self.unit_variances(self.factor, order)
-        scale = self.deviations()[order] / np.sqrt(variance)
-        return self.unit_covariance(self.factor, order, weights * scale[:, None])
-
-    def unit_covariance(self, factor: FactoredSmoother, order: int, weights: Array) -> Array:
-        """Covariance of weighted sums, as `covariance`, that equations of the smoother give for unit noise."""
+        errors = [error[order] for error in self.parameter_errors]
+        variance = self.factor.variances(stencil_start(self.grid.n), self.stencil(order)) + sum(e**2 for e in errors)
+        # correlations as the equations of the smoother give them for unit noise, variances as stated
+        weights = weights * (self.deviations()[order] / np.sqrt(self.grid.to_rows(variance)))[:, None]
         positions = self.position_weights(order, weights)
-        found = positions.T @ factor.posterior_covariance_times(positions)
-        for error in self.parameter_errors:
-            change = weights.T @ self.grid.to_rows(error[order])
+        found = positions.T @ self.factor.posterior_covariance_times(positions)
+        for error in errors:
+            change = weights.T @ self.grid.to_rows(error)
             found += np.outer(change, change)
         return np.asarray(found)
-
-    def unit_variances(self, factor: FactoredSmoother, order: int) -> Array:
-        """Variances (n,) of one derivative of the rows that equations of the smoother give for unit noise."""
-        found = factor.variances(stencil_start(self.grid.n), self.stencil(order))
-        return self.grid.to_rows(found + sum(error[order] ** 2 for error in self.parameter_errors))
 
     def stencil(self, order: int) -> Callable[[slice], Array]:
         """Weights (m, 6) of one derivative in m frames of the grid, as a function of these frames."""
@@ -392,12 +385,8 @@ class Derivatives:
     def factor(self) -> FactoredSmoother:
         """Equations of the structural smoother."""
         assert self.smoother.structure is not None
-        return self.factor_smoother(self.smoother.structure)
-
-    def factor_smoother(self, structure: Structure) -> FactoredSmoother:
-        """Equations of another structure with the same weights."""
         data = SmootherData(np.zeros(self.grid.n), self.w, None, self.sensor_weights, self.smoother.colour)
-        return structure.factor_smoother(data)
+        return self.smoother.structure.factor_smoother(data)
 
     def _on_grid(self) -> Array:
         """Low-passed rows on the grid (N,); missing frames are interpolated as smoothly as possible."""
