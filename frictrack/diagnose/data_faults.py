@@ -201,7 +201,8 @@ def _groups_of_masses(law: Solution, runs: Sequence[Run], rng: np.random.Generat
     masses = (step / scale)[-len(fitted) :]
     order = np.argsort(masses)
     lighter = int(np.argmax(np.diff(masses[order]))) + 1
-    return [[fitted[i] for i in sorted(min(order[lighter:], order[:lighter], key=len))]]
+    fewer = order[lighter:] if 2 * lighter > len(order) else order[:lighter]
+    return [[fitted[i] for i in sorted(fewer)]]
 
 
 def _nearly_noise(excess: float, law: Solution) -> bool:

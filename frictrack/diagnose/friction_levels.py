@@ -37,6 +37,6 @@ def describe_levels(model: Model) -> str:
     says = f"multiplies {more} too" if more else f"does not multiply {less}"
     says += f" but not {less}" if more and less else ""
     return (
-        f"the friction level of a run {says}: so say the data, and where a law assumes otherwise, effects imitate what "
-        f"is left; add {', '.join(f'{e.title}.level' for e in changed)} to have it in the law"
+        f"the friction level of a run {says}, as the data show; where a law assumes otherwise, effects imitate what is "
+        f"left; add {', '.join(f'{e.title}.level' for e in changed)} to have it in the law"
     )

@@ -224,8 +224,8 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
     levels = describe_levels(best.law.problem.layout.model)
-    own = min(formulas, key=lambda one: one.least_misfit) if last.something_is_missing else formulas[0]
-    return FinishedSearch(start, first, last, tried, found, generators, own, cut, sets, laws, beaten, levels)
+    nearer = min(formulas, key=lambda one: one.least_misfit) if last.something_is_missing else formulas[0]
+    return FinishedSearch(start, first, last, tried, found, generators, nearer, cut, sets, laws, beaten, levels)
 
 
 def _listed(
