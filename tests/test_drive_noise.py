@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import frictrack as ft
-from frictrack.fit.least_squares import covariance_of, white_noise_covariance
+from frictrack.fit.least_squares.solution import covariance_of, white_noise_covariance
 from frictrack.flow import Session, open_study, propose_study
 from frictrack.measure.friction import drive_noise
 

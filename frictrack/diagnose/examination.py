@@ -390,12 +390,12 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
 def _freed(solution: Solution) -> list[Effect]:
     """The effects of the model with one parameter freed: a fixed one, a stated incline, what all runs share.
 
-    That is a place, or the size of friction that scatters from run to run, but not as dry friction does.
+    That is a place, or the size of friction that friction levels need not multiply: it may scatter by itself.
     """
     several = len(solution.problem.layout.run_names) > 1
-    scattered = [e for e in solution.problem.model.effects if levels_scatter(solution) and e.may_follow_level]
+    parts = solution.problem.model.effects if levels_scatter(solution) else ()
     return [
-        *(e.freed(p.name) for e in scattered if e.kind != "coulomb" for p in e.linear),
+        *(e.freed(p.name) for e in parts if e.may_follow_level for p in e.linear if p.loaded == e.level_is_chosen),
         *(
             e.freed(p.name)
             for e in solution.problem.model.effects

@@ -337,7 +337,7 @@ def is_converged(step: DampedStep, fall: float, threshold: float) -> bool:
     predicted = step.predicted_fall
     if not -MAX_OVERSHOOT * predicted < fall < POOR_GAIN * predicted:
         return False
-    return predicted**2 / (2 * predicted - fall) - max(fall, 0.0) < threshold
+    return predicted / (2 - fall / predicted) - max(fall, 0.0) < threshold
 
 
 def damped_step(rows: Array, right: Array, bounds: tuple[Array, Array], region: TrustRegion) -> DampedStep:
