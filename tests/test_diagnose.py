@@ -199,7 +199,11 @@ def test_summary_is_the_json_of_the_contract(nothing_missing, texture_missing):
         for span in summary["fails_at"]:
             assert span.keys() >= {"run", "t", "x", "v", "share_of_error"}
             assert span["t"][0] <= span["t"][1]
-        assert summary["detection_limits"].keys() <= {*effects.LIBRARY, *(f"{n}:2" for n in effects.LIBRARY)}
+        assert summary["detection_limits"].keys() <= {
+            *effects.LIBRARY,
+            *(f"{n}:2" for n in effects.LIBRARY),
+            "viscous.F_v",
+        }
         for limit in summary["detection_limits"].values():
             assert limit.keys() >= {"value", "unit", "at", "power"}
             assert limit["power"] == 0.95

@@ -392,8 +392,7 @@ def test_moves_let_the_other_parameters_follow_to_first_order(two_lines):
     search, problem, state = two_lines
     made = search.separable
     for item in search.items:
-        scans, table = search._scan(problem, state, item)
-        mine, found = item.coefficients, scans.moved(item, table)
+        mine, found = item.coefficients, search.moved(problem, state, item)
         ((place,),) = item.slots
         for g in range(0, len(found.gains), 40):
             values = state.nonlinear_values.copy()

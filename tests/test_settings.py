@@ -487,7 +487,7 @@ def test_the_effects_that_a_new_study_file_shows_can_be_switched_on(study_file):
     cut = [i for i, line in enumerate(lines) if line == "[[effect]]"]
     bare = study_file.read_text()
     keys = [re.split(r"\s{3,}", line)[0] for line in lines]
-    assert len(cut) == 2
+    assert len(cut) == 3
     for key in keys[2 : cut[1]]:
         study_file.write_text(f"{bare}\n{keys[0]}\n{keys[1]}\n{key}\n")
         assert open_study(study_file).effects[0].effect == "vibration"

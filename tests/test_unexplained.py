@@ -28,7 +28,7 @@ from frictrack.diagnose.formulas import (
 )
 from frictrack.diagnose.model_selection import information_criterion
 from frictrack.diagnose.repeatability import AxisRepeatability, Repeatability
-from frictrack.diagnose.search import _formula_explains_more
+from frictrack.diagnose.search import _explains_more
 from frictrack.effects import definitions, read_settings
 from frictrack.fit import add_effect, fit, refine
 
@@ -231,9 +231,9 @@ def test_one_formula_may_explain_far_more_than_a_set_of_effects(fits):
         waves = add_effect(waves, effects.get(name))
     assert waves.objective < start.objective - 1000  # they explain most of it
     imitation = Explanation((), information_criterion(waves))
-    assert _formula_explains_more(formulas, imitation)
+    assert _explains_more(formulas, imitation)
     best = formulas.found()[0].solution
-    assert not _formula_explains_more(formulas, replace(imitation, criterion=information_criterion(best)))
+    assert not _explains_more(formulas, replace(imitation, criterion=information_criterion(best)))
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_the_bound_on_chance_is_one_and_a_close_one():
     rng, n, width = np.random.default_rng(3), 400, 6.0
     looks = np.exp(-(((np.arange(n)[:, None] - np.arange(n)) / width) ** 2) / 2)
     z = looks.T @ rng.standard_normal((n, 4000)) / np.linalg.norm(looks, axis=0)[:, None]
-    grid = ScanGrid((np.arange(n), np.ones(1)))
+    grid = ScanGrid(("centre", "width"), (np.arange(n), np.ones(1)))
     scans = [ScanGains(grid, own**2) for own in z.T[:200]]
     for level in (3.0, 3.5, 4.0):
         seen = np.mean(np.max(np.abs(z), axis=0) > level)

@@ -96,6 +96,7 @@ KEYS = {
     "bounds": ("table of pairs", "SI", "{amplitude = [0, 2]}"),
     "prior": ("table of pairs", "SI", "{frequency = [60, 0.5]}"),
     "tie": ("table of texts", "", '{frequency = "2*vibration:2.frequency"}'),
+    "follows_level": ("true or false", "", "true"),
     "per_run": ("list of names, or table of true or false", "", '["amplitude"]'),
     "formula": ("text", "N or m", '"F * s * exp(-((x - x_c)/w)^2)"'),
     "units": ("table of units by name", "", '{F = "N", x_c = "m", w = "m"}'),

@@ -29,7 +29,7 @@ from frictrack.fit.pieces import column_norms
 from frictrack.records import Array
 
 SCATTER_BOUNDS = (1e-6, 0.5)  # range of the relative standard deviation of the levels
-MEAN_LEVEL_WEIGHT = 1e6  # that holds the mean of few levels at one
+MEAN_LEVEL_WEIGHT = 1e4  # that holds the mean of few levels at one
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ MAX_PLACES = 3  # grid points of one scan that are refined
 ROUGH_STEPS = 3  # steps while effects are still missing
 MAX_LAG_SHARE = 0.1  # share of an effect's gain by which a grid point may be behind and still be refined
 MAX_LAG_CHI2 = 12.0  # the same in units of chi-squared per frame
+MAX_PAIR_GAIN_RATIO = 3.0  # times the gain of one more line: the most that a line may be worth which leaves for a pair
 LARGE_GAIN_CHI2 = 30.0  # units of chi-squared per frame; more than the best of a thousand grid points gains by chance
 SHORT_SCAN_POINTS = 64  # grid points of a scan of negligible cost
 MIN_GAIN_SHARE = 1e-6  # least gain of a trial, share of the misfit
@@ -51,6 +52,7 @@ MIN_GAIN_CHI2 = 0.05  # the same in units of chi-squared per frame; less changes
 class ScanGrid:
     """All combinations of values along the axes of some parameters, in row-major order."""
 
+    names: tuple[str, ...]
     axes: tuple[Array, ...]
 
     @cached_property
@@ -66,6 +68,35 @@ class ScanGrid:
     def place(self, values: Array) -> Indices:
         """Return the index on every axis that is nearest to values (d,)."""
         return np.array([np.argmin(np.abs(axis - v)) for axis, v in zip(self.axes, values, strict=True)])
+
+    def peaks(self, heights: Array, least: float) -> Indices:
+        """Return the points not below their neighbours on any axis, with at least some height (G,), highest first."""
+        cube = heights.reshape(self.shape)
+        is_peak = cube >= least
+        for axis in range(cube.ndim):
+            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
+            peak[1:] &= rise >= 0
+            peak[:-1] &= rise <= 0
+        found = np.flatnonzero(is_peak)
+        return found[np.argsort(-heights[found], kind="stable")]
+
+    def summit(self, heights: Array, g: int) -> Array:
+        """Return the values (d,) of the vertex of parabolas through a peak (G,) at a point and its neighbours."""
+        out, cube = self.values[g].copy(), heights.reshape(self.shape)
+        at: tuple[int | slice, ...] = tuple(map(int, np.unravel_index(g, self.shape)))
+        for i, (axis, step) in enumerate(zip(self.axes, np.unravel_index(g, self.shape), strict=True)):
+            if 0 < step < len(axis) - 1:
+                around = slice(step - 1, step + 2)
+                out[i] = _vertex(axis[around], cube[(*at[:i], around, *at[i + 1 :])])
+        return out
+
+
+def _vertex(x: Array, y: Array) -> float:
+    """Place of the vertex of the parabola through three points of which the middle one is the highest."""
+    left, right = np.diff(y) / np.diff(x) * [1, -1]
+    if not left + right > 0:
+        return float(x[1])
+    return float(x[1] + 0.5 * (left * (x[2] - x[1]) - right * (x[1] - x[0])) / (left + right))
 
 
 def is_scannable(effect: Effect) -> bool:
@@ -127,7 +158,7 @@ class ScanItem:
             g=g,
             run=run,
             kind=kind,
-            grid=ScanGrid(tuple(_axis(separable, p, run) for p in scanned)),
+            grid=ScanGrid(tuple(p.name for p in scanned), tuple(_axis(separable, p, run) for p in scanned)),
             coefficients=np.array(
                 [i for i, c in coefficients if c.effect == effect.name and (run is None or c.run in runs)]
             ),
@@ -243,15 +274,12 @@ class ScanGains:
         return float(self.gains[self.best])
 
     def peaks(self, least: float) -> Indices:
-        """Return the points that explain anything and are not below their neighbours on any axis, best first."""
-        cube = self.gains.reshape(self.grid.shape)
-        is_peak = cube >= max(least, np.finfo(float).tiny - self.loss)
-        for axis in range(cube.ndim):
-            peak, rise = np.moveaxis(is_peak, axis, 0), np.diff(np.moveaxis(cube, axis, 0), axis=0)
-            peak[1:] &= rise >= 0
-            peak[:-1] &= rise <= 0
-        found = np.flatnonzero(is_peak)
-        return found[np.argsort(-self.gains[found], kind="stable")]
+        """Return the local maxima of at least some gain that explain anything, best first."""
+        return self.grid.peaks(self.gains, max(least, np.finfo(float).tiny - self.loss))
+
+    def summit(self, g: int) -> Array:
+        """Return the values (d,) of the parameters at the local maximum next to a grid point."""
+        return self.grid.summit(self.gains, g)
 
 
 class SolutionScan:
@@ -443,6 +471,11 @@ class VariableProjection:
         scans, table = self._scan(problem, state, item)
         return scans.one_more(item, table)
 
+    def moved(self, problem: ProjectedProblem, state: SeparableSolution, item: ScanItem) -> ScanGains:
+        """The gain of every grid point of an item that leaves its own position."""
+        scans, table = self._scan(problem, state, item)
+        return scans.moved(item, table)
+
     # --- search
 
     def _add_items(
@@ -454,7 +487,7 @@ class VariableProjection:
             scans = {i: self.one_more(problem, state, i) for i in {i.kind: i for i in reversed(remaining)}.values()}
             best = max(scans, key=lambda i: scans[i].largest)
             chosen = {i.run: i for i in sorted(scans, key=lambda i: scans[i].largest) if i.effect is best.effect}
-            added = {i: scans[i].grid.values[scans[i].best] for i in chosen.values()}
+            added = {i: scans[i].summit(scans[i].best) for i in chosen.values()}
             remaining = [i for i in remaining if i not in added]
             state = self.with_items_at(problem, state, added)
             if remaining:
@@ -479,14 +512,18 @@ class VariableProjection:
     def _exchange_until_no_gain(
         self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
     ) -> SeparableSolution:
-        """Try other positions of every effect, the most promising first, until none helps."""
-        needed, moves = 1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size), True
-        while moves:
-            moves = False
-            for trial in self._other_positions(problem, state, items):
-                refined = problem.refine(trial, below=needed * state.misfit)
-                if refined.misfit < needed * state.misfit:
-                    state, moves = refined, True
+        """Try other positions of every effect, then of pairs of effects, the most promising first, until none helps."""
+        needed = 1 - max(MIN_GAIN_SHARE, MIN_GAIN_CHI2 / self.separable.size)
+        better: SeparableSolution | None = state
+        while better is not None:
+            state, better = better, None
+            for trials in (self._other_positions, self._other_pairs):
+                for trial in trials(problem, state, items):
+                    refined = problem.refine(trial, below=needed * state.misfit)
+                    if refined.misfit < needed * state.misfit:
+                        better = refined
+                        break
+                if better is not None:
                     break
         return state
 
@@ -494,12 +531,49 @@ class VariableProjection:
         self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
     ) -> Iterator[SeparableSolution]:
         """The solution with one effect at another position that is worth a refinement, the most promising first."""
-        places, chance = [], MAX_LAG_CHI2 * state.misfit / self.separable.size
+        places = []
         for item in items:
-            scans, table = self._scan(problem, state, item)
-            found = scans.moved(item, table)
-            for g in found.peaks(-MAX_LAG_SHARE * found.loss - chance)[:MAX_PLACES].tolist():
+            found = self.moved(problem, state, item)
+            for g in found.peaks(-self._max_lag(state, found.loss))[:MAX_PLACES].tolist():
                 if not item.is_at(state.nonlinear_values, g):
-                    places.append((float(found.gains[g]), item, found.grid.values[g]))
+                    places.append((float(found.gains[g]), item, found.summit(g)))
         for _, item, values in sorted(places, key=lambda place: -place[0]):
             yield self.with_items_at(problem, state, {item: values})
+
+    def _max_lag(self, state: SeparableSolution, loss: float) -> float:
+        """By how much a grid point may be behind and still be refined, where an effect of some gain moves there."""
+        return MAX_LAG_SHARE * loss + MAX_LAG_CHI2 * state.misfit / self.separable.size
+
+    def _other_pairs(
+        self, problem: ProjectedProblem, state: SeparableSolution, items: Sequence[ScanItem]
+    ) -> Iterator[SeparableSolution]:
+        """The solution with two effects elsewhere: two lines in place of one, or two that exchange places."""
+        if len(items) < 2:
+            return
+        misses_effect = self.misses_effect(problem, state)
+        loss = {i: self.moved(problem, state, i).loss for i in items}
+        for one, other in permutations(items, 2):
+            gain = self.one_more(problem, state, one).largest
+            is_pair = one.kind == other.kind and len(one.slots) == 1
+            if is_pair and min(loss[one], loss[other]) < MAX_PAIR_GAIN_RATIO * gain:
+                yield self._with_line_split(problem, state, one, other)
+            if misses_effect and (one.run == other.run or None in (one.run, other.run)):
+                yield self._with_both_again(problem, state, one, other)
+
+    def _with_line_split(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
+    ) -> SeparableSolution:
+        """Two lines at the grid points on either side of one of them, which a single one hardly differs from."""
+        axis, value = one.grid.axes[0], state.nonlinear_values[one.slots[0][0]]
+        g = int(np.clip(np.searchsorted(axis, value), 1, len(axis) - 1))
+        return self.with_items_at(problem, state, {one: axis[[g - 1]], other: axis[[g]]})
+
+    def _with_both_again(
+        self, problem: ProjectedProblem, state: SeparableSolution, one: ScanItem, other: ScanItem
+    ) -> SeparableSolution:
+        """Both items removed, then `one` and after it `other` at their best positions."""
+        state = problem.without(state, np.concatenate([one.coefficients, other.coefficients]))
+        for item in (one, other):
+            found = self.one_more(problem, state, item)
+            state = self.with_items_at(problem, state, {item: found.summit(found.best)})
+        return state
