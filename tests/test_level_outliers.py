@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
+from frictrack.cli.common import after_diagnosis
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import likely_levels
 
@@ -100,6 +101,8 @@ def test_friction_that_scatters_as_a_whole_lacks_nothing() -> None:
     assert (found.missing, found.leads) == ([], [])
     assert found.verdict in {"complete", "undetermined"}
     assert any("level of a run multiplies viscous too" in line for line in found.remarks)
+    assert found.summary()["levels"] == ["viscous.level"]
+    assert "study.toml viscous.level lets friction differ" in after_diagnosis(found.summary(), "study.toml")
 
 
 @pytest.mark.slow

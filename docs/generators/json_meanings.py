@@ -10,6 +10,7 @@ ERRORS = {
     "heldout_rms_um": "rms error of frames or runs that were held out of the fit, µm",
     "heldout_rms_N": "the same where friction was measured, N",
     "heldout": "what was held out: whole runs, or every second frame",
+    "levels": "addresses to add, such as viscous.level: what the friction levels of the runs multiply in the model",
     "reduced_chi2": "chi-squared per degree of freedom; 1 where noise explains the residual",
     "free_run_rms_um": "rms error of whole runs that are simulated from their first frame, µm",
     "free_run_relative": "the same over the travelled distance",

@@ -33,6 +33,7 @@ from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexpla
 from frictrack.diagnose.explanations import MAX_SIZE
 from frictrack.diagnose.formula_terms import shapes_of_functions
 from frictrack.diagnose.formulas import UnexplainedForce, are_left_out, compare_with_formulas, unexplained_force
+from frictrack.diagnose.friction_levels import chosen_levels
 from frictrack.diagnose.power import detection_limits, find_undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
@@ -229,6 +230,7 @@ class Conclusion:
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
             leads=named if verdict == "unexplained" else [],
+            levels=chosen_levels(search.last.solution.problem.layout.model),
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,

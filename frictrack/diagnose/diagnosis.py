@@ -171,6 +171,8 @@ class Diagnosis(NotebookView):
         False for the verdict alone: `fails_at`, `importance`, `evidence`, `repeats` and `next_experiment` are empty.
     alpha
         Significance level of the diagnosis: half for lack of fit, half for candidates.
+    levels
+        Addresses, such as "viscous.level", to add to the model: what the friction levels of the runs multiply in it.
     rests_on_repairs
         A sentence if the verdict would change without the frames that the user had tracked again; None otherwise.
 
@@ -206,6 +208,7 @@ class Diagnosis(NotebookView):
     repeats: Repeatability = field(default_factory=Repeatability)
     alpha: float = ALPHA
     leads: list[str] = field(default_factory=list)  # of "unexplained"
+    levels: list[str] = field(default_factory=list)  # to add: what the friction levels multiply
     complete: bool = True  # False: the verdict, and nothing of what follows from it
     rests_on_repairs: str | None = None  # a sentence if the verdict changes without the frames that were tracked again
 
@@ -244,6 +247,7 @@ class Diagnosis(NotebookView):
             "evidence": [e.summary() for e in self.evidence],
             "missing": self.missing,
             "leads": self.leads,
+            "levels": self.levels,
             "noise_um": self.noise_um,
             **({} if self.noise_N is None else {"noise_N": self.noise_N}),
             "reduced_chi2": self.reduced_chi2,

@@ -28,9 +28,15 @@ def levels_of_other_parts(solution: Solution) -> Solution:
     return law if law is not None and more else solution
 
 
+def chosen_levels(model: Model) -> list[str]:
+    """Addresses of the parts of which the levels multiply what the law assumes to be free of them, or the reverse."""
+    return [f"{e.title}.level" for e in model.effects if e.level_is_chosen and not e.frees]
+
+
 def describe_levels(model: Model) -> str:
     """Say which parts of friction the levels multiply, against what the library assumes; empty if they are the same."""
-    changed = [e for e in model.effects if e.level_is_chosen and not e.frees]
+    added = chosen_levels(model)
+    changed = [e for e in model.effects if f"{e.title}.level" in added]
     if not changed:
         return ""
     more, less = (" and ".join(e.title for e in changed if e.linear[0].loaded == yes) for yes in (True, False))
@@ -38,5 +44,5 @@ def describe_levels(model: Model) -> str:
     says += f" but not {less}" if more and less else ""
     return (
         f"the friction level of a run {says}, as the data show; where a law assumes otherwise, effects imitate what is "
-        f"left; add {', '.join(f'{e.title}.level' for e in changed)} to have it in the law"
+        f"left; add {', '.join(added)} to have it in the law"
     )
