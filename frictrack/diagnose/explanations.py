@@ -305,10 +305,11 @@ class Explanations:
         self, centre: Explanation, law: LinearisedModel, scanned: Scanned, *, search_again: bool = True
     ) -> None:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
-        trials = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
-        trials = deepen_trials(law, trials) if search_again else trials
-        trials = with_levels(law, trials)
-        expansion = Expansion(centre, law, baseline_misfit(law), trials)
+        tried = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
+        tried = deepen_trials(law, tried) if search_again else tried
+        misfit = baseline_misfit(law)
+        trials = with_levels(law, tried, misfit)
+        expansion = Expansion(centre, law, misfit, trials)
         for t in trials:
             self._enter(expansion, t)
         self._expanded.setdefault(centre.names, expansion)

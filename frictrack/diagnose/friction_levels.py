@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from frictrack.base.errors import result_or_none
 from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion
+from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import linearise
@@ -29,14 +30,13 @@ def levels_of_other_parts(solution: Solution) -> Solution:
 
 
 def chosen_levels(model: Model) -> list[str]:
-    """Addresses of the parts of which the levels multiply what the law assumes to be free of them, or the reverse."""
-    return [f"{e.title}.level" for e in model.effects if e.level_is_chosen and not e.frees]
+    """Addresses to add, as "viscous.level", for what the levels multiply against what the library assumes."""
+    return [f"{e.title}.level" for e in _changed(model)]
 
 
 def describe_levels(model: Model) -> str:
     """Say which parts of friction the levels multiply, against what the library assumes; empty if they are the same."""
-    added = chosen_levels(model)
-    changed = [e for e in model.effects if f"{e.title}.level" in added]
+    changed = _changed(model)
     if not changed:
         return ""
     more, less = (" and ".join(e.title for e in changed if e.linear[0].loaded == yes) for yes in (True, False))
@@ -44,5 +44,9 @@ def describe_levels(model: Model) -> str:
     says += f" but not {less}" if more and less else ""
     return (
         f"the friction level of a run {says}, as the data show; where a law assumes otherwise, effects imitate what is "
-        f"left; add {', '.join(added)} to have it in the law"
+        f"left; add {', '.join(chosen_levels(model))} to have it in the law"
     )
+
+
+def _changed(model: Model) -> list[Effect]:
+    return [e for e in model.effects if e.level_is_chosen and not e.frees]

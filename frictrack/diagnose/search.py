@@ -178,7 +178,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     changed = start is not assumed
     observation, simulates = observation_of(start.problem), start.problem.simulates
     sensor = assess_accelerometer(start, runs, settings.auxiliary or {}) if simulates else None
-    formulas = [FormulaSearch.of(one, settings.shapes) for one in [start, assumed][: 1 + changed]]
+    formulas = [FormulaSearch.of(one, settings.shapes) for one in ([start, assumed] if changed else [start])]
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, settings.level)
     scanned = sorted(first.scanned, key=lambda s: -s.excess[0])

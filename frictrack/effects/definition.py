@@ -638,7 +638,7 @@ class Effect:
         """
         if name == LEVEL:
             return replace(self.with_other_level(), replaces=self.replaces | {self.kind}, frees=name)
-        p = self.parameter(name)
+        p, own = self.parameter(name), self
         if p.fixed is not None:
             change: dict[str, Any] = {"fixed": None}
             what = f"{name} of {self.name} is held at {p.fixed:g} {p.unit}".removesuffix(" 1")
@@ -646,11 +646,10 @@ class Effect:
         elif self.same_cause_as and p.prior is not None:
             return replace(self.adjusted(**{name: {"prior": None}}), replaces=self.replaces | {self.kind}, frees=name)
         else:
+            own = self.with_other_level() if p.loaded else self  # no level multiplies a size that a run has of its own
             change = {"per_run": True}
             as_ = ", as the origins of two records do" if p.unit == "m" else ""
             what = f"{name} of {self.name} differs from run to run{as_}; each has its own"
-        # a size of its own in every run is none that the friction level of the run multiplies
-        own = self.with_other_level() if p.loaded and change == {"per_run": True} else self
         changed = replace(own.adjusted(**{name: change}), replaces=self.replaces | {self.kind}, frees=name)
         return replace(changed, what=f"{what}.", looks_like="", confirm="", describe=None)
 

@@ -3,15 +3,20 @@
 # ruff: noqa: F401 - the imports are the interface
 
 from frictrack.fit.stepwise.growth import add_effect, refine_to_end, remove_effect, simulate_trial
-from frictrack.fit.stepwise.trial import (
+from frictrack.fit.stepwise.starts import (
     EVENT_PARAMETERS,
+    bic_penalty,
+    effect_for_scan,
+    entry_order,
+    scan_effect,
+    scan_effects,
+    ties_are_resolved,
+)
+from frictrack.fit.stepwise.trial import (
     CandidateTrial,
     TiedSeparableModel,
     baseline_misfit,
-    bic_penalty,
     deepen_trials,
-    effect_for_scan,
-    entry_order,
     gain_by_smaller_scatter,
     is_unconstrained,
     levels_scatter,
@@ -19,9 +24,6 @@ from frictrack.fit.stepwise.trial import (
     misfit_left_by_other,
     most_by_smaller_scatter,
     refine_on_measured_motion,
-    scan_effect,
-    scan_effects,
-    ties_are_resolved,
     try_effect,
     try_effects,
     try_together,

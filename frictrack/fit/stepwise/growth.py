@@ -34,18 +34,20 @@ from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem
 from frictrack.fit.separable.varpro import is_scannable
-from frictrack.fit.stepwise.trial import (
+from frictrack.fit.stepwise.starts import (
     EVENT_PARAMETERS,
-    CandidateTrial,
     bic_penalty,
-    deepen_trials,
     entry_order,
-    is_unconstrained,
     model_without,
-    refine_on_measured_motion,
     reversed_ties,
     scan_effect,
     ties_are_resolved,
+)
+from frictrack.fit.stepwise.trial import (
+    CandidateTrial,
+    deepen_trials,
+    is_unconstrained,
+    refine_on_measured_motion,
     try_effect,
 )
 from frictrack.records import Array, Mask
