@@ -534,3 +534,10 @@ def test_eq6_with_target_values_loses_runs() -> None:
         100,
     )
     assert 0.05 < printed[2] < 0.61
+
+
+def test_the_last_generation_is_that_which_survived() -> None:
+    """The budget ends while children are evaluated; the mean is not that of children that Metropolis' rule refuses."""
+    found = minimise(sphere, [[-1, 1]] * 3, method="sga", rng=rng(1), max_evaluations=8_000)
+    assert found.reason == "evaluations"
+    assert found.convergence.mean[-1] < 2 * found.convergence.mean[-2]

@@ -183,6 +183,7 @@ def run_brief(out: Console, result: dict[str, Any]) -> None:
 def _brief_parameters(out: Console, result: dict[str, Any], most: int = MAX_PARAMETERS) -> None:
     """Print the first parameters that all runs share and that were fitted, and what a dagger means."""
     fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
+    most += len(fitted) == most + 1  # the line that one more is left out would be as long
     shared = [(name, one) for name, one in fitted.items() if "[" not in name][:most]
     out.print(tables.parameters(dict(shared), brief=True))
     if left_out := _more(len(fitted) - len(shared), "parameter"):

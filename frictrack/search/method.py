@@ -108,7 +108,8 @@ class CostEvaluator:
     initial_spread : float
         Median minus minimum of the costs of the first population. Annealing scales its temperature by it.
     population : tuple of (array, array) or None
-        Points (P, d) of the unit box and costs (P,) after a generation, set by methods that keep a population.
+        Points (P, d) of the unit box and costs (P,) after a generation, set by methods that keep a population. The last
+        one stays: a search that ends within a generation has not chosen among its children.
 
     """
 
@@ -178,7 +179,7 @@ class CostEvaluator:
             return
         generation = len(self._rows)
         unit, costs = self.population or tuple(np.concatenate(part) for part in zip(*self._tried, strict=True))
-        self._tried, self.population, finite = [], None, costs[np.isfinite(costs)]
+        self._tried, finite = [], costs[np.isfinite(costs)]
         mean = float(finite.mean()) if len(finite) else np.inf
         self._rows.append((self._best, mean, float(unit.std(axis=0).mean()) / UNIFORM_DEVIATION, self._start))
         self._path.append(self._best_x)
