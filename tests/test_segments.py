@@ -20,7 +20,7 @@ from frictrack.cli import main
 from frictrack.flow import Session, open_study
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Array, Track
-from frictrack.tracking import batch_tracker, track
+from frictrack.tracking import batch_tracker, followed_target, track
 
 N, SEGMENT = 360, 100
 SIZE, SHAPE = (24, 36), (48, 160)
@@ -67,7 +67,8 @@ def same(one: Track, other: Track) -> bool:
 def test_several_processes_give_the_same_positions(tmp_path: Path, frames: Array, monkeypatch: Any) -> None:
     film = written(tmp_path, frames)
     whole = track(film, target())
-    monkeypatch.setattr(batch_tracker, "SEGMENT_FRAMES", SEGMENT)
+    for room in (batch_tracker, followed_target):
+        monkeypatch.setattr(room, "SEGMENT_FRAMES", SEGMENT)
     pool = OtherProcesses()
     alone, parallel = track(film, target()), track(film, target(), pool=pool)
     assert pool.tasks >= N // SEGMENT
@@ -85,7 +86,8 @@ def test_a_target_that_is_hidden_between_two_segments_is_found_again(
     hidden[HIDDEN] = np.roll(frames[0], 90, axis=1)[:, ::-1]  # the scene alone, mirrored
     hidden[HIDDEN, 8:-8] = 110
     film = written(tmp_path, hidden)
-    monkeypatch.setattr(batch_tracker, "SEGMENT_FRAMES", SEGMENT)
+    for room in (batch_tracker, followed_target):
+        monkeypatch.setattr(room, "SEGMENT_FRAMES", SEGMENT)
     alone, parallel = track(film, target()), track(film, target(), pool=OtherProcesses())
     assert same(alone, parallel)
     assert not alone.found[HIDDEN].any()
@@ -108,7 +110,8 @@ def study_of_film(folder: Path, frames: Array) -> Path:
 def test_all_tracks_of_a_long_film_are_shared_between_processes(
     tmp_path: Path, frames: Array, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr(batch_tracker, "SEGMENT_FRAMES", SEGMENT)
+    for room in (batch_tracker, followed_target):
+        monkeypatch.setattr(room, "SEGMENT_FRAMES", SEGMENT)
     pool, opened = OtherProcesses(), []
 
     @contextmanager
@@ -122,7 +125,7 @@ def test_all_tracks_of_a_long_film_are_shared_between_processes(
     assert not opened
     _run("track", str(several), "--workers", "2")
     assert opened == [2]
-    assert pool.tasks >= 3 * (N // SEGMENT)  # learnt, tracked, tracked backward
+    assert pool.tasks >= 3 * (N // SEGMENT)  # followed, measured, followed backward
     (alone,), (parallel,) = Session(open_study(one)).runs, Session(open_study(several)).runs
     assert same(alone.get("track"), parallel.get("track"))
     assert same(alone.get("tracks")["backward"], parallel.get("tracks")["backward"])
