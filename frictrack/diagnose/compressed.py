@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -126,9 +127,8 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     per_piece = max(MAX_COMPONENTS // len(responses), MIN_COMPONENTS_PER_PIECE)
     components, force_maps, rows = zip(*(_compress_piece(r, per_piece) for r in responses), strict=True)
     removed = np.array([slot.effect == without for slot in layout.slots])
-    jac, prior_jac = solution.jac, np.array(prior_jacobian(layout, solution.p))
-    data = solution.random_effect_data()
-    data = data + jac[:, removed] @ np.where([s.linear for s in layout.slots], solution.p, 0.0)[removed]
+    prior_jac = np.array(prior_jacobian(layout, solution.p))
+    jac, data = _with_force_in_data(solution, without)
     jac[:, removed | held], prior_jac[:, removed] = 0.0, 0.0
     basis = jacobian_basis(jac, layout.levels, prior_jac)
     shrink, on_basis = basis.shrink(solution.tau), basis.u.T @ data
@@ -136,8 +136,10 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     parts = np.split(whole, np.cumsum([len(r.r) for r in responses])[:-1])
     compressed = np.concatenate([q.T @ part for q, part in zip(components, parts, strict=True)])
     directions, shares = _square_root(compressed[:, 1:], shrink)
+    of_force = [e for e in layout.model.effects if e.name == without]
+    unit_level = about_measurement or any(e.level_is_chosen and not e.linear[0].loaded for e in of_force)
     made = CompressedResidual(
-        paths=[_path_at(solution, r, at, about_measurement) for r, at in zip(responses, rows, strict=True)],
+        paths=[_path_at(solution, r, at, unit_level) for r, at in zip(responses, rows, strict=True)],
         force_maps=list(force_maps),
         rows=list(rows),
         components=list(components),
@@ -153,6 +155,22 @@ def compress_residual(solution: Solution, without: str = "", *, about_measuremen
     return replace(
         made, residual=made.project_out_model(made.residual), leakage=_leakage(made, solution, free - {without})
     )
+
+
+def _with_force_in_data(solution: Solution, name: str) -> tuple[Array, Array]:
+    """Whitened Jacobian (N, P) and data (N,) in which the force of an effect is data, also where levels multiply it."""
+    jac, data, layout = solution.jac, solution.random_effect_data(), solution.problem.layout
+    sizes = [i for i, s in enumerate(layout.slots) if s.effect == name and s.linear]
+    follow = {p.name for e in layout.model.effects if e.name == name for p in e.linear if p.loaded}
+    ends = np.cumsum([0, *(len(r.r) for r in solution.responses)])
+    for response, rows in zip(solution.responses, (slice(a, b) for a, b in pairwise(ends)), strict=True):
+        traces = jac[rows][:, sizes] * solution.p[sizes]
+        data[rows] += np.sum(traces, axis=1)
+        for i in (i for i in layout.levels if layout.slots[i].run == response.piece.run):
+            own = np.sum(traces[:, [layout.slots[k].parameter in follow for k in sizes]], axis=1) / solution.p[i]
+            jac[rows, i] -= own
+            data[rows] -= own * (solution.p[i] - 1)
+    return jac, data
 
 
 def _leakage(compressed: CompressedResidual, solution: Solution, names: set[str]) -> float:
@@ -313,7 +331,7 @@ def candidate_axes(compressed: CompressedResidual) -> list[Axis]:
     named["v"] = lambda p: p.speed
     if not steady and min(_count_reversals(compressed, run) for run in set(compressed.runs)) >= MIN_REVERSALS:
         named["phase"] = _phase_function(compressed)
-    loads = compressed.concatenate(lambda p: np.broadcast_to(p.load, p.t.shape))
+    loads = compressed.concatenate(lambda p: np.broadcast_to(p.mass_ratio * p.gravity, p.t.shape))  # at level one
     one_way = np.ptp(compressed.concatenate(lambda p: p.s)) == 0
     factors = ["L * s"] + ([] if one_way else [""]) + (["s"] if np.max(loads) > MIN_LOAD_RATIO * np.min(loads) else [])
     return [Axis(name, of, factor) for name, of in named.items() for factor in factors]

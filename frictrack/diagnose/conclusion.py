@@ -33,7 +33,8 @@ from frictrack.diagnose.experiments import plan_for_candidates, plan_for_unexpla
 from frictrack.diagnose.explanations import MAX_SIZE
 from frictrack.diagnose.formula_terms import shapes_of_functions
 from frictrack.diagnose.formulas import UnexplainedForce, are_left_out, compare_with_formulas, unexplained_force
-from frictrack.diagnose.friction_levels import chosen_levels
+from frictrack.diagnose.friction_levels import chosen_levels, describe_levels
+from frictrack.diagnose.model_selection import leaves_only_noise
 from frictrack.diagnose.power import detection_limits, find_undetermined
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.diagnose.residual_curves import FailurePattern, find_failure_pattern, residual_series
@@ -174,7 +175,7 @@ def _search_and_conclude(fit: Fit, settings: SearchSettings) -> Conclusion:
     def conclude(start: Solution, remarks: Sequence[str]) -> Conclusion:
         found = search_effects(fit.runs, start, settings)
         settings.notify(MAX_SIZE, MAX_SIZE, "comparing the effects found")
-        return Conclusion(fit, found, tuple(filter(None, [found.levels, found.cut, *remarks])))
+        return Conclusion(fit, found, tuple(filter(None, [found.cut, *remarks])))
 
     joined = join_segments(fit)
     if joined is not None:
@@ -225,12 +226,11 @@ class Conclusion:
             remarks += remarks_on_named(search.start, self._named[-1].law, causes, self.fit.runs)
             plausible = [t.effect.title for t in causes]
             remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
-        return Diagnosis(
+        found = Diagnosis(
             model=self.fit.model.names,
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
             leads=named if verdict == "unexplained" else [],
-            levels=chosen_levels(search.last.solution.problem.layout.model),
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
@@ -247,6 +247,8 @@ class Conclusion:
             alpha=2 * search.first.level,
             rests_on_repairs=rests_on_repairs(self.fit.runs, verdict, search),
         )
+        law = formulas.formulas[0].solution if is_formula and formulas is not None else search.last.solution
+        return found if verdict == "unexplained" and not is_formula else self._with_levels(found, law)
 
     def completed(self, auxiliary: AuxiliarySignals | None, notify: Callable[[str], None]) -> Diagnosis:
         """Return the whole diagnosis: failure pattern, importance, evidence of other signals, next experiments.
@@ -461,11 +463,20 @@ class Conclusion:
             repeats = replace(repeats, words="")  # the formula says it
         if found.verdict == "unexplained" and unexplained is None:
             formulas, extended = self.search.formulas, self.search.last.solution
-            unexplained = unexplained_force(formulas, extended).summary
+            force = unexplained_force(formulas, extended)
+            unexplained = force.summary
+            if force.formulas and leaves_only_noise(force.formulas[0].solution):
+                found = self._with_levels(found, force.formulas[0].solution)
             if are_left_out(formulas, extended):
                 found = replace(found, remarks=[*found.remarks, WITHOUT_MEMORY])
         figures = found.figures | (pattern.figures if pattern else {}) | evidence_curves(evidence)
         return replace(found, evidence=evidence, repeats=repeats, unexplained=unexplained, figures=figures)
+
+    def _with_levels(self, found: Diagnosis, law: Solution) -> Diagnosis:
+        """Return the diagnosis with what the friction levels multiply in the law that explains the runs."""
+        models = law.problem.model, self.fit.model
+        remarks = filter(None, [*found.remarks, describe_levels(*models)])
+        return replace(found, levels=chosen_levels(*models), remarks=list(remarks))
 
     def _plan_next(self, found: Diagnosis, notify: Callable[[str], None]) -> list[dict[str, Any]]:
         """Propose experiments where misfit is unexplained or candidates are indistinguishable."""

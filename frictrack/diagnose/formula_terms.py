@@ -452,7 +452,7 @@ def describe_formula(found: FittedFormula, bare: Solution) -> dict[str, Any]:
         "unknowns": sum(t.unknowns for t in terms),
         "reduced_chi2": solution.chi2 / max(solution.problem.n_frames - len(solution.p), 1),
         "beside": added,
-        "toml": _toml(terms),
+        "toml": _toml(terms, next(e for e in solution.problem.model.effects if e.name == EFFECT_NAME)),
     }
 
 
@@ -490,8 +490,8 @@ def _column_with_values(column: str, term: Term) -> str:
     return text.replace("2*pi*", "2 pi ").replace("*", " ").replace("- -", "+ ").replace("+ -", "- ")
 
 
-def _toml(terms: Sequence[Term]) -> str:
-    """The formula as a user effect for a study file."""
+def _toml(terms: Sequence[Term], first: Effect) -> str:
+    """The formula, of which `first` is the first term as fitted, as a user effect for a study file."""
     units: dict[str, str] = {}
     bounds: dict[str, tuple[float, float]] = {}
     for term, suffix in with_suffixes(terms):
@@ -509,4 +509,6 @@ def _toml(terms: Sequence[Term]) -> str:
     ]
     if bounds:
         lines.append("bounds = {" + ", ".join(f"{k} = [{a:.4g}, {b:.4g}]" for k, (a, b) in bounds.items()) + "}")
+    if first.level_is_chosen:
+        lines.append(f"follows_level = {str(first.linear[0].loaded).lower()}")
     return "\n".join(lines) + "\n"

@@ -49,7 +49,14 @@ from frictrack.diagnose.formula_terms import (
     describe_formula,
     formula_axes,
 )
-from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, information_criterion, log_prior_of_set
+from frictrack.diagnose.friction_levels import with_likely_levels
+from frictrack.diagnose.model_selection import (
+    MAX_BIC_EQUAL,
+    excess_chi2,
+    information_criterion,
+    leaves_only_noise,
+    log_prior_of_set,
+)
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.effects import Effect, Path
 from frictrack.fit.least_squares import Solution, fit_with_scatter
@@ -62,7 +69,6 @@ N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full,
 N_REFINED_FIRST, N_REFINED = 16, 300  # forms refined for the bare model, and for the model with a formula
 N_SHOWN = 6  # formulas reported
 MIN_RISE_COMPARED_AGAIN = 2.0  # of the fall of BIC by a better formula, for which all forms are compared again
-MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 MAX_EVIDENCE_BEHIND = 15.0  # of the logarithm of the evidence; a form further behind is not probable
 MAX_GAIN_ERROR = 0.01  # of a gain in the linearised model, where the rest of the model moves far
 MIN_CHI2_FALL = 0.01  # of a step of a formula that is compared with the best one
@@ -125,7 +131,14 @@ class FormulaSearch:
     @cached_property
     def least_misfit(self) -> float:
         """Misfit that is left by the best formula of one term, fitted in full; at most that of the model."""
-        return min([self.solution.objective, *(one.solution.objective for one in self._firsts)])
+        fitted = [*self._firsts, *([self._leader] if self._firsts else [])]
+        return min([self.solution.objective, *(one.solution.objective for one in fitted)])
+
+    @cached_property
+    def leaves_nothing(self) -> bool:
+        """Whether a formula is found beside which nothing is left, nor more probable."""
+        found = self._found
+        return max(found.weights.values(), default=-np.inf) > found.none
 
     def found(self, extended: Solution | None = None) -> list[FittedFormula]:
         """Return the formulas that fit what the model leaves, most probable first.
@@ -133,7 +146,7 @@ class FormulaSearch:
         Where all leave significant misfit, they are also added to `extended`, the model with the effects found.
         """
         found = self._found
-        if extended is not None and not any(_is_noise(one.solution) for one in found.fitted.values()):
+        if extended is not None and not any(leaves_only_noise(one.solution) for one in found.fitted.values()):
             found = found.joined(FormulaSearch(extended, self.functions, self.solution)._found)
         probabilities = form_probabilities(found.weights, found.none)
         better = [one for one in found.fitted.values() if one.delta_bic > 0]
@@ -152,16 +165,22 @@ class FormulaSearch:
         return self._fit_next(self.solution, (), self.compressed, N_FIRST_FITTED)
 
     @cached_property
+    def _leader(self) -> FittedFormula:
+        """The best of these, with the friction levels that are most likely beside it."""
+        best = max(self._firsts, key=lambda one: one.delta_bic)
+        return self._evaluated(best.terms, with_likely_levels(best.solution))
+
+    @cached_property
     def _found(self) -> _Found:
         """Formulas of one term, and of two if misfit remains."""
         if not self._firsts:
             return _Found({}, {}, 0.0)
-        best = max(self._firsts, key=lambda one: one.delta_bic)
+        best = self._leader
         best = self._evaluated(best.terms, refine_to_end(best.solution))
-        if self.bare is None and not _is_noise(best.solution):
+        if self.bare is None and not leaves_only_noise(best.solution):
             best = self._refit_model_effects(best)
         single, best, sizes = self._compare_forms(best)
-        if _is_noise(best.solution):
+        if leaves_only_noise(best.solution):
             return single
         left = compress_near_data(best.solution)
         pairs = self._fit_next(best.solution, best.terms, left, N_SECOND_FITTED)
@@ -211,8 +230,8 @@ class FormulaSearch:
     def _evaluated(self, terms: tuple[Term, ...], solution: Solution) -> FittedFormula:
         """A fitted formula with its gain over the bare model."""
         bare = self.bare or self.solution
-        excess = _excess_chi2(bare)
-        share = float(np.clip((excess - _excess_chi2(solution)) / max(excess, 1e-300), 0.0, 1.0))
+        excess = excess_chi2(bare)
+        share = float(np.clip((excess - excess_chi2(solution)) / max(excess, 1e-300), 0.0, 1.0))
         return FittedFormula(terms, solution, information_criterion(bare) - information_criterion(solution), share)
 
     def _compress_without_formula(self, solution: Solution) -> CompressedResidual:
@@ -236,8 +255,9 @@ class FormulaSearch:
         for term in scan.terms[:count]:
             with suppress(FrictrackError):
                 fitted = add_effect(solution, build_effect(name, term))
-                out.append(self._evaluated((*first, term), fitted if _is_noise(fitted) else refine_to_end(fitted)))
-                if _is_noise(fitted):
+                is_last = leaves_only_noise(fitted)
+                out.append(self._evaluated((*first, term), fitted if is_last else refine_to_end(fitted)))
+                if is_last:
                     break
         return out
 
@@ -245,7 +265,10 @@ class FormulaSearch:
         """Replace the only term of a formula, starting from its fit; None if it cannot be integrated."""
         solution = best.solution
         old = solution.problem.layout
-        layout = replace(old, model=old.model - EFFECT_NAME + build_effect(EFFECT_NAME, term))
+        (replaced,) = (e for e in old.model.effects if e.name == EFFECT_NAME)
+        effect = build_effect(EFFECT_NAME, term)
+        effect = effect.with_other_level() if replaced.level_is_chosen and effect.may_follow_level else effect
+        layout = replace(old, model=old.model - EFFECT_NAME + effect)
         names = [f"{EFFECT_NAME}.{name}" for name in (*term.shape.parameters, *coefficient_names(term))]
         values = dict(zip(old.names, solution.p, strict=True))
         values |= dict(zip(names, (*term.parameters, *term.coefficients), strict=True))
@@ -291,28 +314,6 @@ def _weighed(
 def _unit(solution: Solution) -> float:
     """Reduced chi-squared, if it is above 1."""
     return max(solution.chi2 / max(solution.problem.n_frames - len(solution.p), 1), 1.0)
-
-
-def _excess_chi2(solution: Solution) -> float:
-    """Chi-squared above its expectation."""
-    frames, free = solution.problem.n_frames, 2 * len(solution.responses) + len(solution.p)
-    return solution.chi2 - (frames - free)
-
-
-def _is_noise(solution: Solution) -> bool:
-    return is_noise(_excess_chi2(solution), solution.problem.n_frames)
-
-
-def is_noise(excess: float, frames: int) -> bool:
-    """Return whether chi-squared exceeds its expectation by no more than noise does.
-
-    Examples
-    --------
-    >>> is_noise(100.0, 1000), is_noise(300.0, 1000)  # the standard deviation is 45
-    (True, False)
-
-    """
-    return bool(excess < MIN_SIGMAS_MISFIT * np.sqrt(2 * frames))
 
 
 def log_prior(size: int, sizes: Sequence[int]) -> float:

@@ -24,6 +24,7 @@ MIN_CHI2_FALL = 0.1  # of a step of a fit whose misfit is only compared with the
 EVIDENCE_PRECISION = 0.02  # of an expected difference of chi-squared: share of it below which a step is not taken
 MAX_STEPS = 12  # Gauss-Newton steps of such a fit
 MAX_CHI2_NEAR = 40.0  # measured difference above which the expected one is not computed
+MIN_SIGMAS_MISFIT = 5.0  # standard deviations of chi-squared above which misfit is significant
 MIN_SIGNIFICANCE = 3.0  # standard deviations that an effect's size must exceed
 
 
@@ -81,6 +82,29 @@ def likelihood_gain(bare: Solution, fitted: Solution) -> float:
 def _deviance(solution: Solution) -> float:
     """Minus twice the log-likelihood, but for a constant, with the friction levels integrated out."""
     return solution.objective + solution.scatter_penalty(solution.tau)
+
+
+def excess_chi2(solution: Solution) -> float:
+    """Chi-squared above its expectation."""
+    frames, free = solution.problem.n_frames, 2 * len(solution.responses) + len(solution.p)
+    return solution.chi2 - (frames - free)
+
+
+def leaves_only_noise(solution: Solution) -> bool:
+    """Return whether a fit leaves no more than noise does."""
+    return is_noise(excess_chi2(solution), solution.problem.n_frames)
+
+
+def is_noise(excess: float, frames: int) -> bool:
+    """Return whether chi-squared exceeds its expectation by no more than noise does.
+
+    Examples
+    --------
+    >>> is_noise(100.0, 1000), is_noise(300.0, 1000)  # the standard deviation is 45
+    (True, False)
+
+    """
+    return bool(excess < MIN_SIGMAS_MISFIT * np.sqrt(2 * frames))
 
 
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:

@@ -28,8 +28,8 @@ from frictrack.diagnose.explanations import (
     names_in_place_of,
 )
 from frictrack.diagnose.formula_terms import Shape
-from frictrack.diagnose.formulas import FormulaSearch, is_noise
-from frictrack.diagnose.friction_levels import describe_levels, levels_of_other_parts
+from frictrack.diagnose.formulas import FormulaSearch
+from frictrack.diagnose.friction_levels import with_likely_levels
 from frictrack.diagnose.model_selection import (
     MAX_CHI2_NEAR,
     PRIOR_CAMERA,
@@ -117,7 +117,6 @@ class FinishedSearch:
     formulas of what `start` misses. `cut` says what was left out because the budget of evaluations was spent; it is
     None if nothing was. `alternatives` are other sets that explain as much as the effects found, and `rivals` their
     fits and those of other single effects; `is_beaten` says that one formula explains far more than the effects found.
-    `levels` says what the friction levels of the runs multiply, if that is not what the model assumes.
     """
 
     start: Solution
@@ -131,7 +130,6 @@ class FinishedSearch:
     alternatives: Sequence[dict[str, Any]] = ()
     rivals: Sequence[Solution] = ()
     is_beaten: bool = False
-    levels: str = ""
 
     @property
     def passing(self) -> list[RefinedCandidate]:
@@ -174,11 +172,12 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     n_runs = len(start.problem.layout.run_names)
     budget = EvaluationBudget(EVALUATIONS_PER_EFFECT * MAX_SIZE * max(1.0, n_runs / N_RUNS_TYPICAL))
     assumed = replace(start, problem=start.problem.with_budget(budget))
-    start = levels_of_other_parts(assumed)
+    start = with_likely_levels(assumed)
     changed = start is not assumed
     observation, simulates = observation_of(start.problem), start.problem.simulates
     sensor = assess_accelerometer(start, runs, settings.auxiliary or {}) if simulates else None
-    formulas = [FormulaSearch.of(one, settings.shapes) for one in ([start, assumed] if changed else [start])]
+    unlimited = start.problem.with_budget(EvaluationBudget())  # formulas take a bounded number of fits
+    formulas = FormulaSearch.of(replace(start, problem=unlimited), settings.shapes)
     notify(0, MAX_SIZE, "testing the model for every effect of the library")
     first = last = examine(start, own, rng, settings.level)
     scanned = sorted(first.scanned, key=lambda s: -s.excess[0])
@@ -204,7 +203,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     for size in range(1, MAX_SIZE + 1):
         if not (last.something_is_missing or (is_open and size == 1)):
             break
-        if size == MAX_SIZE and simulates and any(_explains_more(one, best) for one in formulas):
+        if size > 1 and simulates and _explains_more(formulas, best):
             beaten = True
             break
         lacking = join_as_one([e.title for e in best.effects] or ["the model"])
@@ -223,9 +222,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations
     sets, laws = alternatives_of(best, rivals), [one.law for one in rivals if one.is_law]
-    levels = describe_levels(best.law.problem.layout.model)
-    nearer = min(formulas, key=lambda one: one.least_misfit) if last.something_is_missing else formulas[0]
-    return FinishedSearch(start, first, last, tried, found, generators, nearer, cut, sets, laws, beaten, levels)
+    return FinishedSearch(start, first, last, tried, found, generators, formulas, cut, sets, laws, beaten)
 
 
 def _listed(
@@ -273,13 +270,11 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
 
 
 def _explains_more(formulas: FormulaSearch, best: Explanation) -> bool:
-    """Whether one formula leaves only noise, and the effects found explain far less by the BIC: they imitate it."""
+    """Whether one formula leaves nothing, and the effects found explain far less by the BIC: they imitate it."""
     start, misfit = formulas.solution, formulas.least_misfit
-    n = start.problem.n_frames
-    if not is_noise(misfit - n, n):
-        return False
-    fall = start.objective - misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, n)
-    return bool(information_criterion(start) - fall < best.criterion + 2 * best.log_prior - MIN_BIC_BEATEN)
+    fall = start.objective - misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, start.problem.n_frames)
+    is_far = information_criterion(start) - fall < best.criterion + 2 * best.log_prior - MIN_BIC_BEATEN
+    return is_far and formulas.leaves_nothing
 
 
 def _describe_cut(

@@ -506,8 +506,8 @@ def _rival_formula(diagnosis: Mapping[str, Any]) -> Effect | None:
     unexplained = diagnosis["unexplained"] or {}
     if not unexplained.get("rival"):
         return None
-    table = tomllib.loads(unexplained["formulas"][0]["toml"])["effect"][0]
-    return replace(effects.definitions([effects.read_settings(table)])[0], name=FIRST_FORMULA)
+    settings = effects.read_settings(tomllib.loads(unexplained["formulas"][0]["toml"])["effect"][0])
+    return replace(settings.applied(effects.definitions([settings])[0]), name=FIRST_FORMULA)
 
 
 def _fitted(solution: Solution, tried: Sequence[Effect]) -> Iterator[FittedExplanation]:

@@ -213,6 +213,16 @@ class ProjectedProblem:
         out.data = data
         return out
 
+    def with_other_level(self, effect: str) -> ProjectedProblem:
+        """Return the same problem in which an effect follows the friction levels, or does not follow them, if it did.
+
+        Only the levels can be refined in it.
+        """
+        out, separable = copy(self), copy(self.separable)
+        separable.loaded = separable.loaded ^ np.array([c.effect == effect for c in separable.coefficients])
+        out.separable = separable
+        return out
+
     def solved_again(self, state: SeparableSolution) -> SeparableSolution:
         """Return a solution of other data with the coefficients of these data."""
         return self._solved(state.nonlinear_values, state.columns, state.excluded)
@@ -240,11 +250,13 @@ class ProjectedProblem:
         taking_part: Indices | None = None,
     ) -> SeparableSolution:
         """Evaluate the solution for given non-linear values."""
-        self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
+        chosen = [*range(len(self.separable.groups))] if groups is None else [*groups]
+        if chosen:
+            self.budget.spend(COST_OF_EVALUATION * (COST_OF_MEMORY if self.separable.layout.model.memory else 1.0))
         columns = {} if known is None else dict(known.columns)
         excluded = np.ones(len(self.separable.coefficients), bool) if known is None else known.excluded.copy()
         steps = np.maximum(RELATIVE_STEP * np.abs(nonlinear_values), self._min_step)
-        for g in range(len(self.separable.groups)) if groups is None else groups:
+        for g in chosen:
             columns[g] = self.separable.columns(g, nonlinear_values, steps)
             excluded[self.separable.group_coefficients[g] if taking_part is None else taking_part] = False
         return self._solved(nonlinear_values, columns, excluded)

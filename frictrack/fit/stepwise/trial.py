@@ -176,7 +176,7 @@ def try_together(
 def with_levels(
     linearised: LinearisedModel, trials: Sequence[CandidateTrial], misfit: float
 ) -> Sequence[CandidateTrial]:
-    """Return trials, best first, with the most likely levels of those that come near the best with any levels.
+    """Return trials, best first, with the most likely levels of those that come near the best with them.
 
     `misfit` is that of the model without any effect.
     """
@@ -199,31 +199,16 @@ def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial, below
     """Return a trial in which the friction levels of the runs multiply those parts that leave the least misfit.
 
     Nobody knows whether what changes the dry friction of a run changes its viscous friction too, or a patch. Where a
-    law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters. None leaves
-    less than parts that have sizes of their own in every run; if those stay above `below`, the trial is returned.
+    law assumes the wrong one, effects imitate what is left. All such laws have equally many parameters. One that is
+    not expected to fall below `below` is not refined.
     """
     best = trial
-    if not levels_scatter(linearised.solution) or _misfit_of_own_sizes(linearised, trial, below) > below:
-        return trial
-    while True:
-        parts = [e for e in best.layout.model.effects if e.may_follow_level]
-        others = [_with_other_level(linearised, best, e) for e in parts]
-        other = min([best, *others], key=lambda one: one.misfit)
+    while levels_scatter(linearised.solution):
+        other = _with_other_level(linearised, best, below)
         if other.misfit > best.misfit - MIN_CHI2_OF_LEVELS:
             return best
         best = other
-
-
-def _misfit_of_own_sizes(linearised: LinearisedModel, trial: CandidateTrial, below: float) -> float:
-    """The misfit that a trial leaves if every part of its friction has a size of its own in every run."""
-    effects = trial.layout.model.effects
-    own = tuple(
-        e.adjusted(**{p.name: {"per_run": True} for p in e.linear}) if e.may_follow_level else e for e in effects
-    )
-    layout = replace(trial.layout, model=Model(own))
-    problem = _projected_problem(linearised, layout)
-    state = problem.at(layout.unknowns(trial.layout.by_address(trial.p)))
-    return problem.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL, below=below).misfit
+    return best
 
 
 def likely_levels(linearised: LinearisedModel) -> CandidateTrial:
@@ -233,16 +218,25 @@ def likely_levels(linearised: LinearisedModel) -> CandidateTrial:
     return with_likely_levels(linearised, own)
 
 
-def _with_other_level(linearised: LinearisedModel, trial: CandidateTrial, changed: Effect) -> CandidateTrial:
-    """A trial in which an effect follows the friction levels, or does not, if it did; if the levels still act."""
-    effects = tuple(e.with_other_level() if e is changed else e for e in trial.layout.model.effects)
-    layout, p = replace(trial.layout, model=Model(effects)), trial.p.copy()
-    if len(layout.slots) != len(p):  # nothing is left that the levels multiply, or nothing was
+def _with_other_level(linearised: LinearisedModel, trial: CandidateTrial, below: float) -> CandidateTrial:
+    """The best trial in which another effect follows the friction levels, or no longer does; refined if it promises."""
+    layout, problem, p = trial.layout, _projected_problem(linearised, trial.layout), trial.p.copy()
+    p[layout.levels] = 1.0  # they mean something else then
+    start = problem.at(p)
+    rough: list[tuple[SeparableSolution, ParameterLayout]] = []
+    for changed in (e for e in layout.model.effects if e.may_follow_level):
+        effects = tuple(e.with_other_level() if e is changed else e for e in layout.model.effects)
+        other = replace(layout, model=Model(effects))
+        if len(other.slots) == len(p):  # something is left that the levels multiply, as before
+            toggled = problem.with_other_level(changed.name)
+            state = toggled.refine(toggled.solved_again(start), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
+            rough.append((state, other))
+    if not rough:
         return trial
-    problem = _projected_problem(linearised, layout)
-    p[layout.levels] = 1.0  # they mean something else now
-    state = problem.refine(problem.at(p), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
-    return _trial(trial.effect, problem, problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL))
+    state, other = min(rough, key=lambda one: one[0].misfit)
+    problem, below = _projected_problem(linearised, other), min(below, trial.misfit - MIN_CHI2_OF_LEVELS)
+    state = problem.at(state.nonlinear_values)
+    return _trial(trial.effect, problem, problem.refine(state, steps=SET_STEPS, enough=SET_MIN_FALL, below=below))
 
 
 def refine_on_measured_motion(linearised: LinearisedModel, layout: ParameterLayout, p: Array) -> Array:
