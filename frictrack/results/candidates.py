@@ -88,8 +88,8 @@ class CandidateRow:
     @property
     def numbers(self) -> list[str]:
         """The evidence, and the held-out error with what was held out."""
-        how = "whole runs" if self.source.get("heldout") == "run" else "every other frame"
-        return [self.evidence, *([f"{self.error} ({how})"] if self.error else [])]
+        how = " (whole runs)" if self.source.get("heldout") == "run" else ""
+        return [self.evidence, *([f"{self.error}{how}"] if self.error else [])]
 
     @property
     def line(self) -> str:
@@ -98,8 +98,9 @@ class CandidateRow:
 
     @property
     def error(self) -> str:
-        """The held-out error in words; "" if nothing was held out."""
-        return f"held-out error {self.held_out}" if self.held_out else ""
+        """The held-out error in words, of frames where runs cannot be left out; "" if nothing was held out."""
+        how = " (every other frame)" if self.source.get("heldout") == "frames" else ""
+        return f"held-out error {self.held_out}{how}" if self.held_out else ""
 
     @property
     def rivals(self) -> list[str]:
