@@ -32,8 +32,6 @@ MIN_CHI2_OF_LEVELS = 6.0  # by which other friction levels must explain more: ev
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it
 MIN_SHARE_OF_BEST = 0.1  # of what the best effect explains, below which another one is not refined
-MAX_EXCESS_CHI2_SHARE = 0.02  # share of chi-squared beyond noise that indicates a wrong position
-STRONG_MISFIT_CHI2 = 2.0  # chi-squared per frame from which a fit may be far from the optimum
 ROUGH_STEPS, SET_STEPS, FINAL_STEPS = 4, 10, 25  # for every grid point, for a set of effects, and for the best two
 ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fall of a step, share of the misfit
 
@@ -382,11 +380,11 @@ def _with_levels_at_one(problem: ProjectedProblem, state: SeparableSolution) -> 
 
 
 def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
-    """Search those trials again that may be best but were not found in one scan.
+    """Search trials again with all quick scans repeated, those of the model too.
 
-    Events of single runs were found one by one, in a model that lacked them all. If much is missing, and no trial
-    reaches the noise, the model may be at a wrong position; then all quick scans are repeated. So it may be where a
-    bound holds a scanned parameter of the model, which then imitates what is missing.
+    A model that lacks something imitates it with what it has, such as a Stribeck velocity far from the true one: no
+    small step from there leads to the law with the effect. Events of single runs were found one by one, in a model that
+    lacked them all; those that may be best are found again together.
 
     Parameters
     ----------
@@ -398,33 +396,16 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
     Returns
     -------
     list of CandidateTrial
-        The trials, best first if they were searched again.
+        The trials, best first.
 
     """
-    if not trials:
-        return trials
     misfit = baseline_misfit(linearised)
-    best = misfit - min(t.misfit for t in trials)
-    if best < 0:
-        return trials
-    min_gain = MIN_GAIN_SHARE * best
+    best = min((t.misfit for t in trials), default=misfit)
     frames = sum(len(b.data) for b in linearised.blocks)
-    near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(misfit - best - frames, 0.0)
-    near = min(near, misfit - min_gain)
+    near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(best - frames, 0.0)
+    near = min(near, misfit - MIN_GAIN_SHARE * (misfit - best))
     trials = [_with_own_events(linearised, t) if t.effect.single and t.misfit < near else t for t in trials]
-    max_expected_misfit = frames * (1 + MAX_EXCESS_CHI2_SHARE) + 3 * np.sqrt(2 * frames)
-    solution = linearised.solution
-    slots = zip(solution.problem.layout.slots, solution.held, strict=True)
-    imitates = any(held and not slot.linear for slot, held in slots)
-    reached = misfit < STRONG_MISFIT_CHI2 * frames or min(t.misfit for t in trials) < max_expected_misfit
-    if reached and not imitates:
-        return trials
-    enough = 0.0 if imitates else max_expected_misfit
-    promising = [enough <= t.misfit < misfit - min_gain for t in trials]
-    return sorted(
-        (_search_again(linearised, t) if again else t for t, again in zip(trials, promising, strict=True)),
-        key=lambda t: t.misfit,
-    )
+    return sorted((_search_again(linearised, t) for t in trials), key=lambda t: t.misfit)
 
 
 def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
