@@ -76,7 +76,8 @@ def test_a_wrong_clock_is_named_and_the_error_falls():
     said = diagnose(fit("coulomb,viscous", runs), quick=True)
     assert (said.verdict, said.missing) == ("missing", ["clock_rate"])
     best = said.candidates[0]
-    assert best.heldout_after < 1.02e-5 < 1.05e-5 < best.heldout_before  # to the noise of 10 um
+    assert best.heldout_after < 1.02e-5  # the noise is 10 um
+    assert best.heldout_before > 1.05e-5
     assert "n run r1, whose true times would be its recorded ones times 1.02" in best.words["here"]
 
 
