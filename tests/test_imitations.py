@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from runs import Slider, integrate, measured
+from scipy.integrate import solve_ivp
 
 from frictrack import effects, samples
 from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
@@ -70,6 +71,18 @@ def wide_stribeck():
     runs = two_runs(STRIBECK | {"drag": DRAG}, 0.325, (2.79, -7.0), (0.98, 1.02), 8)
     made = fit(list(STRIBECK), runs)
     return made, diagnose(made, quick=True).summary()
+
+
+def test_a_cube_of_the_speed_is_found_from_a_stribeck_velocity_that_imitates_it():
+    def braking(t, state):
+        v = state[1]
+        return [v, -(3.58 + 0.93 * np.exp(-v / 0.489) + 0.214 * v + 0.243 * v**3)]
+
+    rng, runs, t = np.random.default_rng(3), [], np.arange(400) / 2000
+    for k, speed in enumerate((0.85, 1.81)):
+        x = solve_ivp(braking, (0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13, max_step=1e-3).y[0]
+        runs.append(measured(t, x, sigma=1.5e-6, mass=0.2, rng=rng, name=f"r{k}"))
+    assert diagnose(fit("tustin", runs), quick=True).missing == ["power_law_viscosity"]
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from frictrack.cli.common import after_diagnosis
+from frictrack.diagnose.compressed import compress_residual
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import likely_levels
 
@@ -77,7 +78,9 @@ def test_groups_of_runs_that_rub_differently_are_said(rubber: float, said: int) 
 # ---- what a friction level multiplies
 
 
-def sliding(level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0) -> list[ft.Run]:
+def sliding(
+    level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0, step: float = 0.0
+) -> list[ft.Run]:
     """Six runs whose friction scatters as a whole, or only its dry or viscous part, by SciPy; other forces do not."""
     rng, t, runs = np.random.default_rng(2), np.arange(500) / 2500, []
     for k in range(6):
@@ -87,7 +90,7 @@ def sliding(level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0
 
         def motion(_: float, y: np.ndarray, level: float = level, viscous: float = viscous) -> list[float]:
             dry = level * (1.0 + 0.35 * np.exp(-y[1] / 0.4))
-            other = drag * y[1] ** 2 + patch * np.exp(-0.5 * ((y[0] - 0.25) / 0.012) ** 2)
+            other = drag * y[1] ** 2 + patch * np.exp(-0.5 * ((y[0] - 0.25) / 0.012) ** 2) + step * (y[0] > 0.3)
             return [y[1], -(dry + viscous * y[1] + other) / 0.35]
 
         x = solve_ivp(motion, (0, t[-1]), [0.01, 2.0 + 0.3 * k], rtol=1e-10, atol=1e-13, t_eval=t, max_step=1e-3).y[0]
@@ -119,6 +122,16 @@ def test_drag_is_named_beside_friction_that_scatters_as_a_whole(drag: float) -> 
 
 
 @pytest.mark.slow
+def test_a_step_outside_the_library_is_a_formula_beside_friction_that_scatters_as_a_whole() -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("all", 0.03, step=0.12)), rng=1).summary()
+    assert (found["verdict"], found["leads"], found["levels"]) == ("unexplained", [], ["viscous.level"])
+    first = found["unexplained"]["formulas"][0]
+    assert first["probability"] > 0.8
+    assert first["form"] == "F * L * s * tanh(((x - c)/w))"
+    assert "follows_level = false" in first["toml"]
+
+
+@pytest.mark.slow
 def test_viscous_friction_that_scatters_alone_is_no_wrong_clock() -> None:
     found = ft.diagnose(ft.fit("tustin", sliding("viscous", 0.05)), rng=1, quick=True)
     levels = [line for line in found.remarks if "multiplies viscous too but not coulomb" in line]
@@ -140,7 +153,18 @@ def test_levels_that_multiply_more_are_added_and_kept() -> None:
     assert "viscous follows the friction levels" in law.settings
     assert [e.linear[0].loaded for e in law.effects] == [True, True, True]
     assert fit.solution.objective < plain.solution.objective - 30
-    assert not any("friction level of a run" in line for line in ft.diagnose(fit, rng=1, quick=True).remarks)
+    found = ft.diagnose(fit, rng=1, quick=True)
+    assert found.levels == []
+    assert not any("friction level of a run" in line for line in found.remarks)
+
+
+def test_a_force_that_the_levels_multiply_is_data_whatever_their_scatter() -> None:
+    fit = ft.fit("tustin, patch", sliding("all", 0.03, patch=0.24))
+    left = []
+    for tau in (1e-3, 0.5):
+        residual = compress_residual(replace(fit.solution, tau=tau), "patch").residual
+        left.append(float(residual @ residual))
+    assert left[1] > 0.5 * left[0] > 1e4
 
 
 def test_a_force_that_is_no_friction_follows_no_level() -> None:

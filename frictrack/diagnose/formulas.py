@@ -511,7 +511,7 @@ def _probability(advantages: Array, shares: Array, prior: float) -> float:
     `advantages` (n,) are the BIC of the listed forms over that of the effects, `shares` (n,) the probabilities of these
     forms among all, and `prior` the logarithm of the prior odds of one form.
     """
-    return float(expit(logsumexp(advantages / 2) - np.log(shares.sum()) + prior))
+    return float(expit(logsumexp(advantages / 2) - np.log(max(shares.sum(), 1e-300)) + prior))
 
 
 def _log_prior_odds(axes: int, count: int) -> float:

@@ -91,20 +91,8 @@ def excess_chi2(solution: Solution) -> float:
 
 
 def leaves_only_noise(solution: Solution) -> bool:
-    """Return whether a fit leaves no more than noise does."""
-    return is_noise(excess_chi2(solution), solution.problem.n_frames)
-
-
-def is_noise(excess: float, frames: int) -> bool:
-    """Return whether chi-squared exceeds its expectation by no more than noise does.
-
-    Examples
-    --------
-    >>> is_noise(100.0, 1000), is_noise(300.0, 1000)  # the standard deviation is 45
-    (True, False)
-
-    """
-    return bool(excess < MIN_SIGMAS_MISFIT * np.sqrt(2 * frames))
+    """Return whether chi-squared exceeds its expectation by no more than noise does."""
+    return bool(excess_chi2(solution) < MIN_SIGMAS_MISFIT * np.sqrt(2 * solution.problem.n_frames))
 
 
 def parameter_penalty(layout: ParameterLayout, problem: LeastSquaresProblem) -> float:

@@ -299,7 +299,10 @@ class LinearisedRun(LeastSquaresProblem):
         return self.evaluate(p, [self.first_start])[0]
 
     def evaluate(self, p: Array, starts: Sequence[Array]) -> list[PieceResponse]:
-        """Residual and sensitivities of the run at unknowns p (P,) and its start."""
+        """Residual and sensitivities of the run at unknowns p (P,) and its start; raises FrictrackError beyond numbers.
+
+        A law that speeds the mass up grows without limit along a long run.
+        """
         if self.model.memory:
             return super().evaluate(p, starts)
         piece = self._with_rival_clock(self.pieces[0], p)
@@ -313,6 +316,8 @@ class LinearisedRun(LeastSquaresProblem):
             own = law.accelerations(motion)
         moved = self._linear.respond((own - motion.a)[:, None], (starts[0] - begin)[:, None])[1]
         x = motion.x_edge[piece.at] + moved[piece.at, 0, 0]
+        if not np.all(np.isfinite(x)):
+            raise FrictrackError("the planned motion cannot be integrated under this law")
         response = self.linearised_response(piece, p, (motion, self._linear), x)
         return [replace(response, r_full=response.r)]  # linear in the start: the best one is known
 
