@@ -78,9 +78,7 @@ def test_groups_of_runs_that_rub_differently_are_said(rubber: float, said: int) 
 # ---- what a friction level multiplies
 
 
-def sliding(
-    level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0, step: float = 0.0
-) -> list[ft.Run]:
+def sliding(level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0, step: float = 0.0) -> list[ft.Run]:
     """Six runs whose friction scatters as a whole, or only its dry or viscous part, by SciPy; other forces do not."""
     rng, t, runs = np.random.default_rng(2), np.arange(500) / 2500, []
     for k in range(6):
