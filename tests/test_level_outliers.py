@@ -14,6 +14,7 @@ from frictrack.cli.common import after_diagnosis
 from frictrack.diagnose.compressed import compress_residual
 from frictrack.fit.linearised import linearise
 from frictrack.fit.stepwise import likely_levels
+from frictrack.results.verdicts import headline
 
 MU, DRAG, SIGMA = 0.26, 0.05, 5e-7  # of the weight; kg/s per kg; m
 SPEEDS = (3.0, 4.0, 5.0, 6.0)
@@ -97,12 +98,17 @@ def sliding(level_of: str, scatter: float, patch: float = 0.0, drag: float = 0.0
 
 
 @pytest.mark.slow
-def test_friction_that_scatters_as_a_whole_lacks_nothing() -> None:
-    found = ft.diagnose(ft.fit("tustin", sliding("all", 0.04)), rng=1, quick=True)
+@pytest.mark.parametrize("runs", [3, 6])
+def test_friction_that_scatters_as_a_whole_lacks_nothing(runs: int) -> None:
+    found = ft.diagnose(ft.fit("tustin", sliding("all", 0.04)[-runs:]), rng=1, quick=True)
     assert (found.missing, found.leads) == ([], [])
     assert found.verdict in {"complete", "undetermined"}
     assert any("level of a run multiplies viscous too" in line for line in found.remarks)
     assert found.summary()["levels"] == ["viscous.level"]
+    if found.verdict == "complete":
+        assert headline(found.summary()) == (
+            "Tustin + viscous.level is complete: no further effect is detectable in these runs"
+        )
     assert "study.toml viscous.level lets friction differ" in after_diagnosis(found.summary(), "study.toml")
 
 

@@ -27,7 +27,7 @@ def with_likely_levels(solution: Solution) -> Solution:
     if trial.layout is solution.problem.layout:
         return solution
     problem = solution.problem.rebuild(trial.layout)
-    law = result_or_none(fit_with_scatter, problem, trial.p, solution.starts, solution.tau)
+    law = result_or_none(fit_with_scatter, problem, trial.p, solution.starts, solution.tau or 0.03)
     needed = MAX_BIC_EQUAL * dispersion(solution)
     more = law is not None and information_criterion(law) < information_criterion(solution) - needed
     return law if law is not None and more and leaves_only_noise(law) else solution

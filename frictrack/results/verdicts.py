@@ -36,7 +36,7 @@ def describe_verdict(diagnosis: Mapping[str, Any], model: str) -> str:
     Parameters
     ----------
     diagnosis : mapping
-        The JSON of a diagnosis: `verdict`, `missing`, `candidates`, and `undetermined` for that verdict.
+        The JSON of a diagnosis: `verdict`, `missing`, `candidates`, `levels`, and `undetermined` for that verdict.
     model : str
         Name of the model in words.
 
@@ -53,6 +53,8 @@ def describe_verdict(diagnosis: Mapping[str, Any], model: str) -> str:
     >>> found = {"verdict": "ambiguous", "missing": ["texture", "patch"], "candidates": candidates}
     >>> describe_verdict(found, "Tustin")
     'Tustin lacks texture, and patch or spring: these runs cannot distinguish the last of them'
+    >>> describe_verdict({"verdict": "complete", "missing": [], "levels": ["viscous.level"]}, "Tustin")
+    'Tustin + viscous.level is complete: no further effect is detectable in these runs'
 
     """
     kind, what, unclear = diagnosis["verdict"], join_words(diagnosis["missing"]), "them"
@@ -61,6 +63,8 @@ def describe_verdict(diagnosis: Mapping[str, Any], model: str) -> str:
     if kind == "ambiguous":
         certain, what = certain_effects(diagnosis), join_words(indistinguishable_effects(diagnosis), "or")
         what, unclear = (f"{join_words(certain)}, and {what}", "the last of them") if certain else (what, unclear)
+    if kind == "complete":
+        model = " + ".join([model, *(diagnosis.get("levels") or ())])
     said = VERDICTS[kind].format(model=model, what=what, unclear=unclear)
     return "; ".join([said, *(describe_leads(diagnosis) if kind == "unexplained" else ())])
 

@@ -24,6 +24,7 @@ from frictrack.fit.stepwise.starts import EVENT_PARAMETERS, MIN_GAIN_SHARE, Star
 from frictrack.fit.uncertainty import describe_level_outliers
 from frictrack.records import Array
 
+MIN_RUNS_OF_LEVELS = 3  # two differ in one way, which any part of friction may imitate
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
 MAX_START_LOSS = (
     4.0  # by which levels that start at one may explain less at first, at the scatter that hides the effect
@@ -187,10 +188,10 @@ def with_levels(
 
 
 def levels_scatter(solution: Solution) -> bool:
-    """Return whether the friction levels are a random effect, and no run is off whose mass or clock may be wrong."""
+    """Return whether enough runs have levels that tell what they multiply; none whose mass or clock may be wrong."""
     layout, levels = solution.problem.layout, solution.p[solution.problem.layout.levels]
     is_off = any(describe_level_outliers(layout.run_names, levels, np.zeros((len(levels), len(levels)))))
-    return solution.levels_are_random and not is_off
+    return len(levels) >= MIN_RUNS_OF_LEVELS and not is_off
 
 
 def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial, below: float = np.inf) -> CandidateTrial:
