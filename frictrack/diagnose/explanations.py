@@ -75,6 +75,8 @@ class Explanation:
     trial
         The model with that smaller set, linearised, and the larger model fitted along the measured motion; None for the
         model that is diagnosed.
+    excess
+        Misfit above the noise that the trial promises to leave in simulation.
     solution
         The simulated fit; None if it was not simulated.
     objection
@@ -88,6 +90,7 @@ class Explanation:
     criterion: float
     centre: Explanation | None = None
     trial: tuple[LinearisedModel, CandidateTrial] | None = None
+    excess: float = 0.0
     solution: Solution | None = None
     objection: str = ""
     is_unrefined: bool = False
@@ -354,7 +357,8 @@ class Explanations:
         gain += _misfit_of_priors(problem.layout, solution.p) - _misfit_of_priors(trial.layout, trial.p)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")
-        new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), objection=why)
+        excess = max(expansion.fall(problem.n_frames) - expansion.fall(trial.misfit), 0.0)
+        new = Explanation((*centre.effects, *added), centre.criterion - gain, centre, (law, trial), excess, objection=why)
         handicap = sum(map(self._handicap, added))
         new = replace(new, criterion=new.criterion + handicap - 2 * (new.log_prior - centre.log_prior))
         old = self.known.get(new.names)
@@ -405,7 +409,7 @@ class Explanations:
 
     def _may_reach(self, one: Explanation, limit: float) -> bool:
         """Whether a set may reach a criterion, with the largest error of a promise seen so far."""
-        return one.criterion - self._error * _excess(one) < limit
+        return one.criterion - self._error * one.excess < limit
 
     def _simulated(self, one: Explanation) -> Explanation:
         """A set with its simulated fit, whatever it promises, unless it is no plausible one."""
@@ -420,8 +424,8 @@ class Explanations:
         if solution is None:  # along the motion it is a law, but not one that can be followed
             return replace(one, objection="its motion cannot be followed")
         found = self._with_solution(one, solution)
-        if (excess := _excess(one)) > 0:
-            self._error = max(self._error, min((one.criterion - found.criterion) / excess, 1.0))
+        if one.excess > 0:
+            self._error = max(self._error, min((one.criterion - found.criterion) / one.excess, 1.0))
         return found
 
     def refine_fully(self, one: Explanation) -> Explanation:
@@ -462,11 +466,6 @@ class Explanations:
 def _misfit_of_priors(layout: ParameterLayout, p: Array) -> float:
     """What unknowns add to the objective by their departure from their priors."""
     return float(np.sum(prior_residual(layout, p) ** 2))
-
-
-def _excess(one: Explanation) -> float:
-    """Misfit above the noise that is left along the measured motion."""
-    return 0.0 if one.trial is None else max(one.trial[1].misfit - one.trial[0].solution.problem.n_frames, 0.0)
 
 
 def _refined_from(fitted: Solution, small: Effect, found: Solution, large: Effect) -> Solution:
