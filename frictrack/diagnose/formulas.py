@@ -60,8 +60,9 @@ from frictrack.diagnose.model_selection import (
 from frictrack.diagnose.repeatability import Repeatability
 from frictrack.effects import Effect, Path
 from frictrack.fit.least_squares import Solution, fit_with_scatter
+from frictrack.fit.linearised import LinearisedModel, linearise
 from frictrack.fit.observations import keep_compared_frames
-from frictrack.fit.stepwise import add_effect, entry_order, refine_to_end, remove_effect
+from frictrack.fit.stepwise import add_effect, entry_order, refine_on_measured_motion, refine_to_end, remove_effect
 from frictrack.records import Array
 from frictrack.results.names import AXES
 
@@ -127,6 +128,11 @@ class FormulaSearch:
     def compressed(self) -> CompressedResidual:
         """The compressed residual of the model."""
         return compress_near_data(self.solution)
+
+    @cached_property
+    def _linearised(self) -> LinearisedModel:
+        """The model along the measured motion."""
+        return linearise(self.solution)
 
     @cached_property
     def least_misfit(self) -> float:
@@ -275,6 +281,7 @@ class FormulaSearch:
         problem = solution.problem.rebuild(layout, solution.problem.pieces).beginning_at(solution.responses)
         p = np.array([values[name] for name in layout.names])
         with suppress(FrictrackError):
+            p = refine_on_measured_motion(self._linearised, layout, p)  # the law makes up for the term that it had
             tau = solution.tau or 0.03
             fitted = fit_with_scatter(problem, p, solution.starts, tau, min_fall=MIN_CHI2_FALL)
             return self._evaluated((term,), fitted)
