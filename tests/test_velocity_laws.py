@@ -15,7 +15,7 @@ from frictrack.diagnose.model_selection import information_criterion, likelihood
 from frictrack.effects import LIBRARY, models
 from frictrack.fit import fit
 from frictrack.fit.linearised import linearise
-from frictrack.fit.stepwise import gain_by_smaller_scatter, try_together
+from frictrack.fit.stepwise import try_together, with_smaller_scatter
 from frictrack.records import Array
 
 LAW = {name: BASE[name] for name in ("coulomb", "viscous")}
@@ -113,7 +113,7 @@ def test_a_trial_that_needs_no_scatter_of_the_levels_promises_what_its_fit_gains
     taken_up = {(s.effect, s.parameter, s.run): law.solution.p[i] for i, s in enumerate(own.slots) if i in own.levels}
     trial = try_together(law, [LIBRARY[name]], taken_up | {(name, p, None): value for p, value in start.items()})
     fitted = fit([*LAW, name], runs).solution
-    promised = law.solution.objective - trial.misfit + gain_by_smaller_scatter(law, trial)
+    promised = law.solution.objective - trial.misfit + with_smaller_scatter(law, trial)[1]
     assert law.solution.objective - trial.misfit < 10 < promised
     assert promised == pytest.approx(likelihood_gain(law.solution, fitted), abs=3)
 

@@ -38,7 +38,6 @@ from frictrack.fit.stepwise import (
     CandidateTrial,
     baseline_misfit,
     deepen_trials,
-    gain_by_smaller_scatter,
     misfit_left_by_other,
     most_by_smaller_scatter,
     refine_to_end,
@@ -47,6 +46,7 @@ from frictrack.fit.stepwise import (
     try_effects,
     with_levels,
     with_likely_levels,
+    with_smaller_scatter,
 )
 from frictrack.fit.uncertainty import dispersion
 from frictrack.records import Array
@@ -353,7 +353,8 @@ class Explanations:
         """Enter the set that a trial of an effect, and others, makes of a centre, if it promises more than before."""
         centre, law, added = expansion.centre, expansion.law, (*others, trial.effect)
         solution, problem = law.solution, law.solution.problem
-        gain = expansion.fall(trial.misfit) + gain_by_smaller_scatter(law, trial)
+        trial, gain = with_smaller_scatter(law, trial)
+        gain += expansion.fall(trial.misfit)
         gain += _misfit_of_priors(problem.layout, solution.p) - _misfit_of_priors(trial.layout, trial.p)
         gain += parameter_penalty(problem.layout, problem) - parameter_penalty(trial.layout, problem)
         why = next(filter(None, (physical_objection(trial.layout, trial.p, e) for e in added)), "")

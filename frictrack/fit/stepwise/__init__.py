@@ -17,7 +17,6 @@ from frictrack.fit.stepwise.trial import (
     TiedSeparableModel,
     baseline_misfit,
     deepen_trials,
-    gain_by_smaller_scatter,
     is_unconstrained,
     levels_scatter,
     likely_levels,
@@ -29,4 +28,5 @@ from frictrack.fit.stepwise.trial import (
     try_together,
     with_levels,
     with_likely_levels,
+    with_smaller_scatter,
 )

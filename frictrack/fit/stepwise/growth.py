@@ -64,7 +64,7 @@ MAX_REVERSAL_SEGMENTS = 16  # segments used for the first fit of a long record w
 COEFFICIENT_SHARES = (1.0, 0.5, 0.2, 0.0)  # factors on start coefficients, until the motion does not diverge
 TRIAL_MIN_CHI2_FALL = 0.1  # smallest predicted fall of chi-squared; less does not change a ranking
 TRIAL_MIN_EXCESS_SHARE = 1e-3  # the same as a share of the chi-squared beyond noise
-SETTLING_STEPS = 2  # Gauss-Newton steps after which the starts of the motions belong to the law
+SETTLING_STEPS = 4  # Gauss-Newton steps after which the starts of the motions belong to the law
 TRIAL_MAX_STEPS = 16  # Gauss-Newton steps; the true effect needs fewer, a wrong one need not converge
 
 
@@ -473,7 +473,7 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
 
     """
     model = linearised.solution
-    problem, tau = model.problem.rebuild(trial.layout), model.tau or 0.03
+    problem, tau = model.problem.rebuild(trial.layout), trial.tau or model.tau or 0.03
     starts = problem.first_starts()
     if problem.simulates:
         starts = [np.array([r.motion.x_edge[0], r.motion.v_edge[0]]) for r in model.responses]
@@ -482,6 +482,7 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
     first = result_or_none(refine, problem, trial.p, starts, tau=tau, max_steps=SETTLING_STEPS)
     if first is None or first.objective > model.objective:
         first = _without_effect(problem, trial, model)
+        tau = first.tau or tau
     frames = problem.n_frames
     excess = (trial.misfit - frames) / max(1.0, trial.misfit / max(frames, 1))  # in units of chi-squared per frame
     min_fall = max(TRIAL_MIN_CHI2_FALL, TRIAL_MIN_EXCESS_SHARE * excess)

@@ -39,12 +39,16 @@ ROUGH_MIN_FALL, SET_MIN_FALL, FINAL_MIN_FALL = 1e-3, 1e-4, 1e-6  # predicted fal
 
 @dataclass(frozen=True, eq=False)
 class CandidateTrial:
-    """A model with one more effect: its layout, its unknowns p (P,) and its misfit along the measured motion."""
+    """A model with one more effect: its layout, its unknowns p (P,) and its misfit along the measured motion.
+
+    `tau` is the scatter of its friction levels; None if it is that of the model without the effect.
+    """
 
     effect: Effect
     layout: ParameterLayout
     p: Array
     misfit: float
+    tau: float | None = None
 
 
 def try_effects(
@@ -251,8 +255,8 @@ def baseline_misfit(linearised: LinearisedModel) -> float:
     return _refined(problem, problem.at(np.array(linearised.solution.p))).misfit
 
 
-def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) -> float:
-    """Compute what a trial gains if the scatter of the friction levels is estimated with its effect.
+def with_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) -> tuple[CandidateTrial, float]:
+    """Return a trial with the scatter of the friction levels estimated with its effect, and what it gains by that.
 
     A trial keeps the scatter of the model without the effect. Of an effect that explains why runs differ, that hides
     nearly all: the levels would need no scatter. The scatter that is left is estimated from the levels, and again from
@@ -267,15 +271,17 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
 
     Returns
     -------
-    float
+    trial : CandidateTrial
+        The trial with that scatter and the unknowns there, from which it is simulated; its misfit stays.
+    gain : float
         Fall of minus twice the log-likelihood, levels integrated out.
 
     """
     solution = linearised.solution
     if not solution.levels_are_random:
-        return 0.0
+        return trial, 0.0
     if not trial.layout.levels:
-        return solution.scatter_penalty(solution.tau)
+        return trial, solution.scatter_penalty(solution.tau)
     gain, best, tau = 0.0, trial, solution.tau
     for _ in range(MAX_SCATTER_ESTIMATES):
         problem, p = _projected_problem(linearised, best.layout, tau), np.array(best.p)
@@ -285,16 +291,16 @@ def gain_by_smaller_scatter(linearised: LinearisedModel, trial: CandidateTrial) 
         fall = trial.misfit - state.misfit + solution.scatter_penalty(solution.tau) - solution.scatter_penalty(tau)
         if fall < gain - MAX_START_LOSS:
             break
-        gain, best = max(fall, gain), _trial(trial.effect, problem, state)
+        gain, best = max(fall, gain), replace(_trial(trial.effect, problem, state), tau=tau)
         left = float(np.clip(np.sqrt(np.mean((best.p[best.layout.levels] - 1) ** 2)), *SCATTER_BOUNDS))
         if left > MAX_SCATTER_RATIO * tau:
             break
         tau = left
-    return gain
+    return replace(trial, p=best.p, tau=best.tau), gain
 
 
 def most_by_smaller_scatter(solution: Solution) -> float:
-    """Compute the most that any effects can gain as in `gain_by_smaller_scatter`: friction levels need no scatter."""
+    """Compute the most that any effects can gain as in `with_smaller_scatter`: friction levels need no scatter."""
     if not solution.levels_are_random:
         return 0.0
     return solution.scatter_penalty(solution.tau) - solution.scatter_penalty(SCATTER_BOUNDS[0])
