@@ -266,13 +266,13 @@ _TEXTS = {
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
-    "plan": "the first rows of the table; plan.html, or --details, shows what each run separates and what stays open",
+    "plan": "the next run; plan.html, or --details, shows further runs, what each separates, what stays open",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
     "crate": "what is not included or missing, above. Then: frictrack reproduce {crate}, at best on another computer",
     "prior": "the deviations: they must be what you believe of the other set-up. There: prior = the file, in [study]",
     "batch": "the page: failures first, then verdicts and trends; frictrack_batch.csv has one row per run",
-    "demo": "the first screen of the report; frictrack_demo/study.toml is a study file to copy from",
+    "demo": "the first screen of the report; frictrack_demo/study.toml is an example",
     "render": "the films; truth.json holds the true motion and forces, which study.toml does not tell",
 }
 

@@ -39,12 +39,16 @@ class Terminal(Console):
     Rich ends lines also at spaces that do not break, so they are printed as letters first.
     """
 
+    lines = 0  # that were printed
+
     def print(self, *objects: Any, **how: Any) -> None:
         """Print texts and tables."""
         with self.capture() as printed:
             marked = (UNBROKEN.sub(lambda m: LETTERS[m[0]], one) if isinstance(one, str) else one for one in objects)
             super().print(*marked, **how)
-        self.file.write(printed.get().translate({ord(letter): space for space, letter in LETTERS.items()}))
+        text = printed.get().translate({ord(letter): space for space, letter in LETTERS.items()})
+        self.lines += text.count("\n")
+        self.file.write(text)
 
 
 def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
@@ -194,16 +198,17 @@ def _own_motion(out: Console, result: dict[str, Any]) -> None:
         out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
 
 
-def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
+def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -> Table:
     """Return a table with one row per parameter: value ± standard deviation, remark.
 
     A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them;
-    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line.
+    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line; `more` says what it
+    leaves out.
     """
     found = {escape(name): parameter_row(p) for name, p in values.items()}
     if brief:
         rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
-        return table("parameter", "value ± std", "", rows=rows)
+        return table("parameter", "value ± std", more, rows=rows)
     heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
     cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
     return filled_table(heads, cells)
