@@ -306,14 +306,13 @@ def after_edit(result: Mapping[str, Any], study: Any) -> str:
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:
     """Return what to look at first after a diagnosis, and what to do then; it depends on the verdict."""
-    from frictrack.results.verdicts import CHECK_NEXT, formula_evidence  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
 
     if diagnosis.get("warnings"):
         return f"{first} {CHECK_NEXT}"
     study, formulas = shlex.quote(str(study)), (diagnosis.get("unexplained") or {}).get("formulas") or [{}]
     if diagnosis["verdict"] == "unexplained" and formulas[0].get("toml"):  # a lead would be no cause
-        force = f"the force {formulas[0]['formula']} ({formula_evidence(formulas[0])})"
-        return f"{first} Then: frictrack add {study} formula:1 adds {force}, or write an effect of your own"
+        return f"{first} Then: frictrack add {study} formula:1 adds its first formula, or write an effect of your own"
     if diagnosis["missing"]:
         return f"{first} Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
     if levels := diagnosis.get("levels"):

@@ -21,7 +21,7 @@ from frictrack.results.rows import error_rows, held_out_error
 MAX_FINDINGS = 8  # that the terminal shows
 MAX_LINES, MIN_PARAMETERS = 15, 2  # without --details: as many parameters as fit
 LAST_LINES = 3  # what to look at and do, and where the results are
-MAX_NAMED, MAX_RUNS = 3, 3  # effects and runs to film that are printed without --details
+MAX_NAMED, MAX_RUNS = 2, 3  # effects and runs to film that are printed without --details
 MAX_DIFFERENCES = 5  # printed of one group
 MAX_STUDIES = 100  # in the table of a batch; the page shows all
 NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
@@ -185,7 +185,7 @@ def run_brief(out: tables.Terminal, result: dict[str, Any]) -> None:
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
     found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS]
-    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
+    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found[-3:])
     out.print(escape(words))
     _brief_parameters(out, fitted)
 
@@ -193,14 +193,15 @@ def run_brief(out: tables.Terminal, result: dict[str, Any]) -> None:
 def _brief_parameters(out: tables.Terminal, result: dict[str, Any], after: int = LAST_LINES) -> None:
     """Print what fits of the parameters that all runs share and that were fitted, and what a dagger means.
 
-    `after` is the number of lines that will follow.
+    Those that the data do not determine are left out first. `after` is the number of lines that will follow.
     """
     fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
     most = max(MAX_LINES - out.lines - after - 1 - bool(result.get("misfit")), MIN_PARAMETERS)
-    shared = [(name, one) for name, one in fitted.items() if "[" not in name][:most]
-    left_out = len(fitted) - len(shared)
+    shared = sorted((name for name in fitted if "[" not in name), key=lambda name: fitted[name].get("value") is None)
+    shown = {name: one for name, one in fitted.items() if name in shared[:most]}
+    left_out = len(fitted) - len(shown)
     more = f"and {left_out} more in the report" if left_out else ""
-    out.print(tables.parameters(dict(shared), brief=True, more=more))
+    out.print(tables.parameters(shown, brief=True, more=more))
     if result.get("misfit"):
         out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 

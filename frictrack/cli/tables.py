@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_plain, format_plus_minus
@@ -207,8 +208,11 @@ def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -
     """
     found = {escape(name): parameter_row(p) for name, p in values.items()}
     if brief:
-        rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
-        return table("parameter", "value ± std", more, rows=rows)
+        new = table("parameter", "value ± std", more)
+        new.columns[1].no_wrap = True
+        for name, row in found.items():
+            new.add_row(name, row.short, Text(row.short_remark, no_wrap=True, overflow="ellipsis"))
+        return new
     heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
     cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
     return filled_table(heads, cells)
