@@ -45,10 +45,11 @@ export class Plot {
   /** The handle moves this plot to where it is dropped, or by the arrow keys. */
   listenToHandle() {
     const { listeners, handle, grid } = this, held = (on) => this.el.classList.toggle("fp-held", on);
+    const move = (to) => { grid.move(this, to); handle.focus(); }; // a plot that is put elsewhere loses the focus
     listeners.on(handle, "pointerdown", (e) => { handle.setPointerCapture(e.pointerId); held(true); });
     listeners.on(handle, "pointerup", (e) => {
       held(false);
-      grid.move(this, handle.getRootNode().elementFromPoint(e.clientX, e.clientY)?.closest(".fp-plot"));
+      move(handle.getRootNode().elementFromPoint(e.clientX, e.clientY)?.closest(".fp-plot"));
     });
     listeners.on(handle, "pointercancel", () => held(false));
     listeners.on(handle, "dblclick", () => grid.change({ order: [] }));
@@ -56,8 +57,7 @@ export class Plot {
       const by = { ArrowLeft: -1, ArrowUp: -1, ArrowRight: 1, ArrowDown: 1 }[e.key];
       if (!by) return;
       e.preventDefault();
-      grid.move(this, by);
-      handle.focus(); // a plot that is put elsewhere loses it
+      move(by);
     });
   }
 
