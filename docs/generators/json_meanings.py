@@ -106,7 +106,7 @@ MEANINGS = {
     "least_Hz": "cut-off with the smallest error, Hz",
     "cutoff.unit": "unit of the errors by the cut-off",
     "cutoff.noise": "error by noise that passes, in `cutoff.unit`",
-    "cutoff.lost": "error by signal that is removed, in `cutoff.unit`; the median of the frames, as a standard deviation",
+    "cutoff.lost": "error by signal that is removed, in `cutoff.unit`, in most frames",
     "followed_apart": "error with trend, vibrations and events separated, in `cutoff.unit`",
     "kind": "kind of the event",
     "from_s": "begin, s",

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import typer
 
 from frictrack import flow
-from frictrack.base.number_format import describe_change
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -261,12 +260,11 @@ def _clock(seconds: float) -> str:
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {
     "track": "{output}/<run>_track.png: the frame must lie on the slider in every picture. Then: frictrack run {study}",
-    "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong. "
-    "frictrack export {study} writes the curves as tables",
+    "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong",
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
-    "plan": "the next run; plan.html, or --details, shows further runs, what each separates, what stays open",
+    "plan": "the next run; plan.html shows further ones, what each separates and, as --details does, what stays open",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
     "crate": "what is not included or missing, above. Then: frictrack reproduce {crate}, at best on another computer",
@@ -296,12 +294,10 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
 
 def after_edit(result: Mapping[str, Any], study: Any) -> str:
     """Return what an added or removed effect makes of the held-out error."""
-    from frictrack.results.rows import held_out_error  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.rows import describe_held_out  # noqa: PLC0415 - `--help` does without it
 
-    (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
-    change = describe_change(before, after, unit)
-    study = shlex.quote(str(study))
-    return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
+    change, study = describe_held_out(result["error_before"], result["error_after"]), shlex.quote(str(study))
+    return f"{change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:

@@ -9,18 +9,16 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import describe_change, format_p_value, format_plain, format_plus_minus
+from frictrack.base.number_format import format_p_value, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
-from frictrack.results.rows import error_rows, held_out_error
+from frictrack.results.rows import describe_held_out, error_rows
 
 MAX_FINDINGS = 8  # that the terminal shows
-MAX_LINES, MIN_PARAMETERS = 15, 2  # without --details: as many parameters as fit
-LAST_LINES = 3  # what to look at and do, and where the results are
+MAX_LINES, LAST_LINES, MIN_PARAMETERS = 15, 3, 2  # without --details; the last: what to look at, and the results
 MAX_NAMED, MAX_RUNS = 2, 3  # effects and runs to film that are printed without --details
 MAX_DIFFERENCES = 5  # printed of one group
 MAX_STUDIES = 100  # in the table of a batch; the page shows all
@@ -115,26 +113,19 @@ def next_experiment(out: Console, result: dict[str, Any]) -> None:
 def plan(out: Console, result: dict[str, Any]) -> None:
     """Print the first runs in order with what each adds, and how much all leave open."""
     _film_now(out, result)
-    none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
-    out.print(_planned(result["runs"][:MAX_RUNS]) if result["runs"] else none)
-    counts = (len(result[key]) for key in ("left", "unseen", "not_planned"))
-    out.print("left open: {} groups not separated, {} effects not detected, {} not planned for".format(*counts))
-
-
-def _planned(runs: list[dict[str, Any]], number: int = 1) -> Table:
-    """Return a table of planned runs; the first has the given number."""
     rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
-    for k, run in enumerate(runs, number):
+    for k, run in enumerate(result["runs"][:MAX_RUNS], 1):
         example = " from ".join(run["separates"][0]) if run["separates"] else ""
         numbers = (format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]))
         rows.add_row(str(k), escape(run["what"]), *numbers, example)
-    return rows
+    none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
+    out.print(rows if result["runs"] else none)
+    left, unseen, rest = (len(result[key]) for key in ("left", "unseen", "not_planned"))
+    out.print(f"left open: {left} groups not separated, {unseen} effects not detected, {rest} not planned for")
 
 
 def plan_details(out: Console, result: dict[str, Any]) -> None:
-    """Print the further runs, what is filmed and assumed, what no run settles and why, and the detection limits."""
-    if further := result["runs"][MAX_RUNS:]:
-        out.print(_planned(further, MAX_RUNS + 1))
+    """Print what is filmed and assumed, what no run settles and why, and the detection limits."""
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
     for line in result["assumed"]:
@@ -176,7 +167,7 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    tables.fit(out, result["fit"], motion=False)
+    tables.fit(out, result["fit"])
     verdict(out, result["diagnose"])
 
 
@@ -184,9 +175,8 @@ def run_brief(out: tables.Terminal, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS]
-    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found[-3:])
-    out.print(escape(words))
+    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS][-3:]
+    out.print(escape("; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)))
     _brief_parameters(out, fitted)
 
 
@@ -200,8 +190,7 @@ def _brief_parameters(out: tables.Terminal, result: dict[str, Any], after: int =
     shared = sorted((name for name in fitted if "[" not in name), key=lambda name: fitted[name].get("value") is None)
     shown = {name: one for name, one in fitted.items() if name in shared[:most]}
     left_out = len(fitted) - len(shown)
-    more = f"and {left_out} more in the report" if left_out else ""
-    out.print(tables.parameters(shown, brief=True, more=more))
+    out.print(tables.parameters(shown, brief=True, more=f"and {left_out} more in the report" * (left_out > 0)))
     if result.get("misfit"):
         out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 
@@ -228,9 +217,8 @@ def demo(out: tables.Terminal, result: dict[str, Any]) -> None:
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
-        (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
-        change = describe_change(before, after, unit)
-        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, the held-out error {change}")
+        change = describe_held_out(result["add"]["error_before"], result["add"]["error_after"])
+        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, {change}")
         _brief_parameters(out, result["add"], LAST_LINES - 1)
 
 

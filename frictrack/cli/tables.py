@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import DASH, format_plain, format_plus_minus
+from frictrack.base.number_format import DASH, format_plain
 from frictrack.results.names import numbered_name
 from frictrack.results.rows import (
     FAILING_HEADS,
@@ -156,8 +156,8 @@ def _details(row: dict[str, Any]) -> list[str]:
 # --- fits
 
 
-def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
-    """Print the parameters with standard deviations and units, then the errors; `motion`: of the model, too."""
+def fit(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters with standard deviations and units, then the errors."""
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
@@ -173,8 +173,6 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
             f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
             "runs of a camera and included in every ±"
         )
-    if motion:
-        _own_motion(out, result)
     out.print(errors([("", result["errors"])]))
 
 
@@ -182,21 +180,8 @@ def _prior(out: Console, prior: dict[str, Any]) -> None:
     """Print how well the data agree with the prior; of several groups, group by group."""
     for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
         said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
-        text = f"disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}"
-        out.print(f"{escape(group)}: {text}" if group else text)
-
-
-def _own_motion(out: Console, result: dict[str, Any]) -> None:
-    """Print how precisely the model gives the motion of each run, and the collisions."""
-    for row in result["per_run"]:
-        if motion := row.get("motion"):
-            model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
-            text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
-            lines(out, [text], f"{row['run']}: ")
-    for c in result.get("collisions", []):
-        share = None if c["relative_std"] is None else 100 * c["relative_std"]
-        impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
-        out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
+        of = f"{escape(group)}: " if group else ""
+        out.print(f"{of}disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}")
 
 
 def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -> Table:

@@ -318,6 +318,14 @@ def camera_remarks(runs: Sequence[Run], named: Sequence[Effect]) -> list[str]:
 
 
 MAX_TURN_SPREAD = 0.1  # of the places where strokes turn from their ends, over the way between the ends
+ONE_WAY = (
+    "all runs move one way, so that {} may be friction that changes along the course, or a force that pulls there "
+    "whatever the direction: a run the other way tells which"
+)
+SAME_TURNS = (
+    "all strokes turn at the same two places, so that {} may depend on the way since the turn instead of the place: "
+    "strokes of another length tell which"
+)
 
 
 def remarks_on_places(model: Solution, named: Sequence[Effect]) -> list[str]:
@@ -327,21 +335,11 @@ def remarks_on_places(model: Solution, named: Sequence[Effect]) -> list[str]:
     depend on the way since the turn.
     """
     of_place = " and ".join(e.title for e in named if e.varies_with == "x" and e.acts_on == "force" and not e.needs)
-    paths = [piece.path for piece in model.problem.pieces]
-    ways = {way for path in paths for way in np.sign(path.s).tolist() if way}
-    if not of_place:
-        return []
-    if len(ways) == 1 and not any(piece.turns for piece in model.problem.pieces):
-        return [
-            f"all runs move one way, so that {of_place} may be friction that changes along the course, or a force that "
-            "pulls there whatever the direction: a run the other way tells which"
-        ]
-    places = np.concatenate([path.x[1:][np.diff(np.sign(path.s)) != 0] for path in paths])
-    ends = np.concatenate([path.x for path in paths])
-    off = np.abs(places[:, None] - [ends.min(), ends.max()]) / np.ptp(ends)  # (turns, ends)
-    if np.any(off.min(axis=1) > MAX_TURN_SPREAD) or np.any((off <= MAX_TURN_SPREAD).sum(axis=0) < 2):
-        return []
-    return [
-        f"all strokes turn at the same two places, so that {of_place} may depend on the way since the turn instead of "
-        "the place: strokes of another length tell which"
-    ]
+    pieces = model.problem.pieces
+    s, x = (np.concatenate([getattr(piece.path, name) for piece in pieces]) for name in ("s", "x"))
+    turns = np.concatenate([piece.path.x[1:][np.diff(np.sign(piece.path.s)) != 0] for piece in pieces])
+    off = np.abs(turns[:, None] - [x.min(), x.max()]) <= MAX_TURN_SPREAD * np.ptp(x)  # (turns, ends)
+    one_way = not any(piece.turns for piece in pieces) and abs(np.sign(s).sum()) == np.count_nonzero(s)
+    same = bool(np.all(off.any(axis=1)) and np.all(off.sum(axis=0) >= 2))
+    said = ONE_WAY if one_way else SAME_TURNS if same else ""
+    return [said.format(of_place)] if of_place and said else []

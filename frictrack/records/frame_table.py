@@ -452,7 +452,7 @@ class CutoffTradeOff:
     """Error of the acceleration by the cut-off frequency of a plain low-pass; all columns (k,).
 
     `residual` is the rms of what the low-pass removes and `floor` that of white noise alone, m. `noise` and `lost` are
-    the noise that passes and the signal that is removed, m/s^2, in most frames: `lost` is a median, which no push rules.
+    the noise that passes and the signal that is removed, m/s^2, in most frames: `lost` is a median, no push rules it.
     """
 
     frequency: Array = column("Hz")
