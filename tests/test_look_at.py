@@ -19,3 +19,10 @@ def test_leads_are_not_proposed_as_causes():
     found = {"verdict": "unexplained", "missing": [], "leads": ["patch"], "unexplained": {"formulas": [formula]}}
     assert "add study.toml formula:1 adds its first formula" in after_diagnosis(found, "study.toml")
     assert "patch" not in after_diagnosis(found | {"unexplained": None}, "study.toml")
+
+
+def test_other_levels_are_no_next_step_while_a_mass_is_open():
+    found = {"verdict": "complete", "missing": [], "levels": ["viscous.level"]}
+    assert "add study.toml viscous.level" in after_diagnosis(found, "study.toml")
+    gap = {"what": "the mass of v5", "why": "", "settled_by": "weigh it again"}
+    assert "level" not in after_diagnosis(found | {"verdict": "undetermined", "undetermined": [gap]}, "study.toml")

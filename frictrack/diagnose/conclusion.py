@@ -230,7 +230,7 @@ class Conclusion:
             verdict=verdict,
             missing=[] if verdict == "unexplained" else named,
             leads=named if verdict == "unexplained" else [],
-            levels=[] if grounds.doubted else chosen_levels(search.last.solution.problem.layout.model),
+            levels=chosen_levels(search.last.solution.problem.layout.model),
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
