@@ -311,8 +311,6 @@ def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the 
         return f"{first} Then: frictrack add {study} formula:1 adds its first formula, or write an effect of your own"
     if diagnosis["missing"]:
         return f"{first} Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
-    if (levels := diagnosis.get("levels")) and diagnosis[
-        "verdict"
-    ] != "undetermined":  # they do not answer what is open
+    if (levels := diagnosis.get("levels")) and diagnosis["verdict"] != "undetermined":  # no answer to that
         return f"{first} Then: frictrack add {study} {levels[0]} lets friction differ from run to run as the data show"
     return f"{first} Then: frictrack plan {study} lists which runs would tell more"
