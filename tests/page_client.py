@@ -126,7 +126,8 @@ class Client:
                 self._wanted.cancel()
             await asyncio.sleep(0.05)
 
-        self._loop.run_until_complete(end())
+        if self._socket is not None or self._wanted is not None:  # one that never listened ends beside a browser, too
+            self._loop.run_until_complete(end())
         self._loop.close()
 
 

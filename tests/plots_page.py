@@ -43,7 +43,8 @@ async function frame(film, n) {
   pen.fillRect((200 * n) / film.frames, 40, 40, 40);
   return createImageBitmap(pen.canvas);
 }
-const view = new LinkedView({ frame }), told = {}, names = ["selection", "cursor", "moved", "drawn", "hidden", "range"];
+const view = new LinkedView({ frame }), told = {};
+const names = ["selection", "cursor", "moved", "drawn", "hidden", "range", "layout"];
 for (const name of names) view.on(name, (value) => { told[name] = value; });
 window.load = async (query) => {
   const { scene, columns } = parsePacked(await (await fetch(`/scene.bin${query}`)).arrayBuffer());

@@ -159,3 +159,14 @@ def test_what_lies_above_a_cutoff_is_said():
     t, x = pieces((0.15, -20.0), v=5.0)
     run = filmed(t, x)
     assert cutoff_tradeoff(run.displacement, low_pass(run.displacement), run.motion).warnings == ()
+
+
+def test_a_push_does_not_rule_what_a_low_pass_costs():
+    """A half sine of 4 ms and 6000 m/s^2, then friction of 15 m/s^2: a low-pass at 100 Hz smears the push over 5 ms."""
+    t, lasts = np.arange(270) / FPS, 0.004
+    u, late = np.pi / lasts * np.minimum(t, lasts), np.maximum(t - lasts, 0.0)
+    x = 6000.0 * ((lasts / np.pi) ** 2 * (u - np.sin(u)) + 2 * lasts / np.pi * late) - 7.5 * late**2
+    run = filmed(t, x, drive=np.zeros(len(t)))
+    found = cutoff_tradeoff(run.displacement, low_pass(run.displacement), run.motion)
+    assert max(found.at(100.0)) < 1.0
+    assert max(found.at(found.chosen)) < 15.0

@@ -386,6 +386,30 @@ def test_many_selections_leave_nothing_in_memory(opened: PlotsPage) -> None:
     assert heap_mb() - before < 1
 
 
+def test_a_plot_is_moved_by_its_handle_or_by_keys(tab: Callable[[], Tab], address: str) -> None:
+    opened = PlotsPage(tab(), address, f"?large={LARGE}")
+    shown = "grid.placed.map((plot) => plot.spec.title)"
+    usual = opened.js(shown)
+    handle = opened.page.get_by_role("button", name=f"Move {usual[2]}", exact=True)
+    handle.focus()
+    box = handle.bounding_box()
+    opened.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    opened.page.mouse.down()
+    opened.page.mouse.move(*opened.at(opened.js("grid.plots.indexOf(grid.placed[0])"), 0.5, 0.5), steps=3)
+    opened.page.mouse.up()
+    moved = [usual[2], *usual[:2], *usual[3:]]
+    assert opened.js(shown) == moved
+    assert opened.js("told.layout") == {"order": moved, "alone": None}
+    assert opened.js("[...grid.grid.children].map((n) => n.classList.contains('fp-large'))").index(True) == 0
+    opened.page.keyboard.press("ArrowRight")
+    assert opened.js(shown) == [usual[0], usual[2], usual[1], *usual[3:]]
+    assert opened.js("document.activeElement.getAttribute('aria-label')") == f"Move {usual[2]}"
+    opened.js("load('?')")  # the same study again
+    assert opened.js(shown)[1] == usual[2]
+    handle.dblclick()
+    assert opened.js(shown) == usual
+
+
 def test_plots_are_used_by_keyboard(opened: PlotsPage) -> None:
     top = opened.page.get_by_role("application", name="Residual against time")
     top.focus()

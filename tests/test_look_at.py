@@ -17,7 +17,12 @@ def test_fits_of_groups_are_not_judged_as_one():
 def test_leads_are_not_proposed_as_causes():
     formula = {"formula": "0.1 N tanh(x)", "toml": "[[effect]]", "share": 0.999, "delta_bic": 4000.0}
     found = {"verdict": "unexplained", "missing": [], "leads": ["patch"], "unexplained": {"formulas": [formula]}}
-    assert "add study.toml formula:1 adds the force 0.1 N tanh(x) (99.9 % of the misfit" in after_diagnosis(
-        found, "study.toml"
-    )
+    assert "add study.toml formula:1 adds its first formula" in after_diagnosis(found, "study.toml")
     assert "patch" not in after_diagnosis(found | {"unexplained": None}, "study.toml")
+
+
+def test_other_levels_are_no_next_step_while_a_mass_is_open():
+    found = {"verdict": "complete", "missing": [], "levels": ["viscous.level"]}
+    assert "add study.toml viscous.level" in after_diagnosis(found, "study.toml")
+    gap = {"what": "the mass of v5", "why": "", "settled_by": "weigh it again"}
+    assert "level" not in after_diagnosis(found | {"verdict": "undetermined", "undetermined": [gap]}, "study.toml")

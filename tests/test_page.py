@@ -9,6 +9,7 @@ import json
 import re
 import shutil
 import signal
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +144,23 @@ def test_a_right_text_entered_before_the_page_draws_is_written(untracked: Server
 
 
 @pytest.mark.slow
+def test_a_click_marks_the_target_in_one_frame_and_goes_to_the_next(untracked: Server, tab: Open) -> None:
+    page = tab().open(untracked)
+    film_shown(page)
+    page.page.get_by_role("button", name="Repair", exact=True).click()
+    for k in range(2):
+        page.page.locator(".fp-label", has_text=f"frame {k} of 150").wait_for()
+        page.drag_on_film((0.1 + 0.01 * k, 0.4), (0.1 + 0.01 * k, 0.4))
+        page.hears(f"frame {k}: marked.")
+    page.page.locator(".fp-label", has_text="frame 2 of 150").wait_for()
+    repairs = tomllib.loads(untracked.study_text)["run"][0]["repair"]
+    assert [(one["from"], one["to"], one["how"]) for one in repairs] == [(0, 0, "track"), (1, 1, "track")]
+    (x, y, w, h), moved = repairs[0]["target"], repairs[1]["target"]
+    assert (w, h) == (20, 20)
+    assert (x + 10, y + 10) == pytest.approx((51.2, 28.8), abs=1.0)  # of 512 x 72 px
+    assert moved[0] - x == pytest.approx(5.1, abs=1.0)
+
+
 def test_a_quick_drag_draws_with_the_tool_just_chosen(untracked: Server, tab: Open) -> None:
     before, page = untracked.study_text, tab().open(untracked)
     film_shown(page)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, Open, Server
+from browser import CHROMIUM, Open, Serve, Server
 from test_plots import results
 
 from frictrack.present.report.texts import study_verdict
@@ -92,11 +94,47 @@ def test_three_films_that_wait_are_not_97_percent(tables: Server, tab: Open) -> 
     assert told[2] == {"step": "Fit the model", "share": 0.97}
 
 
+@browsed
+def test_numbers_are_written_for_people_and_typed_for_the_study_file(tables: Server, tab: Open) -> None:
+    page = tab().open(tables)
+    told = page.page.evaluate(
+        """async () => {
+            const { digits, typed } = await import("/static/page/format.js");
+            return [digits(1.21e-5), digits(-2e6), digits(12345.6, 5), typed(12345.678), typed(0.02)];
+        }"""
+    )
+    assert told == ["1.21 × 10⁻⁵", "\u22122.00 × 10⁶", "12\u202f346", "12345.7", "0.02"]
+
+
+@browsed
+def test_a_view_that_is_opened_again_has_its_plots_and_the_focus_as_before(
+    measured_tables: Path, tmp_path: Path, serve: Serve, tab: Open
+) -> None:
+    server = serve(shutil.copytree(measured_tables, tmp_path, dirs_exist_ok=True))
+    page = tab().open(server).to("Motion")
+    large = page.page.get_by_role("button", name="Enlarge Velocity")
+    large.focus()
+    large.press("Enter")
+    page.page.keyboard.press("4")
+    page.page.get_by_role("tabpanel", name="Model").wait_for()
+    page.page.keyboard.press("3")
+    page.until(lambda: page.page.evaluate("document.activeElement.getAttribute('aria-label')") == "Enlarge Velocity")
+    assert page.page.locator(".fp-plot:visible").count() == 1
+    page.page.get_by_role("button", name="Enlarge Velocity").press("Enter")
+    page.page.get_by_role("button", name="Move Velocity").press("ArrowLeft")
+    page.until(lambda: "order=" in page.page.url)
+    other = tab()
+    other.page.goto(f"{server.address}{page.page.url[page.page.url.index('#') :]}")
+    shown = "[...document.querySelectorAll('.fp-move')].map((n) => n.getAttribute('aria-label').slice(5))"
+    other.until(lambda: other.page.evaluate(shown) == page.page.evaluate(shown) != [])
+    assert other.page.evaluate(shown).index("Velocity") < other.page.evaluate(shown).index("Displacement")
+
+
 @pytest.mark.slow
 @browsed
 def test_a_link_opens_the_same_run_frame_and_selection(sample: Server, tab: Open) -> None:
     page = tab()
-    page.page.goto(f"{sample.address}#tab=film&run=slow&frame=40%40slow&select=30-49%40slow")
+    page.page.goto(f"{sample.address}#tab=film&run=slow&frame=40%40slow&select=30-49%40slow&hide=fast")
     page.page.get_by_role("tab", name="Film", selected=True).wait_for()
     page.sees("slow · frame 40 of")
     page.sees("20 frames selected: 20 in slow")
@@ -104,6 +142,10 @@ def test_a_link_opens_the_same_run_frame_and_selection(sample: Server, tab: Open
     page.sees("20 frames selected: 20 in slow")  # the same frames
     page.sees("slow · frame 40 of")
     page.until(lambda: "select=30-49" in page.page.url and "tab=compare" in page.page.url)
+    hidden = page.page.locator(".fp-entry[aria-pressed=false]")
+    assert hidden.all_inner_texts() == ["fast"]
+    hidden.click()
+    page.until(lambda: "hide=" not in page.page.url)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 import frictrack as ft
 from frictrack.diagnose.conclusion import Conclusion
-from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, one_way_remarks, suspect_run_remarks
+from frictrack.diagnose.data_faults import MAX_FRAMES, camera_remarks, remarks_on_places, suspect_run_remarks
 from frictrack.effects import LIBRARY
 
 MU, VISCOUS, SIGMA = 0.26, 0.3, 5e-7  # of the weight; N s/m; m
@@ -106,12 +106,23 @@ def test_a_force_of_the_place_may_be_friction_where_all_runs_move_one_way() -> N
     named = [LIBRARY[name] for name in ("vibration", "run_in", "spring")]
     there = slide(3.0, 0.35, 0.35)
     back = ft.Run.from_arrays(there.displacement.t, -there.displacement.x, mass=0.35, name="back")
-    (line,) = one_way_remarks(ft.fit("coulomb, viscous", [there]).solution, named)
+    (line,) = remarks_on_places(ft.fit("coulomb, viscous", [there]).solution, named)
     assert line.startswith("all runs move one way, so that spring may be friction that changes along the course")
-    assert one_way_remarks(ft.fit("coulomb, viscous", [there, back]).solution, named) == []
+    assert remarks_on_places(ft.fit("coulomb, viscous", [there, back]).solution, named) == []
     t = np.arange(0.0, 3.0, 0.01)
     swing = ft.Run.from_arrays(t, 0.2 * np.exp(-0.05 * t) * np.cos(6.0 * t), mass=0.35, name="swing")
-    assert one_way_remarks(ft.fit("spring, viscous", [swing]).solution, named) == []
+    assert remarks_on_places(ft.fit("spring, viscous", [swing]).solution, named) == []
+
+
+@pytest.mark.parametrize(("growth", "said"), [(0.0, True), (0.5, False)])
+def test_a_force_of_the_place_may_be_one_of_the_way_where_all_strokes_turn_at_the_same_places(growth, said) -> None:
+    t = np.arange(0.0, 4.0, 0.005)
+    x = 1e-4 * (1.0 + growth * t) * np.sin(2 * np.pi * t)
+    friction = 2.0 * np.sign(np.cos(2 * np.pi * t)) + 0.01 * np.random.default_rng(0).standard_normal(len(t))
+    strokes = ft.Run.from_arrays(t, x, friction=friction, normal_load=5.0, name="strokes")
+    found = remarks_on_places(ft.fit("coulomb", [strokes]).solution, [LIBRARY["patch"]])
+    assert bool(found) == said
+    assert not found or "so that patch may depend on the way since the turn" in found[0]
 
 
 def test_four_swings_without_dry_friction_have_no_levels_to_compare() -> None:

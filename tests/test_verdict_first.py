@@ -20,9 +20,12 @@ from frictrack.diagnose.conclusion import Conclusion
 from frictrack.effects import models
 from frictrack.fit import fit
 from frictrack.flow import ResultsReader, Session, open_study, read_results
+from frictrack.present import report
 from frictrack.present.report.texts import next_steps
 from frictrack.results import to_builtins
-from frictrack.results.verdicts import VERDICT_ONLY
+from frictrack.results.candidates import STANDINGS
+from frictrack.results.verdicts import VERDICT_ONLY, VERDICTS
+from frictrack.workbench.summaries import SnapshotReader, state_of
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.05), Spec(5.0, 1, 0.05), Spec(4.0, 2, 0.05))
@@ -145,6 +148,25 @@ def test_json_of_a_quick_diagnosis_says_that_it_is_not_complete(
         main(["diagnose", str(study_file), "--quick", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert (found["verdict"], found["complete"], found["next_experiment"]) == ("missing", False, [])
+
+
+def test_one_sentence_is_changed_in_one_place_and_seen_on_every_surface(
+    study_file: Path, announced: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(VERDICTS, "missing", "{model} wants {what}")
+    monkeypatch.setitem(STANDINGS, "named", "was seen")
+    shown = {}
+    for surface, *options in (("JSON", "--json"), ("terminal",)):
+        with pytest.raises(SystemExit):
+            main(["diagnose", str(study_file), "--quick", *options])
+        shown[surface] = capsys.readouterr().out
+    shown["page"] = json.dumps(to_builtins(state_of(SnapshotReader(study_file).read())))
+    shown["report"] = report.render(read_results(open_study(study_file)))
+    shown["notebook"] = announced[1].plot().get_suptitle()
+    for surface, text in shown.items():
+        assert "Coulomb + viscous wants texture" in text, surface
+        assert "lacks texture" not in text, surface
+    assert all("was seen" in shown[surface] for surface in ("terminal", "page", "report"))
 
 
 def test_verdict_and_rest_together_are_the_whole(announced: tuple[list[Diagnosis], Diagnosis]) -> None:

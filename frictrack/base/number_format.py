@@ -18,6 +18,7 @@ NOT_DETERMINED = "not determined"
 PREFIXED_UNITS = ("m", "s", "N", "N s")  # units whose thousandths and millionths are common in friction measurements
 MIN_P_VALUE = 0.001  # 1/(B + 1) for the fewest simulated studies, B = 999: no smaller p is estimated
 MAX_LEADING_ONE = 1.95  # a standard deviation of 1.0 to 1.95 keeps a second digit
+MAX_DIGITS = 9  # of the ends of an interval that differ by little
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -170,15 +171,21 @@ def format_length(metres: float) -> str:
 def format_interval(ends: Sequence[float | None] | None, factor: float = 1.0, digits: int = 3) -> str:
     """Format both ends of an interval, multiplied by `factor`; a dash for no interval; None for an open end.
 
+    Ends that would read the same get more digits.
+
     Examples
     --------
     >>> format_interval((0.031, 0.0382), 1e3), format_interval((None, 2.0)), format_interval((None, None))
     ('31.0 to 38.2', 'below 2.00', 'any')
+    >>> format_interval((-0.11002, -0.10979))
+    '−0.11002 to −0.10979'
 
     """
     if not ends:
         return DASH
     low, high = (None if end is None else format_number(factor * end, digits) for end in ends)
+    if low == high and ends[0] != ends[1] and digits < MAX_DIGITS:
+        return format_interval(ends, factor, digits + 2)
     if low is None or high is None:
         return f"above {low}" if low else f"below {high}" if high else "any"
     return f"{low} to {high}"

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import typer
 
 from frictrack import flow
-from frictrack.base.number_format import describe_change
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -261,18 +260,17 @@ def _clock(seconds: float) -> str:
 MIN_CHI2_MISFIT = 1.2  # reduced; below, what is left has the size of the noise, whether or not it is noise
 _TEXTS = {
     "track": "{output}/<run>_track.png: the frame must lie on the slider in every picture. Then: frictrack run {study}",
-    "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong. "
-    "frictrack export {study} writes the curves as tables",
+    "motion": "v max: it must be a speed that you expect; otherwise scale or fps is wrong",
     "friction": "mean F N: divided by the normal load it is the friction coefficient; free from and free to must "
     "enclose the slide alone. Then: frictrack fit {study}",
     "compare": "held out: the best model has the smallest; a smaller error of the fit alone proves nothing",
-    "plan": "the first rows of the table; plan.html, or --details, shows what each run separates and what stays open",
+    "plan": "the next run; plan.html shows further ones, what each separates and, as --details does, what stays open",
     "report": "the first screen of the page: the verdict, the misfit before and after, and what to do next",
     "export": "the files, opened by {opened_by}",
     "crate": "what is not included or missing, above. Then: frictrack reproduce {crate}, at best on another computer",
     "prior": "the deviations: they must be what you believe of the other set-up. There: prior = the file, in [study]",
     "batch": "the page: failures first, then verdicts and trends; frictrack_batch.csv has one row per run",
-    "demo": "the first screen of the report; frictrack_demo/study.toml is a study file to copy from",
+    "demo": "the first screen of the report; frictrack_demo/study.toml is an example",
     "render": "the films; truth.json holds the true motion and forces, which study.toml does not tell",
 }
 
@@ -296,26 +294,23 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
 
 def after_edit(result: Mapping[str, Any], study: Any) -> str:
     """Return what an added or removed effect makes of the held-out error."""
-    from frictrack.results.rows import held_out_error  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.rows import describe_held_out  # noqa: PLC0415 - `--help` does without it
 
-    (before, _), (after, unit) = (held_out_error(result[key]) for key in ("error_before", "error_after"))
-    change = describe_change(before, after, unit)
-    study = shlex.quote(str(study))
-    return f"the held-out error {change}. frictrack diagnose {study} names what is missing, if anything is"
+    change, study = describe_held_out(result["error_before"], result["error_after"]), shlex.quote(str(study))
+    return f"{change}. frictrack diagnose {study} names what is missing, if anything is"
 
 
 def after_diagnosis(diagnosis: Mapping[str, Any], study: Any, first: str = "the verdict above.") -> str:
     """Return what to look at first after a diagnosis, and what to do then; it depends on the verdict."""
-    from frictrack.results.verdicts import CHECK_NEXT, formula_evidence  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.verdicts import CHECK_NEXT  # noqa: PLC0415 - `--help` does without it
 
     if diagnosis.get("warnings"):
         return f"{first} {CHECK_NEXT}"
     study, formulas = shlex.quote(str(study)), (diagnosis.get("unexplained") or {}).get("formulas") or [{}]
     if diagnosis["verdict"] == "unexplained" and formulas[0].get("toml"):  # a lead would be no cause
-        force = f"the force {formulas[0]['formula']} ({formula_evidence(formulas[0])})"
-        return f"{first} Then: frictrack add {study} formula:1 adds {force}, or write an effect of your own"
+        return f"{first} Then: frictrack add {study} formula:1 adds its first formula, or write an effect of your own"
     if diagnosis["missing"]:
         return f"{first} Then: frictrack add {study} {diagnosis['missing'][0]} shows by how much the error falls"
-    if levels := diagnosis.get("levels"):
+    if (levels := diagnosis.get("levels")) and diagnosis["verdict"] != "undetermined":  # no answer to that
         return f"{first} Then: frictrack add {study} {levels[0]} lets friction differ from run to run as the data show"
     return f"{first} Then: frictrack plan {study} lists which runs would tell more"

@@ -11,14 +11,15 @@ from rich.console import Console
 from rich.markup import escape
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import describe_change, format_p_value, format_plain, format_plus_minus
+from frictrack.base.number_format import format_p_value, format_plain, format_plus_minus
 from frictrack.cli import tables
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
-from frictrack.results.rows import error_rows, held_out_error
+from frictrack.results.rows import describe_held_out, error_rows
 
 MAX_FINDINGS = 8  # that the terminal shows
-MAX_NAMED, MAX_PARAMETERS = 3, 6  # that `frictrack run` prints without --details
+MAX_LINES, LAST_LINES, MIN_PARAMETERS = 15, 3, 2  # without --details; the last: what to look at, and the results
+MAX_NAMED, MAX_RUNS = 2, 3  # effects and runs to film that are printed without --details
 MAX_DIFFERENCES = 5  # printed of one group
 MAX_STUDIES = 100  # in the table of a batch; the page shows all
 NOT_GIVEN = {"license": "a licence, without which nobody may use the data", "author": "an author"}
@@ -110,23 +111,23 @@ def next_experiment(out: Console, result: dict[str, Any]) -> None:
 
 
 def plan(out: Console, result: dict[str, Any]) -> None:
-    """Print the runs in order with what each adds, and how much they leave open."""
+    """Print the first runs in order with what each adds, and how much all leave open."""
     _film_now(out, result)
-    if result["done"]:
-        out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
     rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
-    for k, run in enumerate(result["runs"], 1):
+    for k, run in enumerate(result["runs"][:MAX_RUNS], 1):
         example = " from ".join(run["separates"][0]) if run["separates"] else ""
         numbers = (format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]))
         rows.add_row(str(k), escape(run["what"]), *numbers, example)
     none = f"none of the possible runs separates any of the {result['pairs_before']} remaining pairs of effects"
     out.print(rows if result["runs"] else none)
-    counts = (len(result[key]) for key in ("left", "unseen", "not_planned"))
-    out.print("left open: {} groups not separated, {} effects not detected, {} not planned for".format(*counts))
+    left, unseen, rest = (len(result[key]) for key in ("left", "unseen", "not_planned"))
+    out.print(f"left open: {left} groups not separated, {unseen} effects not detected, {rest} not planned for")
 
 
 def plan_details(out: Console, result: dict[str, Any]) -> None:
-    """Print what is assumed, what no run settles and why, and the detection limits."""
+    """Print what is filmed and assumed, what no run settles and why, and the detection limits."""
+    if result["done"]:
+        out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
     for line in result["assumed"]:
         out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
     left = [(" and ".join(one["effects"]), "separated", one) for one in result["left"]]
@@ -166,28 +167,30 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    tables.fit(out, result["fit"], motion=False)
+    tables.fit(out, result["fit"])
     verdict(out, result["diagnose"])
 
 
-def run_brief(out: Console, result: dict[str, Any]) -> None:
+def run_brief(out: tables.Terminal, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS]
-    words = "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)
-    out.print(escape(f"{' + '.join(fitted['model'])}: {words}"))
+    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS][-3:]
+    out.print(escape("; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)))
     _brief_parameters(out, fitted)
 
 
-def _brief_parameters(out: Console, result: dict[str, Any], most: int = MAX_PARAMETERS) -> None:
-    """Print the first parameters that all runs share and that were fitted, and what a dagger means."""
+def _brief_parameters(out: tables.Terminal, result: dict[str, Any], after: int = LAST_LINES) -> None:
+    """Print what fits of the parameters that all runs share and that were fitted, and what a dagger means.
+
+    Those that the data do not determine are left out first. `after` is the number of lines that will follow.
+    """
     fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
-    most += len(fitted) == most + 1  # the line that one more is left out would be as long
-    shared = [(name, one) for name, one in fitted.items() if "[" not in name][:most]
-    out.print(tables.parameters(dict(shared), brief=True))
-    if left_out := _more(len(fitted) - len(shared), "parameter"):
-        out.print(left_out.strip())
+    most = max(MAX_LINES - out.lines - after - 1 - bool(result.get("misfit")), MIN_PARAMETERS)
+    shared = sorted((name for name in fitted if "[" not in name), key=lambda name: fitted[name].get("value") is None)
+    shown = {name: one for name, one in fitted.items() if name in shared[:most]}
+    left_out = len(fitted) - len(shown)
+    out.print(tables.parameters(shown, brief=True, more=f"and {left_out} more in the report" * (left_out > 0)))
     if result.get("misfit"):
         out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 
@@ -198,7 +201,8 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
     warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
     for line in warnings[:1]:
-        out.print(f"[bold]{escape(line)}[/bold]" + _more(len(warnings) - 1, "warning"))
+        more = f" (and {len(warnings) - 1} more in the report)" if len(warnings) > 1 else ""
+        out.print(f"[bold]{escape(line)}[/bold]{more}")
     out.print(f"[bold]{escape(verdicts.headline(found))}[/bold]")
     if found["verdict"] == "undetermined":
         out.print(escape(verdicts.describe_open_question(found)))
@@ -208,25 +212,21 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
         out.print(escape(left["words"]))
 
 
-def _more(count: int, what: str) -> str:
-    return f" (and {count} more {what}{'s' * (count > 1)} in the report)" if count > 0 else ""
-
-
-def demo(out: Console, result: dict[str, Any]) -> None:
+def demo(out: tables.Terminal, result: dict[str, Any]) -> None:
     """Print the steps of the demonstration."""
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
-        (before, _), (after, unit) = (held_out_error(result["add"][key]) for key in ("error_before", "error_after"))
-        change = describe_change(before, after, unit)
-        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, the held-out error {change}")
-        _brief_parameters(out, result["add"])
+        change = describe_held_out(result["add"]["error_before"], result["add"]["error_after"])
+        out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, {change}")
+        _brief_parameters(out, result["add"], LAST_LINES - 1)
 
 
-def edit(out: Console, result: dict[str, Any]) -> None:
+def edit(out: tables.Terminal, result: dict[str, Any]) -> None:
     """Print the parameters, and the errors before and after an effect was added or removed."""
-    _brief_parameters(out, result, MAX_PARAMETERS + 1)
-    out.print(tables.errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True))
+    errors = tables.errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True)
+    _brief_parameters(out, result, errors.row_count + 1 + LAST_LINES)
+    out.print(errors)
 
 
 # --- the other commands

@@ -10,9 +10,10 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import DASH, format_plain, format_plus_minus
+from frictrack.base.number_format import DASH, format_plain
 from frictrack.results.names import numbered_name
 from frictrack.results.rows import (
     FAILING_HEADS,
@@ -39,12 +40,16 @@ class Terminal(Console):
     Rich ends lines also at spaces that do not break, so they are printed as letters first.
     """
 
+    lines = 0  # that were printed
+
     def print(self, *objects: Any, **how: Any) -> None:
         """Print texts and tables."""
         with self.capture() as printed:
             marked = (UNBROKEN.sub(lambda m: LETTERS[m[0]], one) if isinstance(one, str) else one for one in objects)
             super().print(*marked, **how)
-        self.file.write(printed.get().translate({ord(letter): space for space, letter in LETTERS.items()}))
+        text = printed.get().translate({ord(letter): space for space, letter in LETTERS.items()})
+        self.lines += text.count("\n")
+        self.file.write(text)
 
 
 def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
@@ -151,8 +156,8 @@ def _details(row: dict[str, Any]) -> list[str]:
 # --- fits
 
 
-def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
-    """Print the parameters with standard deviations and units, then the errors; `motion`: of the model, too."""
+def fit(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters with standard deviations and units, then the errors."""
     out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
     if "equation" in result:
         out.print(escape(result["equation"]))
@@ -168,8 +173,6 @@ def fit(out: Console, result: dict[str, Any], *, motion: bool = True) -> None:
             f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
             "runs of a camera and included in every ±"
         )
-    if motion:
-        _own_motion(out, result)
     out.print(errors([("", result["errors"])]))
 
 
@@ -177,33 +180,24 @@ def _prior(out: Console, prior: dict[str, Any]) -> None:
     """Print how well the data agree with the prior; of several groups, group by group."""
     for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
         said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
-        text = f"disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}"
-        out.print(f"{escape(group)}: {text}" if group else text)
+        of = f"{escape(group)}: " if group else ""
+        out.print(f"{of}disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}")
 
 
-def _own_motion(out: Console, result: dict[str, Any]) -> None:
-    """Print how precisely the model gives the motion of each run, and the collisions."""
-    for row in result["per_run"]:
-        if motion := row.get("motion"):
-            model, smoothed = format_plain(motion["sigma_a"], 2), format_plain(motion["sigma_a_smoothed"], 2)
-            text = f"standard deviation of a: {model} m/s² by the model, {smoothed} m/s² by smoothing"
-            lines(out, [text], f"{row['run']}: ")
-    for c in result.get("collisions", []):
-        share = None if c["relative_std"] is None else 100 * c["relative_std"]
-        impulse = f"impulse {format_plus_minus(c['impulse_N_s'], c['std'])} N s ({format_plain(share, 2)} %)"
-        out.print(f"{escape(c['run'])}, {c['effect']}: {impulse}; {c['words']}")
-
-
-def parameters(values: dict[str, Any], *, brief: bool = False) -> Table:
+def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -> Table:
     """Return a table with one row per parameter: value ± standard deviation, remark.
 
     A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them;
-    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line.
+    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line; `more` says what it
+    leaves out.
     """
     found = {escape(name): parameter_row(p) for name, p in values.items()}
     if brief:
-        rows = ((name, row.short, escape(row.short_remark)) for name, row in found.items())
-        return table("parameter", "value ± std", "", rows=rows)
+        new = table("parameter", "value ± std", more)
+        new.columns[1].no_wrap = True
+        for name, row in found.items():
+            new.add_row(name, row.short, Text(row.short_remark, no_wrap=True, overflow="ellipsis"))
+        return new
     heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
     cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
     return filled_table(heads, cells)

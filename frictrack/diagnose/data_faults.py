@@ -277,7 +277,7 @@ def remarks_on_named(
 ) -> list[str]:
     """Return remarks on the effects found; `law` is the model with them."""
     named = [t.effect for t in found]
-    return [*held_remarks(model, law), *camera_remarks(runs, named), *one_way_remarks(model, named)]
+    return [*held_remarks(model, law), *camera_remarks(runs, named), *remarks_on_places(model, named)]
 
 
 def held_remarks(model: Solution, grown: Solution) -> list[str]:
@@ -317,14 +317,29 @@ def camera_remarks(runs: Sequence[Run], named: Sequence[Effect]) -> list[str]:
     ]
 
 
-def one_way_remarks(model: Solution, named: Sequence[Effect]) -> list[str]:
-    """Return one remark if all runs move one way and forces of the place are named: these may turn round or not."""
-    of_place = [e.title for e in named if e.varies_with == "x" and e.acts_on == "force" and not e.needs]
+MAX_TURN_SPREAD = 0.1  # of the places where strokes turn from their ends, over the way between the ends
+ONE_WAY = (
+    "all runs move one way, so that {} may be friction that changes along the course, or a force that pulls there "
+    "whatever the direction: a run the other way tells which"
+)
+SAME_TURNS = (
+    "all strokes turn at the same two places, so that {} may depend on the way since the turn instead of the place: "
+    "strokes of another length tell which"
+)
+
+
+def remarks_on_places(model: Solution, named: Sequence[Effect]) -> list[str]:
+    """Return one remark if forces of the place are named and the runs do not show that they belong to it.
+
+    Runs that move one way do not tell whether they turn round, strokes between the same two places not whether they
+    depend on the way since the turn.
+    """
+    of_place = " and ".join(e.title for e in named if e.varies_with == "x" and e.acts_on == "force" and not e.needs)
     pieces = model.problem.pieces
-    ways = {way for p in pieces for way in np.sign(p.path.s).tolist() if way}
-    if not of_place or any(p.turns for p in pieces) or len(ways) > 1:
-        return []
-    return [
-        f"all runs move one way, so that {' and '.join(of_place)} may be friction that changes along the course, or a "
-        "force that pulls there whatever the direction: a run the other way tells which"
-    ]
+    s, x = (np.concatenate([getattr(piece.path, name) for piece in pieces]) for name in ("s", "x"))
+    turns = np.concatenate([piece.path.x[1:][np.diff(np.sign(piece.path.s)) != 0] for piece in pieces])
+    off = np.abs(turns[:, None] - [x.min(), x.max()]) <= MAX_TURN_SPREAD * np.ptp(x)  # (turns, ends)
+    one_way = not any(piece.turns for piece in pieces) and abs(np.sign(s).sum()) == np.count_nonzero(s)
+    same = bool(np.all(off.any(axis=1)) and np.all(off.sum(axis=0) >= 2))
+    said = ONE_WAY if one_way else SAME_TURNS if same else ""
+    return [said.format(of_place)] if of_place and said else []

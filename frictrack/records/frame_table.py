@@ -452,7 +452,7 @@ class CutoffTradeOff:
     """Error of the acceleration by the cut-off frequency of a plain low-pass; all columns (k,).
 
     `residual` is the rms of what the low-pass removes and `floor` that of white noise alone, m. `noise` and `lost` are
-    the noise that passes and the signal that is removed, m/s^2.
+    the noise that passes and the signal that is removed, m/s^2, in most frames: `lost` is a median, no push rules it.
     """
 
     frequency: Array = column("Hz")
@@ -463,7 +463,7 @@ class CutoffTradeOff:
     hidden: Array = column("m/s^2")  # rms of the largest vibration of that frequency that would not be detected
     chosen: float = scalar("Hz", default=float("nan"))  # cut-off of highest likelihood, or as given
     least: float = scalar("Hz", default=float("nan"))  # cut-off with the smallest sum of noise and lost signal
-    structural: float = scalar("m/s^2", default=float("nan"))  # rms of sigma_a with trend, lines and events separated
+    structural: float = scalar("m/s^2", default=float("nan"))  # usual sigma_a with trend, lines and events separated
     warnings: tuple[str, ...] = ()
 
     @property

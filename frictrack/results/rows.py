@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from frictrack.base.number_format import (
+    describe_change,
     format_interval,
     format_number,
     format_quantity,
@@ -88,6 +89,19 @@ def held_out_error(errors: Mapping[str, Any]) -> tuple[float | None, str]:
     """
     micrometres, newtons = errors.get("heldout_rms_um"), errors.get("heldout_rms_N")
     return (newtons, "N") if micrometres is None else (micrometres, "µm")
+
+
+def describe_held_out(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Describe how the held-out error differs between the errors of two fits.
+
+    Examples
+    --------
+    >>> describe_held_out({"heldout_rms_um": 2.644}, {"heldout_rms_um": 0.7012})
+    'the held-out error falls from 2.64 to 0.701 µm'
+
+    """
+    (old, unit), (new, _) = held_out_error(before), held_out_error(after)
+    return f"the held-out error {describe_change(old, new, unit)}"
 
 
 FAILING_HEADS = ("t / ms", "x / m", "v / (m/s)", "share of the misfit", "p")  # after the run

@@ -153,13 +153,10 @@ class UploadHandler(Api):
 
     def on_connection_close(self) -> None:
         """Remove what has arrived of a file that will not be completed."""
-        self._discard()
+        self.on_finish()
 
     def on_finish(self) -> None:
         """Remove what has arrived if an error ended the request."""
-        self._discard()
-
-    def _discard(self) -> None:
         file, self.file = getattr(self, "file", None), None
         if file is not None:
             file.discard()

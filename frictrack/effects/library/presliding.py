@@ -8,9 +8,7 @@ from frictrack.effects.definition import Array, Nonlinear, Parameter, Path
 from frictrack.effects.memory import direction_stretches, remembered, state_at_beginning
 from frictrack.effects.ranges import breakaway_lengths
 
-MAX_EXPONENT_DIFFERENCE_DAHL = (
-    1e-9  # distance of the exponent from one within which the contact straightens exponentially
-)
+MAX_EXPONENT_DIFFERENCE_DAHL = 1e-9  # from one, within which the contact straightens exponentially
 
 
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:

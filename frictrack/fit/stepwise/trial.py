@@ -26,9 +26,8 @@ from frictrack.records import Array
 
 MIN_RUNS_OF_LEVELS = 3  # two differ in one way, which any part of friction may imitate
 MAX_SCATTER_ESTIMATES = 8  # of the scatter of the levels with a trial
-MAX_START_LOSS = (
-    4.0  # by which levels that start at one may explain less at first, at the scatter that hides the effect
-)
+# by which levels that start at one may explain less at first, at the scatter that hides the effect
+MAX_START_LOSS = 4.0
 MIN_CHI2_OF_LEVELS = 6.0  # by which other friction levels must explain more: evidence of 20 to 1
 MAX_SCATTER_RATIO = 0.7  # scatter of the levels over that without the effect, below which it is estimated again
 MAX_EXCESS_RATIO, MAX_EXCESS_CHI2 = 4.0, 40.0  # of the misfit that events leave to that of the best, and beyond it

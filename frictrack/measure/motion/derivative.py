@@ -25,6 +25,7 @@ import scipy
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion.banded_equations import (
     TREND_ORDER,
@@ -597,7 +598,7 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
     both = np.stack([y - weighted_cubic(y, w), signal - weighted_cubic(signal, w)], axis=1)
     rows = np.array([_residual_and_lost(f, grid, w, both, undisturbed) for f in frequency])
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
-    structural = float(np.sqrt(np.mean(motion.sigma_a[undisturbed[grid.frames]] ** 2)))
+    structural = float(np.median(motion.sigma_a[undisturbed[grid.frames]]))
     # No filter is known to be better than the best estimate: what that one does not know either is lost, too.
     lost = np.hypot(rows[:, 1], np.sqrt(np.maximum(structural**2 - passed**2, 0.0)))
     return CutoffTradeOff(
@@ -624,15 +625,16 @@ def _undisturbed(best: Filtered, guard: int, grid: FrameGrid) -> Mask:
 
 
 def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, undisturbed: Mask) -> tuple[float, float]:
-    """Rms residual of the measured series (m), and rms acceleration lost of the signal (m/s^2), at one cut-off (Hz).
+    """Rms residual of the measured series (m), and acceleration lost of the signal (m/s^2), at one cut-off (Hz).
 
-    `both` are the series and the signal without their cubics, (n, 2).
+    `both` are the series and the signal without their cubics, (n, 2). What is lost is a deviation by the median: an rms
+    would be that of a few frames beside a push, where it is many times the friction.
     """
     removed = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(w, w)).smooth(both)
     np.subtract(both, removed, out=removed)
     residual = np.sqrt(np.average(removed[:, 0] ** 2, weights=w))
     lost = stencil_derivative(removed[:, 1], 2)[undisturbed] / grid.interval**2
-    return float(residual), float(np.sqrt(np.mean(lost**2)))
+    return float(residual), float(robust_std(lost))
 
 
 def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from frictrack.base.number_format import describe_change, format_number, format_quantity, join_words
+from frictrack.base.number_format import format_number, format_quantity, join_words
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present.plots import noise_um
 from frictrack.present.report.markup import describe_evidence, mark_code, sentences
@@ -21,7 +21,7 @@ from frictrack.present.report.tables import Cell, TextTable, make_table
 from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import candidate_rows
 from frictrack.results.names import AXES, plain_name
-from frictrack.results.rows import held_out_error
+from frictrack.results.rows import describe_held_out
 
 EFFECT_NAMES = {"coulomb": "Coulomb friction", "stribeck": "Stribeck friction", "viscous": "viscous friction"}
 
@@ -110,13 +110,12 @@ def _added_effects(models: Sequence[ModelResults]) -> Iterator[Markup]:
     if not added:
         return
     first, last = added[0][0], added[-1][1]
-    (old, unit), (new, _) = held_out_error(first.summary["errors"]), held_out_error(last.summary["errors"])
     effects = join_words([f"<b>{escape(effect)}</b>" for *_, effect in added])
     found = [row for row in candidate_rows(first.diagnosis) if len(added) == 1 and row.effect == added[0][2]]
     why = Markup(" ({})").format(describe_evidence(found[0])) if found else Markup("")
-    them, change = "it" if len(added) == 1 else "them", describe_change(old, new, unit)
+    them, change = "it" if len(added) == 1 else "them", describe_held_out(*(m.summary["errors"] for m in (first, last)))
     lacked = Markup("{} lacked {}{}").format(plain_name(first.name), Markup(effects), why)
-    yield Markup("{}: with {} the held-out error {}.").format(lacked, them, change)
+    yield Markup("{}: with {} {}.").format(lacked, them, change)
 
 
 def _residual(model: ModelResults) -> str:

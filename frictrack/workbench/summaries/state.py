@@ -254,14 +254,15 @@ def _shapes(run: RunTable, results: RunResults | None) -> dict[str, Any]:
 def _measured_part(run: RunResults) -> dict[str, Any]:
     """Describe a measured run; `RunResults` are compared by identity, so that an unchanged run is described once."""
     checks, audit = failed_checks(run) if run.quality else [], run.film.audit if run.film else ()
+    smeared = list(run.cutoff.warnings) if run.cutoff else []  # a warning only where a cut-off was asked for
     lost = 0 if run.track is None else int((~run.track.found).sum())
     return {
         "n_frames_lost": lost,
         "lost_words": "" if run.track is None else f"{upper_first(describe_lost(lost, len(run.track)))}.",
         "suspect": suspect_frames(run),
         "checks": [{"check": check, "value": value, "verdict": v, "ok": is_good(v)} for check, value, v in audit],
-        "notes": list(run.notes),
-        "warnings": [*checks, *(run.cutoff.warnings if run.cutoff else ())],
+        "notes": [*run.notes, *([] if run.filtered.asked else smeared)],
+        "warnings": [*checks, *(smeared if run.filtered.asked else [])],
         "motion": _motion(run),
     }
 

@@ -1,6 +1,7 @@
 // Texts for people: thin spaces before units, true minus signs, short numbers.
 
 const THIN = "\u202f";
+const RAISED = { "\u2212": "\u207b", ...Object.fromEntries([..."⁰¹²³⁴⁵⁶⁷⁸⁹"].entries()) };
 
 const UNIT = /(\d\)?) (?=(?:[kmµμnM]?(?:g|N|m|s|Hz|px|V|rad|K)|°C?|%|\/s|frames?|\d{3})(?![a-zA-Zµ]))/g;
 
@@ -13,11 +14,17 @@ export const spaced = (text) =>
 /** A number with some significant digits, without an exponent where it is short. */
 export function digits(value, significant = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "\u2013";
-  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e6)) return value.toExponential(significant - 1).replace("-", "\u2212");
+  if (value !== 0 && (Math.abs(value) < 1e-3 || Math.abs(value) >= 1e6)) {
+    const [factor, power] = value.toExponential(significant - 1).split("e").map((text) => text.replace("-", "\u2212").replace("+", ""));
+    return `${factor} × 10${[...power].map((one) => RAISED[one]).join("")}`;
+  }
   const text = Number(value.toPrecision(significant));
   const shown = Math.abs(text) >= 10_000 ? text.toLocaleString("en").replaceAll(",", THIN) : String(text);
   return shown.replace("-", "\u2212");
 }
+
+/** The number as a person would type it into the study file. */
+export const typed = (value) => String(Number(value.toPrecision(6)));
 
 export const quantity = (value, unit, significant) => `${digits(value, significant)}${unit ? THIN + unit : ""}`;
 

@@ -7,6 +7,7 @@ import { CompareTab } from "./compare_tab.js";
 import { Skeleton } from "./controls.js";
 import { Dialogs } from "./dialogs.js";
 import { FilmTab } from "./film_tab.js";
+import { followFocus, returnFocus } from "./focus.js";
 import { Header } from "./header.js";
 import { HistoryTab } from "./history_tab.js";
 import { listen } from "./keys.js";
@@ -26,6 +27,7 @@ function App() {
   useEffect(() => {
     document.title = name ? `${name} – frictrack` : "frictrack";
   }, [name]);
+  useEffect(() => returnFocus(tab), [tab]);
   const View = VIEWS[tab] || FilmTab, read = useStore((s) => s.study?.exists !== undefined);
   return html`
     <${Header} />
@@ -43,5 +45,6 @@ document.getElementById("app").replaceChildren();
 followAddress();
 render(html`<${App} />`, document.getElementById("app"));
 listen();
+followFocus();
 connect();
 readGlossary().catch(() => {});

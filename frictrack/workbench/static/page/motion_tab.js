@@ -4,7 +4,7 @@ import { html, useEffect, useState } from "./hooks.js";
 import { address } from "./api.js";
 import { edit, start } from "./actions.js";
 import { Button, Choice, Figure, Note, Panel, RunPicker, TextBox } from "./controls.js";
-import { digits, quantity, spaced } from "./format.js";
+import { digits, quantity, spaced, typed } from "./format.js";
 import { Linked } from "./linked.js";
 import { filmOf, foreground, outdatedWords } from "./selectors.js";
 import { say, selectedRun, useStore } from "./store.js";
@@ -26,9 +26,9 @@ function Smoothing({ run, preview, onPreview }) {
     if (text && !/^\d+$/.test(text)) return say(`Expected a whole number but got "${text}".`, "warn");
     return set(key, text ? Number(text) : null, text ? `${key} ${text}` : `${key} chosen automatically`);
   };
-  const cost = filter.filter === "structural" && cutoff?.noise && `Over the whole run, its start included: noise that passes ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
+  const cost = filter.filter === "structural" && cutoff?.noise && `In most frames: noise that passes ${quantity(cutoff.noise[at], cutoff.unit)}; signal lost ${quantity(cutoff.lost[at], cutoff.unit)}; ${cutoff.words}.`;
   const separate = () => set("cutoff", null, "cut-off removed");
-  const use = () => set("cutoff", `${digits(hertz[at], 5)} Hz`, `cut-off ${digits(hertz[at])} Hz`);
+  const use = () => set("cutoff", `${typed(hertz[at])} Hz`, `cut-off ${digits(hertz[at])} Hz`);
   return html`
     <${Panel} title="Smoothing">
       <p class="ui-note">${spaced(how)}</p>
@@ -58,7 +58,7 @@ function Smoothing({ run, preview, onPreview }) {
 function Free({ run }) {
   const { free } = run.motion;
   const why = useStore(foreground) ? "Wait until the work ends, or cancel it." : null;
-  const write = (from, to) => edit("run", "free", [`${digits(from, 5)} ms`, `${digits(to, 5)} ms`], run.name, `Free section of ${run.name}: set.`);
+  const write = (from, to) => edit("run", "free", [`${typed(from)} ms`, `${typed(to)} ms`], run.name, `Free section of ${run.name}: set.`);
   const set = (end) => (text) => {
     const value = Number.parseFloat(text.replace("ms", ""));
     if (Number.isNaN(value)) return say(`Expected a time such as "12.5 ms" but got "${text}".`, "warn");
@@ -71,8 +71,8 @@ function Free({ run }) {
       ${free &&
       html`
         <div class="ui-row">
-          <${TextBox} label="From" value=${digits(free.from_ms, 5)} unit="ms" onCommit=${set("from")} />
-          <${TextBox} label="to" value=${digits(free.to_ms, 5)} unit="ms" onCommit=${set("to")} />
+          <${TextBox} label="From" value=${typed(free.from_ms)} unit="ms" onCommit=${set("from")} />
+          <${TextBox} label="to" value=${typed(free.to_ms)} unit="ms" onCommit=${set("to")} />
         </div>
         <${Button} icon="auto" label="Detect" why=${why} onClick=${() => edit("run", "free", null, run.name, `Free section of ${run.name}: detected again.`)} />`}
     <//>`;

@@ -1,12 +1,18 @@
-// Where the user looks: tab, run, model, frame and selected frames. They outlive a change of tab, and the address has them, so
-// that a link opens the same view.
+// Where the user looks: tab, run, model, frame, selected frames, hidden runs and the order of the plots. They outlive a change
+// of tab, and the address has them, so that a link opens the same view.
 
 import { store, update, watch } from "./store.js";
 import { TABS } from "./tabs.js";
 
 const WRITE_MS = 300; // after the last change: browsers limit how often an address may be written
 const KEYS = ["tab", "run", "shown", "background"]; // nothing that starts work
-const place = { at: null, spans: {} }; // frame of a film {run, frame}; selected frames by run: [[from, to], ...]
+const LAYOUTS_KEY = "frictrack.layouts";
+const place = {
+  at: null, // frame of a film {run, frame}
+  spans: {}, // selected frames by run: [[from, to], ...]
+  hidden: [], // runs
+  layouts: JSON.parse(localStorage.getItem(LAYOUTS_KEY) || "{}"), // by tab: {order, alone}, titles of plots
+};
 let timer = null, written = "";
 
 /** The place as text after the # of the address. */
@@ -14,6 +20,10 @@ function text() {
   const query = new URLSearchParams(KEYS.filter((key) => store[key]).map((key) => [key, store[key]]));
   if (place.at) query.set("frame", `${place.at.frame}@${place.at.run}`);
   for (const [run, spans] of Object.entries(place.spans)) query.append("select", `${spans.map((ends) => ends.join("-")).join(",")}@${run}`);
+  for (const run of place.hidden) query.append("hide", run);
+  const { order, alone } = place.layouts[store.tab] || {};
+  if (order?.length) query.set("order", order.join(","));
+  if (alone) query.set("alone", alone);
   return `#${query}`;
 }
 
@@ -39,6 +49,8 @@ function read() {
     if (ends.length) place.spans[name] = ends;
   }
   if (!TABS.some(({ name }) => name === query.get("tab"))) query.delete("tab");
+  place.hidden = query.getAll("hide");
+  place.layouts[query.get("tab") || store.tab] = { order: query.get("order")?.split(","), alone: query.get("alone") };
   update({ ...Object.fromEntries(KEYS.filter((key) => query.get(key)).map((key) => [key, query.get(key)])), jumps: (store.jumps || 0) + 1 });
 }
 
@@ -60,8 +72,14 @@ function spansOf(view) {
   return found;
 }
 
-/** Show the frame and the selection again in a view, then note every change of them. */
-export function keepPlace({ view, filmView }) {
+/** Show the frame, the selection, the hidden runs and the order of the plots again in a view. */
+export function keepPlace({ view, filmView, grid }) {
+  grid.setLayout(place.layouts[store.tab] || {});
+  const hidden = place.hidden.filter((name) => view.runs.some((run) => run.name === name));
+  if (hidden.length < view.runs.length && String(hidden) !== String([...view.hiddenRuns])) {
+    view.hiddenRuns = new Set(hidden);
+    view.applyHidden();
+  }
   const film = filmView.films.get(place.at?.run), mask = new Uint8Array(view.rows), runs = view.runs;
   if (film) filmView.setFilm(film, place.at.frame), filmView.show(place.at.frame);
   for (const run of runs) {
@@ -73,13 +91,18 @@ export function keepPlace({ view, filmView }) {
   if (mask.includes(1)) view.select(mask);
 }
 
-/** Note the frame and the selection of a view; returns a function that ends this. */
+/** Note every change of them; returns a function that ends this. */
 export function notePlace(view) {
-  const select = () => {
-    const others = Object.entries(place.spans).filter(([name]) => !view.runs.some((run) => run.name === name));
-    place.spans = { ...Object.fromEntries(others), ...spansOf(view) };
-    write();
+  const elsewhere = (name) => !view.runs.some((run) => run.name === name);
+  const notes = {
+    frame: (at) => { place.at = at; },
+    selection: () => { place.spans = { ...Object.fromEntries(Object.entries(place.spans).filter(([name]) => elsewhere(name))), ...spansOf(view) }; },
+    hidden: ({ runs }) => { place.hidden = [...place.hidden.filter(elsewhere), ...runs]; },
+    layout: (layout) => {
+      place.layouts[store.tab] = layout;
+      localStorage.setItem(LAYOUTS_KEY, JSON.stringify(place.layouts));
+    },
   };
-  const ends = [view.on("frame", (at) => ((place.at = at), write())), view.on("selection", select)];
+  const ends = Object.entries(notes).map(([name, note]) => view.on(name, (value) => { note(value); write(); }));
   return () => ends.forEach((end) => end());
 }

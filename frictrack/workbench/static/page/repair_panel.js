@@ -1,5 +1,5 @@
 // Mend frames in which the target was lost: choose the frames, show the target in one of them (or interpolate, or leave them
-// out), track again. What is mended is listed and can be taken back.
+// out), track again. A click marks the target in one frame, and goes to the next. What is mended is listed and can be taken back.
 
 import { html, useEffect, useState } from "./hooks.js";
 import { edit, start } from "./actions.js";
@@ -8,6 +8,7 @@ import { Icon } from "./icons.js";
 import { foreground } from "./selectors.js";
 import { say, store, update, useStore } from "./store.js";
 
+const MARK_PX = 20; // side of the box around a click, of which the middle counts
 const HOW = {
   track: "tracked again from the target that you drew",
   interpolate: "interpolated",
@@ -31,7 +32,12 @@ export function useRepair(parts, run) {
       const last = (run?.film?.frames ?? 1) - 1, from = Math.min(parts?.filmView.number ?? 0, last);
       return { from, to: Math.min(from + 9, last) };
     },
-    drawn: ({ shape, frame }) => {
+    drawn: async ({ shape: drawn, frame }) => {
+      const [x, y] = drawn, shape = drawn.length === 2 ? [x - MARK_PX / 2, y - MARK_PX / 2, MARK_PX, MARK_PX] : drawn;
+      if (drawn.length === 2 && !store.span) {
+        if (await write(run, { from: frame, to: frame, how: "track", target: shape }, "marked. Mark it in further frames, then press Update")) parts.filmView.show(frame + 1);
+        return;
+      }
       const inside = store.span && frame >= store.span.from && frame <= store.span.to;
       if (!inside) update({ span: { from: frame, to: Math.max(frame, (run.film?.frames ?? frame + 1) - 1) } });
       setTimeout(() => setTarget({ shape, frame }));
@@ -42,11 +48,16 @@ export function useRepair(parts, run) {
 
 const frames = ({ from, to }) => (from === to ? `frame ${from}` : `frames ${from} to ${to}`);
 
-/** Write the repair and track again. */
-async function mend(run, repair) {
+/** Write the repair into the study; true when it is there. */
+function write(run, repair, words = HOW[repair.how]) {
   const kept = (run.repairs || []).filter((one) => one.to < repair.from || one.from > repair.to);
   const all = [...kept, repair].sort((a, b) => a.from - b.from);
-  if (!(await edit("run", "repair", all, run.name, `${frames(repair)}: ${HOW[repair.how]}.`))) return;
+  return edit("run", "repair", all, run.name, `${frames(repair)}: ${words}.`);
+}
+
+/** Write the repair and track again. */
+async function mend(run, repair) {
+  if (!(await write(run, repair))) return;
   update({ span: null, tool: "" });
   start("measure", { stage: "motion" }, "Track again");
 }

@@ -8,7 +8,8 @@ import { useStore } from "./store.js";
 
 function working(s) {
   const job = s.study?.job;
-  if (job?.state === "running" && isQuiet(job)) return `In the background: ${job.what || job.words}`;
+  const count = job?.total > 1 ? ` ${job.done} of ${job.total}` : "";
+  if (job?.state === "running" && isQuiet(job)) return `In the background: ${job.what ? job.what + count : job.words}`;
   if (job?.state === "running") return s.tab === "compare" ? job.words : `${job.words}: ${job.what || "starting"}`; // Compare says it larger
   return s.starting ? `${s.starting.words}: starting` : "";
 }

@@ -58,9 +58,9 @@ export function tickText(value, step) {
 }
 
 /** A value as text with four significant digits. */
-export function valueText(value) {
+export function valueText(value, unit = "") {
   if (!Number.isFinite(value)) return "none";
   const size = Math.abs(value);
   const text = size && (size >= 1e5 || size < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(4)));
-  return text.replaceAll("-", MINUS);
+  return `${text.replaceAll("-", MINUS)} ${unit}`.trim();
 }

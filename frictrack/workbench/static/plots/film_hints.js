@@ -7,5 +7,5 @@ export const HINTS = {
   ruler: "Drag along a length that you know.",
   exclude: "Drag a box over what moves with the target and is not part of it.",
   obstacles: "Drag a box over something that stands still before the target.",
-  repair: "Choose frames on the time line; then drag a box around the target in one of them.",
+  repair: "Choose frames on the time line; then drag a box around the target in one of them. Without, a click marks it in this frame alone.",
 };

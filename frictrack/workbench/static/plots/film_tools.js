@@ -69,10 +69,10 @@ export class FilmTools {
     this.finish();
   }
 
-  /** Targets and references may be a single click; other shapes need a length. */
+  /** What tells a place may be a single click; other shapes need a length. */
   finish() {
     const shape = this.shape(), tool = this.active, isPoint = shape.length === 2 && !Array.isArray(shape[0]);
-    const short = tool === "ruler" ? distance(...shape) < CLICK : isPoint && tool !== "target" && tool !== "reference";
+    const short = tool === "ruler" ? distance(...shape) < CLICK : isPoint && !["target", "reference", "repair"].includes(tool);
     this.reset();
     if (!short) this.drawn({ tool, shape });
   }

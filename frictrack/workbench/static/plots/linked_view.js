@@ -225,7 +225,7 @@ export class LinkedView {
       const column = this.columns[key];
       if (seen.has(key) || !column || column.length !== this.rows) return;
       seen.add(key);
-      words.push(`${label} ${valueText(column[row])}${unit ? ` ${unit}` : ""}`);
+      words.push(`${label} ${valueText(column[row], unit)}`);
     };
     for (const plot of this.scene.plots) {
       add(plot.x.column, plot.x.name, plot.x.unit);

@@ -20,8 +20,10 @@ export class Plot {
     this.canvases = ["base", "marks", "top"].map((name) => make("canvas", { class: `fp-${name}`, "aria-hidden": name === "top" ? null : "true" }));
     [this.base, this.marks, this.top] = this.canvases;
     this.larger = make("button", { type: "button", class: "fp-button fp-enlarge" }, "\u2922");
-    this.el = make("div", { class: "fp-plot" }, ...this.canvases, this.larger);
+    this.handle = make("button", { type: "button", class: "fp-button fp-move", title: "Drag to another place, or press the arrow keys; a double click restores the order" }, "\u283f");
+    this.el = make("div", { class: "fp-plot" }, ...this.canvases, this.handle, this.larger);
     this.listeners = new Listeners();
+    this.listenToHandle();
     this.listeners.on(this.larger, "click", () => grid.enlarge(this));
     this.each = {
       base: new OncePerFrame(() => this.draw()),
@@ -40,6 +42,25 @@ export class Plot {
     this.el.remove();
   }
 
+  /** The handle moves this plot to where it is dropped, or by the arrow keys. */
+  listenToHandle() {
+    const { listeners, handle, grid } = this, held = (on) => this.el.classList.toggle("fp-held", on);
+    const move = (to) => { grid.move(this, to); handle.focus(); }; // a plot that is put elsewhere loses the focus
+    listeners.on(handle, "pointerdown", (e) => { handle.setPointerCapture(e.pointerId); held(true); });
+    listeners.on(handle, "pointerup", (e) => {
+      held(false);
+      move(handle.getRootNode().elementFromPoint(e.clientX, e.clientY)?.closest(".fp-plot"));
+    });
+    listeners.on(handle, "pointercancel", () => held(false));
+    listeners.on(handle, "dblclick", () => grid.change({ order: [] }));
+    listeners.on(handle, "keydown", (e) => {
+      const by = { ArrowLeft: -1, ArrowUp: -1, ArrowRight: 1, ArrowDown: 1 }[e.key];
+      if (!by) return;
+      e.preventDefault();
+      move(by);
+    });
+  }
+
   // --- data
 
   /** Take a new description; draw again only if something in this plot is different. */
@@ -53,6 +74,7 @@ export class Plot {
     this.top.setAttribute("tabindex", "0");
     this.top.setAttribute("aria-roledescription", "plot");
     this.top.setAttribute("aria-label", `${spec.title}: ${spec.y.label} against ${spec.x.label}. ${HELP}`);
+    this.handle.setAttribute("aria-label", `Move ${spec.title}`);
     this.larger.setAttribute("aria-label", `Enlarge ${spec.title}`);
     this.larger.title = "Show this plot alone, or all again";
     if (same) return this.ask("marks", "top");
@@ -332,12 +354,12 @@ export class Plot {
   drawCursor(pen, main, row) {
     const { x, y, w, h } = this.inner, { axes, colours, spec, view } = this, run = view.runAt(row);
     const vx = this.xOf(main)[row], vy = this.column(main.y)[row], px = axes.x.px(vx), py = axes.y.px(vy);
-    const text = [run && view.runs.length > 1 ? run.name : "", `${valueText(vx)} ${spec.x.unit || ""}`, `${valueText(vy)} ${spec.y.unit || ""}`];
+    const text = [run && view.runs.length > 1 ? run.name : "", valueText(vx, spec.x.unit), valueText(vy, spec.y.unit)];
     pen.font = `600 ${colours.small}`;
     const free = w - pen.measureText(spec.title).width - 12;
     pen.font = colours.small;
     Object.assign(pen, { textAlign: "right", fillStyle: colours.ink });
-    if (free > 90) pen.fillText(text.filter(Boolean).map((one) => one.trim()).join(" \u00b7 "), x + w - 14, 16, free - 14);
+    if (free > 90) pen.fillText(text.filter(Boolean).join(" \u00b7 "), x + w - 14, 16, free - 14);
     if (!(px >= x && px <= x + w)) return;
     Object.assign(pen, { strokeStyle: colours.cursor, lineWidth: view.pinned ? 1.5 : 1 });
     pen.beginPath(); pen.moveTo(px, y); pen.lineTo(px, y + h); pen.stroke();

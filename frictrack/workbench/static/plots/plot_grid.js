@@ -11,7 +11,7 @@ const QUIET = 200; // ms until a screen reader is told where the keys have moved
 
 export class PlotGrid {
   constructor(el, view, { large = null } = {}) {
-    Object.assign(this, { el, view, large, plots: [], zoomKey: false, listeners: new Listeners() });
+    Object.assign(this, { el, view, large, plots: [], order: [], alone: null, zoomKey: false, listeners: new Listeners() });
     this.words = make("output", { class: "fp-words", "aria-live": "off" });
     this.live = make("p", { class: "fp-live", role: "status" });
     const button = (name, title, mode = null) => make("button", { type: "button", class: "fp-button", title, "data-mode": mode }, name);
@@ -65,35 +65,56 @@ export class PlotGrid {
       return plot;
     });
     for (const plot of old.values()) plot.destroy();
-    this.grid.classList.toggle("fp-alone", this.plots.some((plot) => plot.el.classList.contains("fp-full")));
     this.place();
   }
 
-  /** Make one plot the largest, by its title. */
+  /** Make one plot the largest, by its title; in an order of the user the first plot is. */
   setLarge(title) {
     if (title === this.large) return;
     this.large = title;
     this.place();
   }
 
+  /** Titles of the plots in the order of the user, none for the usual one, and of the plot that is shown alone. */
+  setLayout({ order = [], alone = null }) {
+    Object.assign(this, { order, alone });
+    this.place();
+  }
+
+  change(layout) {
+    this.setLayout({ order: this.order, alone: this.alone, ...layout });
+    this.view.say("layout", { order: this.order, alone: this.alone });
+  }
+
   /** Show one plot alone; a second time, show all again. */
-  enlarge(plot) {
-    const alone = plot.el.classList.toggle("fp-full");
-    for (const other of this.plots) if (other !== plot) other.el.classList.remove("fp-full");
-    this.grid.classList.toggle("fp-alone", alone);
+  enlarge(plot) { this.change({ alone: this.alone === plot.spec.title ? null : plot.spec.title }); }
+
+  /** Move a plot to the place of another one, or by a number of places. */
+  move(plot, to) {
+    const order = this.placed.map((one) => one.spec.title), from = this.placed.indexOf(plot);
+    const at = typeof to === "number" ? from + to : this.placed.findIndex((one) => one.el === to);
+    if (at < 0 || at >= order.length || at === from) return;
+    order.splice(at, 0, ...order.splice(from, 1));
+    this.change({ order });
   }
 
   place() {
-    const first = this.plots.filter((plot) => plot.spec.title === this.large), rest = this.plots.filter((plot) => !first.includes(plot));
-    const wanted = [...first, ...rest].map((plot) => plot.el);
-    wanted.forEach((el, i) => { if (this.grid.children[i] !== el) this.grid.insertBefore(el, this.grid.children[i] || null); });
-    for (const plot of this.plots) plot.el.classList.toggle("fp-large", plot.spec.title === this.large);
+    const usual = [...this.plots].sort((a, b) => (b.spec.title === this.large) - (a.spec.title === this.large));
+    const rank = (plot) => (this.order.indexOf(plot.spec.title) + 1 || this.plots.length + 1);
+    this.placed = usual.sort((a, b) => rank(a) - rank(b));
+    this.first = this.plots.some((plot) => plot.spec.title === this.large) ? this.placed[0] : null;
+    this.placed.forEach(({ el }, i) => { if (this.grid.children[i] !== el) this.grid.insertBefore(el, this.grid.children[i] || null); });
+    for (const plot of this.plots) {
+      plot.el.classList.toggle("fp-large", plot === this.first);
+      plot.el.classList.toggle("fp-full", plot.spec.title === this.alone);
+    }
+    this.grid.classList.toggle("fp-alone", this.plots.some((plot) => plot.spec.title === this.alone));
     this.arrange();
   }
 
   /** As many columns as fit, without a row that is nearly empty; narrow ones if otherwise not all plots are seen at once. */
   arrange() {
-    const { width, height } = this.grid.getBoundingClientRect(), large = this.plots.some((plot) => plot.spec.title === this.large);
+    const { width, height } = this.grid.getBoundingClientRect(), large = Boolean(this.first);
     const small = this.plots.length - (large ? 1 : 0);
     const columnsOf = (least) => {
       const most = Math.max(1, Math.min(Math.floor((width + GAP) / (least + GAP)), small));
