@@ -41,7 +41,7 @@ MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that
 MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
 LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
 RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
-PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
+PATH_ARRAYS = ("t", "s", "load", "drive", "friction", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
 MAX_GRID_STARTS = 3  # points of a grid that are refined
@@ -418,7 +418,7 @@ def _measured_path(run: Run, context: RunContext, force: Array, load: float) -> 
     held = float(np.sign(force[0])) if abs(force[0]) > MIN_HELD_SHARE * np.median(np.abs(force)) else 0.0
     known = path_of_rows(run, np.arange(len(t)), t, context)
     travelled = slid - slid[int(np.searchsorted(t, 0.0))]
-    return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=travelled, begins=x)
+    return replace(known, x=x, v=v, s=_direction(v, held), load=load, friction=force, travelled=travelled, begins=x)
 
 
 def _steady_velocity(run: Run) -> Array:
