@@ -45,7 +45,7 @@ GROUPS = {
         *("load_modulation", "measured_load", "viscous_modulation"),
     ),
     "Errors of the measurement": (
-        *("drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame"),
+        *("drive_error", "cell_lag", "lens", "peak_locking", "camera_shake", "dropped_frame"),
         *("timebase", "clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
     ),
 }
@@ -78,7 +78,7 @@ def make_gallery(folder: Path, simulated: Collection[str] | None = None) -> None
         mark = _mark(name)
         if marks.get(name) == mark and all((folder / file).exists() for file in _files(name)):
             continue
-        if simulated is None or name in simulated:
+        if name in EXAMPLES and (simulated is None or name in simulated):
             sys.stderr.write(f"gallery: {name}\n")
             _make_page(folder, name)
             marks[name] = mark

@@ -290,9 +290,10 @@ class Model:
         """States (n, k) of the effects with memory along a path, by effect."""
         out: dict[str, Array] = {}
         remembering = [e for e in self.effects if e.state is not None]
-        inner = [changed for e in remembering for changed in e.changed(self.effects)]
-        needed = [e for e in self.effects if e.state is not None or e.modifies or e in inner]
-        Model(tuple(needed)).force_columns(path, values, out)
+        needed = [*remembering, *(changed for e in remembering for changed in e.changed(self.effects))]
+        needed += [e for e in self.effects if any(one in needed for one in e.changed(self.effects))]
+        if needed:
+            Model(tuple(e for e in self.effects if e in needed)).force_columns(path, values, out)
         return out
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:

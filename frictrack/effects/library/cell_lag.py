@@ -10,8 +10,10 @@ from frictrack.effects.ranges import Span, log_grid, shorter_than_record
 def columns(path: Path, nonlinear: Nonlinear, inner: Array) -> Array:
     """Columns u of the force that the cell shows, of those c on the mass: du/dt = (c - u)/tau, same shape as `inner`.
 
-    Before the record the force was what it is at its first sample.
+    Before the record the force was what it is at its first sample. Where no cell measures, nothing is late.
     """
+    if path.friction is None:
+        return inner
     return follow_target(path, inner, inner[list(path.starts)], time_steps(path) / nonlinear["tau"])
 
 
