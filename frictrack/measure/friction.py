@@ -35,6 +35,7 @@ MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
 MIN_NOISE_SHARE = 1e-9  # smallest noise of a force sensor over its largest force
+MAX_GAP_SAMPLES = 2.5  # sample intervals of a load cell without a sample, as of any sensor
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
@@ -245,7 +246,7 @@ def friction(run: Run) -> Friction:
         known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
         force = np.interp(rows, rows[known], run.friction_N[known])
         sigma = np.full(len(force), cell_noise(run)) if run.sigma_friction is None else run.sigma_friction
-        return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
+        return Friction(run.motion.t, force, sigma, mask & _between_samples(known), reason, run.motion.repaired)
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
@@ -256,6 +257,14 @@ def friction(run: Run) -> Friction:
     variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + drive_noise(run) ** 2
     force = drive - run.inertia * acceleration
     return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
+
+
+def _between_samples(known: Mask) -> Mask:
+    """Frames (n,) of a measured force, and those between two samples that follow one another."""
+    rows = np.arange(len(known))
+    before = np.maximum.accumulate(np.where(known, rows, -len(rows)))
+    after = np.minimum.accumulate(np.where(known, rows, 2 * len(rows))[::-1])[::-1]
+    return np.asarray(after - before <= MAX_GAP_SAMPLES * np.median(np.diff(rows[known])))
 
 
 def drive_noise(run: Run) -> float:
