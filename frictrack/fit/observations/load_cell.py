@@ -34,6 +34,7 @@ from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_com
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
 from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, free_section, is_moving
+from frictrack.measure.motion import NoiseStretch, correlated_noise
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
@@ -170,11 +171,13 @@ class MeasuredFrictionPiece(Piece):
     """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path.
 
     `whole` is the piece of all frames where only one in `every` frames is compared; of `points` (v, F), every row is.
+    `correlation` is the integrated correlation time of the noise of the cell, in frames.
     """
 
     whole: MeasuredFrictionPiece | None = None
     every: int = 1
     points: SpeedPoints | None = None  # of a table of speeds and forces
+    correlation: float = 1.0
 
     def noise_levels(self, model: Array, residual: Array, unknowns: int, errors: Array) -> Array:
         """Noise (D,) that is estimated of points with errors (n, D) of deviation one.
@@ -352,20 +355,29 @@ def reference_load(runs: Sequence[Run]) -> float:
     return float(known[0]) if np.all(np.isfinite(known)) else float("nan")
 
 
-def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
+def friction_pieces(runs: Sequence[Run], reference: float) -> list[MeasuredFrictionPiece]:
     """Create one piece per run, all with the same noise, so that residuals in N have equal weights.
 
     Newtons are reported at the normal load `reference`, N; NaN if a load is not known.
     """
     noise = float(np.sqrt(np.mean([0.0 if run.steady else cell_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
-    return [
+    pieces = [
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
         for i, (run, load) in enumerate(zip(runs, loads, strict=True))
     ]
+    if any(run.steady or run.noise is not None for run in runs):
+        return pieces
+    even = [np.split(piece.y, np.flatnonzero(np.diff(piece.frames) > 1) + 1) for piece in pieces]
+    found = correlated_noise([NoiseStretch(max(parts, key=len)) for parts in even])
+    if found is None:
+        return pieces
+    # behind the filter of an amplifier; its correlation is seen at frequencies above those of any friction
+    level, frames = float(np.sqrt(np.mean(found.rms**2))), 2.0 * found.share * found.correlation / (1 - found.correlation)
+    return [replace(p, sigma=np.full(len(p.t), level), correlation=1.0 + frames) for p in pieces]
 
 
-def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
+def _make_piece(run: Run, index: int, noise: float, load: float) -> MeasuredFrictionPiece:
     """The piece of one run."""
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
