@@ -35,7 +35,7 @@ MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
 MIN_NOISE_SHARE = 1e-9  # smallest noise of a force sensor over its largest force
-MAX_GAP_SAMPLES = 2.5  # sample intervals of a load cell without a sample, as of any sensor
+USUAL_SHARE = 0.9  # of the intervals between samples of a load cell; where one is longer, it was not running
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
@@ -262,9 +262,11 @@ def friction(run: Run) -> Friction:
 def _between_samples(known: Mask) -> Mask:
     """Frames (n,) of a measured force, and those between two samples that follow one another."""
     rows = np.arange(len(known))
+    if np.sum(known) < 2:
+        return known
     before = np.maximum.accumulate(np.where(known, rows, -len(rows)))
     after = np.minimum.accumulate(np.where(known, rows, 2 * len(rows))[::-1])[::-1]
-    return np.asarray(after - before <= MAX_GAP_SAMPLES * np.median(np.diff(rows[known])))
+    return np.asarray(after - before <= np.quantile(np.diff(rows[known]), USUAL_SHARE))
 
 
 def drive_noise(run: Run) -> float:

@@ -42,7 +42,8 @@ MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that
 MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
 LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
 RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
-PATH_ARRAYS = ("t", "s", "load", "drive", "friction", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
+# arrays of a path besides x and v
+PATH_ARRAYS = ("t", "s", "load", "drive", "friction", "lift", "angle", "travelled", "begins")
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
 MAX_GRID_STARTS = 3  # points of a grid that are refined
@@ -373,8 +374,9 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[MeasuredFrict
     if found is None:
         return pieces
     # behind the filter of an amplifier; its correlation is seen at frequencies above those of any friction
-    level, frames = float(np.sqrt(np.mean(found.rms**2))), 2.0 * found.share * found.correlation / (1 - found.correlation)
-    return [replace(p, sigma=np.full(len(p.t), level), correlation=1.0 + frames) for p in pieces]
+    level = float(np.sqrt(np.mean(found.rms**2)))
+    frames = 1.0 + 2.0 * found.share * found.correlation / (1.0 - found.correlation)
+    return [replace(p, sigma=np.full(len(p.t), level), correlation=frames) for p in pieces]
 
 
 def _make_piece(run: Run, index: int, noise: float, load: float) -> MeasuredFrictionPiece:

@@ -105,8 +105,13 @@ def friction_noise(solution: Solution) -> FrictionNoise:
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
     if not found or (slow := rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
-        return FrictionNoise(white, max(getattr(p, "correlation", 1.0) for p in solution.problem.pieces), white, count)
+        return FrictionNoise(white, _cell_correlation(solution), white, count)
     return FrictionNoise(slow, max(correlation_time_frames(d) for d in differences), white, count)
+
+
+def _cell_correlation(solution: Solution) -> float:
+    """Integrated correlation time of the noise of the load cell, in frames; 1 where it is white."""
+    return max(p.correlation for p in solution.problem.pieces if isinstance(p, MeasuredFrictionPiece))
 
 
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
@@ -264,11 +269,11 @@ def block_covariance(solution: Solution) -> Array:
     blocks = block_starts(solution.responses, len(solution.p))
     gradients = [np.add.reduceat(r.jac * r.r[:, None], at) for r, at in zip(solution.responses, blocks, strict=True)]
     found = clustered_covariance(solution, white_noise, solution.stacked(gradients))
-    weighted, noise = weight_by_noise(solution)
-    if noise.stroke_count or noise.correlation_frames == 1:
+    if _cell_correlation(solution) == 1:
         return found
     # few blocks scatter: never less than by the noise that is known
-    scale = np.maximum(np.sqrt(np.diag(covariance_of(weighted)[0]) / np.diag(found)), 1.0)
+    known, _ = covariance_of(weight_by_noise(solution)[0])
+    scale = np.maximum(np.sqrt(np.diag(known) / np.diag(found)), 1.0)
     return found * scale[:, None] * scale
 
 
@@ -287,7 +292,10 @@ class FrictionObservation(Observation):
 
     def misfit(self, fitted: FittedRuns) -> Misfit | None:
         """Return the force that the model misses; that of points (v, F) is in their scatter about the law."""
-        return None if fitted.solution.problem.is_of_points else misfit_of(self.weighted(fitted.solution))
+        solution = fitted.solution
+        if solution.problem.is_of_points:
+            return None
+        return misfit_of(self.weighted(solution) if _cell_correlation(solution) > 1 else solution)
 
     def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
         """Return the noise of a sample, N, and the reduced chi-squared against it."""

@@ -159,8 +159,9 @@ class SensorRecord:
         count = min(2 * reach + 1, (len(t) - 1) // 2 * 2 + 1)
         smooth = scipy.signal.savgol_filter
         rise, run = (smooth(q, count, 1, deriv=1) if count > 1 else np.gradient(q) for q in (y, t - t[0]))
-        nearest = np.searchsorted((at[1:] + at[:-1]) / 2.0, t)
-        near = np.abs(at[nearest] - t) <= width * (0.5 + TIME_TOLERANCE)
+        # a sample midway between two times goes to the later one, whatever the rounding
+        nearest = np.searchsorted((at[1:] + at[:-1]) / 2.0 - TIME_TOLERANCE * width, t)
+        near = np.abs(at[nearest] - t) <= width * (0.5 + 2.0 * TIME_TOLERANCE)
         counts = np.bincount(nearest[near], minlength=len(at))
         each = np.where(counts > 0, counts, np.nan)
         y, t, rise, run = (np.bincount(nearest[near], q[near], len(at)) / each for q in (y, t, rise, run))
