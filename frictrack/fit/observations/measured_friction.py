@@ -273,7 +273,7 @@ def block_covariance(solution: Solution) -> Array:
         return found
     # few blocks scatter: never less than by the noise that is known
     known, _ = covariance_of(weight_by_noise(solution)[0])
-    scale = np.maximum(np.sqrt(np.diag(known) / np.diag(found)), 1.0)
+    scale = np.maximum(np.sqrt(np.diag(known) / np.maximum(np.diag(found), 1e-300)), 1.0)
     return found * scale[:, None] * scale
 
 
