@@ -374,8 +374,8 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             continue
         if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kind.changed(model.effects)):
             continue
-        if kind.acts_on == "measurement" and not solution.problem.simulates:
-            continue
+        if "friction" in kind.needs if solution.problem.simulates else kind.acts_on == "measurement":
+            continue  # no instrument that would show it
         if paths[0].steady and not kind.is_of_velocity:
             continue  # the remarks on points (v, F) say it of all at once
         effect = effects.get(model.next_instance(kind.name), own)
