@@ -36,6 +36,7 @@ from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
 from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, free_section, is_moving
 from frictrack.measure.motion import NoiseStretch, correlated_noise
 from frictrack.records import Array, Mask, Run, stretches
+from frictrack.sampling import white_noise
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that are repeats, and of loads that are one
@@ -367,11 +368,11 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[MeasuredFrict
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
         for i, (run, load) in enumerate(zip(runs, loads, strict=True))
     ]
-    if any(run.steady or run.noise is not None for run in runs):
+    even = [max(np.split(p.y, np.flatnonzero(np.diff(p.frames) > 1) + 1), key=len) for p in pieces]
+    scatters = all(white_noise(part) > MIN_NOISE_SHARE * np.max(np.abs(part)) for part in even)
+    if not scatters or any(run.steady or run.noise is not None for run in runs):
         return pieces
-    even = [np.split(piece.y, np.flatnonzero(np.diff(piece.frames) > 1) + 1) for piece in pieces]
-    found = correlated_noise([NoiseStretch(max(parts, key=len)) for parts in even])
-    if found is None:
+    if (found := correlated_noise([NoiseStretch(part) for part in even])) is None:
         return pieces
     # behind the filter of an amplifier; its correlation is seen at frequencies above those of any friction
     level = float(np.sqrt(np.mean(found.rms**2)))
