@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
 from frictrack.sampling import noise_of_smooth, white_noise
 
@@ -281,12 +282,26 @@ def drive_noise(run: Run) -> float:
 
 
 def cell_noise(run: Run) -> float:
-    """White noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
+    """Noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
     if run.noise is not None:
         return run.noise
     force = np.asarray(run.friction_N, dtype=float)
-    force = force[np.isfinite(force)]
+    at = np.flatnonzero(np.isfinite(force))
+    force = force[at]
+    if (found := correlated_cell_noise([force], [at])) is not None:
+        return float(found.rms[0])
     return max(white_noise(force), MIN_NOISE_SHARE * float(np.max(np.abs(force), initial=0.0)), 1e-12)
+
+
+def correlated_cell_noise(forces: Sequence[Array], frames: Sequence[NDArray[np.intp]]) -> CorrelatedNoise | None:
+    """Noise that passed the filter of an amplifier, of load cells read at some frames; None where it is white.
+
+    Its correlation between neighbouring frames is seen at frequencies above those of any friction.
+    """
+    both = zip(forces, frames, strict=True)
+    even = [max(np.split(force, np.flatnonzero(np.diff(at) > 1) + 1), key=len) for force, at in both]
+    scatters = all(white_noise(part) > MIN_NOISE_SHARE * np.max(np.abs(part), initial=0.0) for part in even)
+    return correlated_noise([NoiseStretch(part) for part in even]) if scatters else None
 
 
 def has_measured_force(run: Run) -> bool:

@@ -33,10 +33,8 @@ from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
-from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, free_section, is_moving
-from frictrack.measure.motion import NoiseStretch, correlated_noise
+from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, correlated_cell_noise, free_section, is_moving
 from frictrack.records import Array, Mask, Run, stretches
-from frictrack.sampling import white_noise
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
 MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that are repeats, and of loads that are one
@@ -368,13 +366,10 @@ def friction_pieces(runs: Sequence[Run], reference: float) -> list[MeasuredFrict
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
         for i, (run, load) in enumerate(zip(runs, loads, strict=True))
     ]
-    even = [max(np.split(p.y, np.flatnonzero(np.diff(p.frames) > 1) + 1), key=len) for p in pieces]
-    scatters = all(white_noise(part) > MIN_NOISE_SHARE * np.max(np.abs(part)) for part in even)
-    if not scatters or any(run.steady or run.noise is not None for run in runs):
+    if any(run.steady or run.noise is not None for run in runs):
         return pieces
-    if (found := correlated_noise([NoiseStretch(part) for part in even])) is None:
+    if (found := correlated_cell_noise([p.y for p in pieces], [p.frames for p in pieces])) is None:
         return pieces
-    # behind the filter of an amplifier; its correlation is seen at frequencies above those of any friction
     level = float(np.sqrt(np.mean(found.rms**2)))
     frames = 1.0 + 2.0 * found.share * found.correlation / (1.0 - found.correlation)
     return [replace(p, sigma=np.full(len(p.t), level), correlation=frames) for p in pieces]
