@@ -15,6 +15,7 @@ import frictrack as ft
 from frictrack.fit.least_squares.solution import covariance_of, white_noise_covariance
 from frictrack.flow import Session, open_study, propose_study
 from frictrack.measure.friction import drive_noise
+from frictrack.workbench.plot_data import comparison_plots
 
 MASS, F_C, F_V = 0.5, 1.0, 0.6
 N, STEP = 500, 4e-3
@@ -187,6 +188,24 @@ def test_a_load_cell_behind_a_slow_amplifier_is_named_with_its_lag(tmp_path: Pat
     assert 0.7 < found.reduced_chi2 < 1.3
     lag = found.parameters["cell_lag.tau"]
     assert abs(lag.value - 1 / (2 * np.pi * 20.0)) < 2.6 * lag.std
+
+
+def test_the_force_of_a_load_cell_that_is_read_seldom_is_drawn(tmp_path: Path) -> None:
+    session = cell_study(tmp_path, 100.0)
+    session.fit("coulomb,viscous")
+    results = session.results()
+    (run,) = results.runs
+    read = np.isfinite(run.sensors.friction_N)
+    assert 150 < np.sum(read) < 250
+    inside = slice(10, -10)
+    assert run.friction.free[inside].all()  # the free section goes on between two samples
+    found = comparison_plots(results, results.current)
+    forces = next(one for one in found.plots if one["id"] == "Force against time")
+    assert {layer["kind"] for layer in forces["layers"]} == {"dots"}  # a line needs neighbours
+    assert not np.any(np.isfinite(found.columns["F"]) & ~read)
+    assert np.isfinite(found.columns["noise_low"][inside]).all()
+    mean = ft.budget(session.runs[0].to_run(), ft.low_pass(run.displacement)).rows[0]
+    assert mean.mean_N == pytest.approx(mean.frame_N / np.sqrt(np.sum(read)), rel=0.1)
 
 
 def test_a_drive_without_scatter_is_exact() -> None:
