@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 import frictrack as ft
 from frictrack.fit.least_squares.solution import covariance_of, white_noise_covariance
 from frictrack.flow import Session, open_study, propose_study
 from frictrack.measure.friction import drive_noise
+from frictrack.workbench.plot_data import comparison_plots
 
 MASS, F_C, F_V = 0.5, 1.0, 0.6
 N, STEP = 500, 4e-3
@@ -138,13 +140,21 @@ def test_a_noisy_drive_that_is_read_less_often_than_the_positions_pushes_for_lon
     assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
 
 
-@pytest.mark.parametrize("rate", [100.0, 300.0])
-def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_than_its_samples(
-    tmp_path: Path, rate: float
-) -> None:
+def cell_study(
+    tmp_path: Path, rate: float, amplifier: float = 0.0, scatter: float = 0.02, *, inner: bool = False
+) -> Session:
+    """A mass that is led to and fro for 2 s, filmed at 500 Hz; a load cell behind an amplifier of first order.
+
+    Its noise passes the amplifier, too, if it is `inner`.
+    """
     t, u, rng = np.arange(0, 2, 2e-3), np.arange(-0.5 / rate, 2 + 1 / rate, 1 / rate), np.random.default_rng(1)
     x = 0.2 * t + 0.015 * np.sin(8 * t) + 1e-5 * rng.normal(size=len(t))
-    friction = F_C + F_V * (0.2 + 0.12 * np.cos(8 * u)) + 0.02 * rng.normal(size=len(u))
+    swing, fine = 0.12 * np.exp(8j * u), np.exp(-2 * np.pi * amplifier * np.clip(u, 0.0, None))
+    lag = 8 / (2 * np.pi * amplifier) if amplifier else 0.0
+    felt = (swing / (1 + 1j * lag)).real + (0.12 * (1 - 1 / (1 + 1j * lag))).real * fine * (lag > 0)
+    noise, kept = scatter * rng.normal(size=len(u)), np.exp(-2 * np.pi * amplifier / rate)
+    noise = lfilter([1 - kept], [1, -kept], noise) if inner else noise
+    friction = F_C + F_V * (0.2 + np.where(u < 0, 0.12, felt)) + noise
     np.savetxt(tmp_path / "x.csv", np.c_[t, x.round(8)], delimiter=",", header="t_s,x_m", comments="")
     np.savetxt(tmp_path / "cell.csv", np.c_[u, friction], delimiter=",", header="t_s,friction_N", comments="")
     lines = [
@@ -153,13 +163,49 @@ def test_a_load_cell_that_is_read_less_often_than_the_positions_is_no_better_tha
         'sensor = {table = "cell.csv", offset = 0.0}',
     ]
     (tmp_path / "study.toml").write_text("\n".join(lines) + "\n")
-    runs = [pipeline.to_run() for pipeline in Session(open_study(tmp_path / "study.toml")).runs]
+    return Session(open_study(tmp_path / "study.toml"))
+
+
+@pytest.mark.parametrize("rate", [100.0, 300.0, 500.0, 700.0])
+def test_a_load_cell_of_its_own_clock_is_no_better_than_its_samples(tmp_path: Path, rate: float) -> None:
+    runs = [pipeline.to_run() for pipeline in cell_study(tmp_path, rate).runs]
     found = ft.fit(["coulomb", "viscous"], runs)
     assert np.max(np.abs(deviations(found))) < 2.6
-    assert 0.75 < found.reduced_chi2 < 1.3
+    assert 0.75 < found.reduced_chi2 < 1.25
     known = ft.friction(runs[0])
-    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * t))
+    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * runs[0].motion.t))
     assert 0.7 < np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2)) < 1.3
+
+
+@pytest.mark.parametrize("inner", [False, True])
+def test_a_load_cell_behind_a_slow_amplifier_is_named_with_its_lag(tmp_path: Path, inner: bool) -> None:
+    session = cell_study(tmp_path, 500.0, amplifier=20.0, scatter=0.006 if inner else 0.002, inner=inner)
+    runs = [pipeline.to_run() for pipeline in session.runs]
+    found = session.diagnose()
+    assert (found["verdict"], found["missing"]) == ("missing", ["cell_lag"])
+    found = ft.fit(["coulomb", "viscous", "cell_lag"], runs)
+    assert np.max(np.abs(deviations(found))) < 2.6
+    assert 0.7 < found.reduced_chi2 < 1.3
+    lag = found.parameters["cell_lag.tau"]
+    assert abs(lag.value - 1 / (2 * np.pi * 20.0)) < 2.6 * lag.std
+
+
+def test_the_force_of_a_load_cell_that_is_read_seldom_is_drawn(tmp_path: Path) -> None:
+    session = cell_study(tmp_path, 100.0)
+    session.fit("coulomb,viscous")
+    results = session.results()
+    (run,) = results.runs
+    read = np.isfinite(run.sensors.friction_N)
+    assert 150 < np.sum(read) < 250
+    inside = slice(10, -10)
+    assert run.friction.free[inside].all()  # the free section goes on between two samples
+    found = comparison_plots(results, results.current)
+    forces = next(one for one in found.plots if one["id"] == "Force against time")
+    assert {layer["kind"] for layer in forces["layers"]} == {"dots"}  # a line needs neighbours
+    assert not np.any(np.isfinite(found.columns["F"]) & ~read)
+    assert np.isfinite(found.columns["noise_low"][inside]).all()
+    mean = ft.budget(session.runs[0].to_run(), ft.low_pass(run.displacement)).rows[0]
+    assert mean.mean_N == pytest.approx(mean.frame_N / np.sqrt(np.sum(read)), rel=0.1)
 
 
 def test_a_drive_without_scatter_is_exact() -> None:

@@ -117,6 +117,17 @@ def test_residual_follows_the_floor_where_only_noise_is_taken_and_leaves_it_wher
     assert found.structural < 0.7 * found.total.min()
 
 
+def test_the_error_of_a_cutoff_is_the_same_whichever_filter_is_asked_for():
+    t, x = vibrating()
+    lost = 40e-6 / np.sqrt(2) * (2 * np.pi * 60.0) ** 2 / 2  # a low-pass at 60 Hz takes half of the vibration
+    for asked in (None, 60.0):
+        run = filmed(t, x, cutoff=asked)
+        found = cutoff_tradeoff(run.displacement, low_pass(run.displacement, asked), run.motion)
+        assert found.at(60.0)[1] == pytest.approx(lost, rel=0.15)
+        assert found.lost.min() < 0.1 * lost
+    assert found.structural == pytest.approx(np.hypot(*found.at(60.0)), rel=0.15)
+
+
 @pytest.mark.slow
 def test_noise_let_through_is_that_of_the_butterworth_filter_and_two_differences():
     rng = np.random.default_rng(0)

@@ -143,6 +143,19 @@ def test_a_lag_follows_the_level_of_dry_friction(tau):
     np.testing.assert_allclose(made, truth, atol=1e-6 * np.max(level))
 
 
+@pytest.mark.parametrize("tau", [1e-6, 1e-4, 1e-3, 1e-2])
+def test_a_load_cell_that_is_late_shows_any_force_so(tau):
+    t = np.linspace(0, 0.1, 401)
+    path = Path(t, t, np.ones_like(t), np.ones_like(t), friction=np.ones_like(t))
+    wave, answer = np.exp(30j * t), 1 / (1 + 30j * tau)  # u' = (c - u)/tau, u = c at first, in closed form
+    columns = np.column_stack([np.ones_like(t), wave.imag])
+    made = get("cell_lag").columns(path, {"tau": tau}, columns)
+    truth = (answer * wave - answer * np.exp(-t / tau)).imag
+    np.testing.assert_allclose(made, np.column_stack([np.ones_like(t), truth]), atol=1e-6)
+    along_a_simulated_motion = replace(path, friction=None)
+    np.testing.assert_array_equal(get("cell_lag").columns(along_a_simulated_motion, {"tau": tau}, columns), columns)
+
+
 def test_a_contact_that_rests_is_unbent_and_one_that_slides_is_bent():
     t = np.linspace(0, 0.01, 50)
     path = Path(t, t**2, 2 * t, np.r_[0.0, np.ones(49)])

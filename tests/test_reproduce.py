@@ -376,6 +376,20 @@ def test_page_escapes_and_counts() -> None:
     assert "0 hold, 1 do not, 0 cannot be decided" in page
 
 
+def test_an_interrupted_reproduction_keeps_the_sections_that_are_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted() -> Section:
+        raise KeyboardInterrupt
+
+    sections = {"later": (interrupted, (), 1.0), "p": (lambda: _small().parts[0], (), 2.0)}
+    monkeypatch.setattr(reproduce, "SECTIONS", sections)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.reproduce(tmp_path, quick=True)
+    assert "1 of 2 sections are missing" in (tmp_path / "reproduce.html").read_text(encoding="utf-8")
+    assert [part["name"] for part in json.loads((tmp_path / "reproduce.json").read_text())["parts"]] == ["p"]
+
+
 def test_numbers_for_people() -> None:
     assert [format_cell(c) for c in (None, "x", 3.0, -2.0, 0.123456, 36040.0)] == [
         "–",

@@ -284,6 +284,20 @@ def test_an_average_takes_away_what_the_frames_cannot_hold() -> None:
     np.testing.assert_allclose(slow.average(at, 1 / FPS), np.sin(2 * np.pi * 50 * at), atol=1e-3)
 
 
+@pytest.mark.parametrize("rate", [0.7, 1.0, 1.3, 4.0])  # samples per frame
+def test_white_noise_of_samples_is_white_at_the_frames_next_to_them(rate: float) -> None:
+    ts = (np.arange(8000 * rate) + 0.37) / (rate * FPS)
+    noise, at = np.random.default_rng(5).normal(size=len(ts)), np.arange(10, 7990) / FPS
+    made = SensorRecord(ts, noise).means(at)
+    known = np.isfinite(made)
+    assert np.mean(known) == pytest.approx(min(rate, 1.0), abs=0.01)
+    left = made[known]
+    assert np.std(left) == pytest.approx(np.sqrt(len(left) / len(ts)), rel=0.06)
+    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 4 / np.sqrt(len(left))
+    smooth = SensorRecord(ts, np.cos(300 * ts)).means(at)
+    np.testing.assert_allclose(smooth[known], np.cos(300 * at[known]), atol=2e-3)
+
+
 def test_integrals_go_on_outside_the_record_with_its_end_value() -> None:
     """A record 2 + 3 t over one second: before it the value is 2, after it 5."""
     ts = np.linspace(0.0, 1.0, 11)

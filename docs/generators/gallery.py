@@ -25,7 +25,7 @@ from frictrack import __version__, effects
 from frictrack.base.number_format import format_number
 from frictrack.diagnose import MIN_CHI2_SEPARATED
 from frictrack.effects import Effect, Parameter
-from frictrack.effects.definition import NEEDS
+from frictrack.effects.definition import EVERY_FORCE, NEEDS
 
 WIDE_PAGE = "---\nhtml_theme.sidebar_secondary.remove: true\n---\n"
 MAX_LOOKALIKES = 4  # effects in the table of what an effect is confused with
@@ -45,7 +45,7 @@ GROUPS = {
         *("load_modulation", "measured_load", "viscous_modulation"),
     ),
     "Errors of the measurement": (
-        *("drive_error", "lens", "peak_locking", "camera_shake", "dropped_frame"),
+        *("drive_error", "cell_lag", "lens", "peak_locking", "camera_shake", "dropped_frame"),
         *("timebase", "clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
     ),
 }
@@ -78,7 +78,7 @@ def make_gallery(folder: Path, simulated: Collection[str] | None = None) -> None
         mark = _mark(name)
         if marks.get(name) == mark and all((folder / file).exists() for file in _files(name)):
             continue
-        if simulated is None or name in simulated:
+        if name in EXAMPLES and (simulated is None or name in simulated):
             sys.stderr.write(f"gallery: {name}\n")
             _make_page(folder, name)
             marks[name] = mark
@@ -188,9 +188,9 @@ def effect_page(name: str, failure: Failure | None = None) -> str:
 def _facts(effect: Effect) -> str:
     """Return a table: what the effect acts on, what it scales with, what it needs, where it is from."""
     rows = [
-        ["acts on", "the force on the mass" if effect.acts_on == "force" else "the measured position"],
+        ["acts on", _acts_on(effect)],
         ["its size follows", SCALES[effect.scales_with]],
-        ["changes", ", ".join(_link(name) for name in sorted(effect.modifies))],
+        ["changes", ", ".join(n if effect.modifies == EVERY_FORCE else _link(n) for n in sorted(effect.modifies))],
         ["stands in place of", ", ".join(_link(name) for name in sorted(effect.replaces))],
         ["tried by a diagnosis", _when_tried(effect)],
         ["needs", plain(" and ".join(NEEDS[need][0] for need in effect.needs))],
@@ -309,6 +309,12 @@ def _calculation(pair: str, found: Separation) -> str:
 
 def _rounded(chi2: float) -> str:
     return f"{chi2:,.0f}" if chi2 < 1e5 else "more than 100,000"
+
+
+def _acts_on(effect: Effect) -> str:
+    if "friction" in effect.needs:
+        return "the force that a load cell shows"
+    return "the force on the mass" if effect.acts_on == "force" else "the measured position"
 
 
 def _link(name: str) -> str:

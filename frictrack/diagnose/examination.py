@@ -368,15 +368,14 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
     own = list(own)
     model, paths = solution.problem.model, [p.path for p in solution.problem.pieces]
     replaced = frozenset().union(*(e.replaces for e in model.effects))
-    kinds = {e.kind for e in model.effects}
     found, excluded = [], {}
     for kind in effects.known(own).values():
         if kind.name != kind.kind or kind.replaces or kind.kind in replaced:
             continue
-        if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kinds & kind.modifies):
+        if (kind.name in model and not _can_occur_twice(kind)) or (kind.modifies and not kind.changed(model.effects)):
             continue
-        if kind.acts_on == "measurement" and not solution.problem.simulates:
-            continue
+        if "friction" in kind.needs if solution.problem.simulates else kind.acts_on == "measurement":
+            continue  # no instrument that would show it
         if paths[0].steady and not kind.is_of_velocity:
             continue  # the remarks on points (v, F) say it of all at once
         effect = effects.get(model.next_instance(kind.name), own)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from string import Formatter
@@ -24,6 +24,7 @@ from frictrack.records import GRAVITY, EarlierRuns
 from frictrack.records import Array as Array  # noqa: PLC0414 - the files of effects take both from here
 from frictrack.records import Mask as Mask  # noqa: PLC0414
 
+EVERY_FORCE = frozenset({"every force"})  # as `Effect.modifies`: of what shows the sum of all forces
 CONSTANTS = {"g": GRAVITY, "pi": np.pi}  # of formulas and phrases
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
@@ -34,6 +35,7 @@ NEEDS = {
     "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
     "angle": ("the angle of the target", "give a film: a table has no angle"),
     "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "friction": ("a friction force that a load cell measured", 'give friction_N, or sensor = "cell.csv"'),
     "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
 }
 
@@ -60,6 +62,7 @@ class Path:
     pixel_pitch: float | None = None  # m
     drive: Array | None = None  # N
     drive_at: Callable[[Array], Array] | None = None  # N at any times since release
+    friction: Array | None = None  # N, as a load cell shows it
     lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
     mass: float | Array | None = None  # kg, where it is known
     gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
@@ -441,7 +444,7 @@ class Effect:
         they depend on that sample alone. Runs that are laid end to end on one path are then evaluated at once.
         Without it they are evaluated run by run.
     modifies, replaces : frozenset of str
-        Effects whose columns it changes; effects that cannot stand beside it in a model.
+        Effects whose columns it changes (`EVERY_FORCE`: all); effects that cannot stand beside it in a model.
     special_cases : mapping, optional
         Simpler effects that it equals at certain values of its non-linear parameters: values by name of the effect. It
         is no rival of one of them, because it can only repeat with more parameters what that one explains.
@@ -563,6 +566,11 @@ class Effect:
     def title(self) -> str:
         """The name in a list of candidates: "texture", or "stribeck.delta" where that would be freed."""
         return f"{self.name}.{self.frees}" if self.frees else self.name
+
+    def changed(self, effects: Iterable[Effect]) -> list[Effect]:
+        """Those of some effects whose columns it changes."""
+        forces = (e for e in effects if e.acts_on == "force" and not e.modifies)
+        return [e for e in forces if e.kind in self.modifies or self.modifies == EVERY_FORCE]
 
     @property
     def of_record(self) -> bool:

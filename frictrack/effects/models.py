@@ -67,8 +67,7 @@ class Model:
             raise UsageError(f"expected every effect once but got {', '.join(twice)} twice; {hint}")
         if not names:
             raise UsageError("expected at least one effect but got an empty model")
-        kinds = {e.kind for e in self.effects}
-        idle = [e for e in self.effects if e.modifies and not kinds & e.modifies]
+        idle = [e for e in self.effects if e.modifies and not e.changed(self.effects)]
         if idle:
             wanted = " or ".join(sorted(idle[0].modifies))
             raise UsageError(f"{idle[0].name} modifies {wanted}, and the model has neither; add one")
@@ -279,7 +278,7 @@ class Model:
 
         made = {e.name: columns(e) for e in self.effects if e.acts_on == "force" and not e.modifies}
         for modifier in sorted((e for e in self.effects if e.modifies), key=lambda e: e.rank):
-            modified = [e.name for e in self.effects if e.kind in modifier.modifies and e.name in made]
+            modified = [e.name for e in modifier.changed(self.effects)]
             if modified:
                 inner = np.concatenate([made[name] for name in modified], axis=1)
                 ends = np.cumsum([made[name].shape[1] for name in modified])[:-1]
@@ -291,9 +290,10 @@ class Model:
         """States (n, k) of the effects with memory along a path, by effect."""
         out: dict[str, Array] = {}
         remembering = [e for e in self.effects if e.state is not None]
-        inner = {kind for e in remembering for kind in e.modifies}
-        needed = [e for e in self.effects if e.state is not None or e.modifies or e.kind in inner]
-        Model(tuple(needed)).force_columns(path, values, out)
+        needed = [*remembering, *(changed for e in remembering for changed in e.changed(self.effects))]
+        needed += [e for e in self.effects if any(one in needed for one in e.changed(self.effects))]
+        if needed:
+            Model(tuple(e for e in self.effects if e in needed)).force_columns(path, values, out)
         return out
 
     def measurement_columns(self, path: Path, values: Values) -> dict[str, Array]:

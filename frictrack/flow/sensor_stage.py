@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 # Standard deviations between the mass that the drive moves and the weighed mass, from which a note is made.
 MIN_MASS_DIFFERENCE_SIGMAS = 3.0
 MIN_COVERED_SHARE = 0.5  # of the run, that the record of a drive must cover; a wrong offset leaves less
-MIN_FRAMES_PER_SAMPLE = 4  # of a load cell, from which a frame holds a tenth of the next sample at most
 TIME_TOLERANCE_S = 1e-9  # s
 MIN_FRAMES_OF_TARGET = 8  # frames needed to decide whether a target moves with the mass
 MIN_GAIN = 0.5  # displacement of the target per displacement of the mass, from which it may be fixed to the mass
@@ -101,7 +100,7 @@ class _SensorReader:
         series = _drive_force(spec)
         found = measure.sensors.align_drive(self.displacement, motion, series, offset=_offset(spec), until=float(until))
         self._note_alignment("drive", series, found)
-        self.found["drive"] = self._at_all_frames(series, found, acting, MIN_COVERED_SHARE)
+        self.found["drive"] = self._at_all_frames(series, found, acting)
         if series.interval > self.interval:  # between its samples a curve scatters little, but for long
             scatter = float(np.nan_to_num(noise_of_smooth(series.values)[0]))
             self.found |= {"drive_scatter": scatter, "drive_interval": series.interval}
@@ -120,9 +119,7 @@ class _SensorReader:
             regressors = np.stack([*varying, np.ones(len(frames.z))], axis=1)
             found = measure.sensors.align(measure.sensors.AlignmentProblem(frames, series, regressors), _offset(spec))
             self._note_alignment("friction_N", series, found)
-            everywhere = np.ones(len(self.displacement), dtype=bool)
-            force = self._at_all_frames(series, found, everywhere)
-            self.found["friction_N"] = np.where(self._is_read(series, found), force, np.nan)
+            self.found["friction_N"] = self._where_read(series, found)
 
     def _acceleration(self, series: SensorRecord, offset: float | None) -> None:
         """Align an accelerometer, compare it with the camera, and use it for fusion if both agree."""
@@ -154,20 +151,18 @@ class _SensorReader:
         if compared is not None and (found.rivals or compared.verdict != "not compared"):
             self.notes.append(f"{series.name} {_describe_agreement(compared)}")
 
-    def _is_read(self, series: SensorRecord, found: Alignment) -> NDArray[np.bool_]:
-        """Frames (n,) next to a sample: others tell nothing of a sensor that is read less often than the positions.
+    def _where_read(self, series: SensorRecord, found: Alignment) -> Array:
+        """Return a force (n,) at the frames next to its samples, NaN elsewhere; its record must cover the run."""
+        t, half = self.displacement.t, self.interval / 2.0
+        at = t - found.lag(t)
+        covered = series.covers(at - half, at + half)
+        if not (covered[0] and covered[-1]):
+            raise FrictrackError(_no_overlap(series, found, t))
+        if missing := int(np.sum(~covered)):
+            self.notes.append(f"{series.name}: no value at {missing} of {len(t)} frames, which are left out")
+        return series.means(at)
 
-        Where samples are hardly rarer than frames, a frame mixes two of them, and only every second one counts.
-        """
-        t = self.displacement.t
-        if series.interval <= self.interval:
-            return np.ones(len(t), dtype=bool)
-        every = 1 if series.interval >= MIN_FRAMES_PER_SAMPLE * self.interval else 2
-        number = np.interp(t - found.lag(t), series.t, np.arange(len(series.t))) / every
-        near = self.interval / (every * series.interval)  # samples from one frame to the next
-        return np.asarray((number + near / 2.0 + TIME_TOLERANCE_S) % 1.0 < near)
-
-    def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array, covered: float = 1.0) -> Array:
+    def _at_all_frames(self, series: SensorRecord, found: Alignment, acting: Array) -> Array:
         """Return a force (n,) at all frames: 0 where it does not act, short gaps interpolated; NaN beyond its record.
 
         A record that covers less than a share of these frames is refused.
@@ -177,7 +172,7 @@ class _SensorReader:
         rows, measured = np.flatnonzero(acting), np.flatnonzero(acting & np.isfinite(values))
         span = t[measured[[0, -1]]] if len(measured) else np.array([np.inf, -np.inf])
         inside = rows[(t[rows] >= span[0]) & (t[rows] <= span[1])]
-        if len(inside) == 0 or len(inside) < covered * len(rows):
+        if len(inside) == 0 or len(inside) < MIN_COVERED_SHARE * len(rows):
             raise FrictrackError(_no_overlap(series, found, t[rows]))
         if missing := len(inside) - len(measured):
             self.notes.append(f"{series.name}: no value at {missing} of {len(rows)} frames; bridged by straight lines")

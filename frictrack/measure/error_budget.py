@@ -200,7 +200,7 @@ def budget(
     weights = np.where(free, np.sign(run.motion.v), 0.0) / np.sum(free)
     mean = float(weights @ result.F)
     if run.friction_N is not None:
-        return Budget(run.name, mean, (_cell(result.sigma_F, free),))
+        return Budget(run.name, mean, (_cell(result.sigma_F, free & np.isfinite(run.friction_N)),))
     del result  # of a long run it takes much memory
     errors = _RunErrors(run, Derivatives.of_x(filtered), free, weights)
     rows = [*errors.noise_and_filter(film is not None), *errors.common_errors(film)]
@@ -330,7 +330,9 @@ class _RunErrors:
         if self.run.drive is None:
             return []
         drive = np.asarray(self.run.drive, dtype=float)
-        n, t, level = float(np.sum(self.free)), self.run.motion.t, drive_noise(self.run)
+        t, level = self.run.motion.t, drive_noise(self.run)
+        per_sample = (self.run.drive_interval or 0.0) / float(np.median(np.diff(t)))  # frames
+        n = float(np.sum(self.free)) / max(per_sample, 1.0)
         known_from = "white noise of the record, from its differences" if self.run.sigma_drive is None else "stated"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
+from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
 from frictrack.sampling import noise_of_smooth, white_noise
 
@@ -35,6 +36,7 @@ MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
 MIN_NOISE_SHARE = 1e-9  # smallest noise of a force sensor over its largest force
+USUAL_SHARE = 0.9  # of the intervals between samples of a load cell; where one is longer, it was not running
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
 
@@ -245,7 +247,7 @@ def friction(run: Run) -> Friction:
         known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
         force = np.interp(rows, rows[known], run.friction_N[known])
         sigma = np.full(len(force), cell_noise(run)) if run.sigma_friction is None else run.sigma_friction
-        return Friction(run.motion.t, force, sigma, mask & known, reason, run.motion.repaired)
+        return Friction(run.motion.t, force, sigma, mask & _between_samples(known), reason, run.motion.repaired)
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
@@ -256,6 +258,16 @@ def friction(run: Run) -> Friction:
     variance = (run.inertia * run.motion.sigma_a) ** 2 + sigma_weight**2 + sigma_scale**2 + drive_noise(run) ** 2
     force = drive - run.inertia * acceleration
     return Friction(run.motion.t, force, np.sqrt(variance), mask, reason, run.motion.repaired)
+
+
+def _between_samples(known: Mask) -> Mask:
+    """Frames (n,) of a measured force, and those between two samples that follow one another."""
+    rows = np.arange(len(known))
+    if np.sum(known) < 2:
+        return known
+    before = np.maximum.accumulate(np.where(known, rows, -len(rows)))
+    after = np.minimum.accumulate(np.where(known, rows, 2 * len(rows))[::-1])[::-1]
+    return np.asarray(after - before <= np.quantile(np.diff(rows[known]), USUAL_SHARE))
 
 
 def drive_noise(run: Run) -> float:
@@ -270,12 +282,26 @@ def drive_noise(run: Run) -> float:
 
 
 def cell_noise(run: Run) -> float:
-    """White noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
+    """Noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
     if run.noise is not None:
         return run.noise
     force = np.asarray(run.friction_N, dtype=float)
-    force = force[np.isfinite(force)]
+    at = np.flatnonzero(np.isfinite(force))
+    force = force[at]
+    if (found := correlated_cell_noise([force], [at])) is not None:
+        return float(found.rms[0])
     return max(white_noise(force), MIN_NOISE_SHARE * float(np.max(np.abs(force), initial=0.0)), 1e-12)
+
+
+def correlated_cell_noise(forces: Sequence[Array], frames: Sequence[NDArray[np.intp]]) -> CorrelatedNoise | None:
+    """Noise that passed the filter of an amplifier, of load cells read at some frames; None where it is white.
+
+    Its correlation between neighbouring frames is seen at frequencies above those of any friction.
+    """
+    both = zip(forces, frames, strict=True)
+    even = [max(np.split(force, np.flatnonzero(np.diff(at) > 1) + 1), key=len) for force, at in both]
+    scatters = all(white_noise(part) > MIN_NOISE_SHARE * np.max(np.abs(part), initial=0.0) for part in even)
+    return correlated_noise([NoiseStretch(part) for part in even]) if scatters else None
 
 
 def has_measured_force(run: Run) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from frictrack.present import plots
 from frictrack.present.plots import modelled_force, residual_unit, residuals
 from frictrack.present.plots.style import BAND_SIGMAS, axis_label, masked, unsmeared_frames
-from frictrack.records import Array, Friction, Track
+from frictrack.records import Array, Friction, Mask, Track
 from frictrack.results import BACKWARD, ModelResults, Results, RunResults
 
 HEADER_BYTES = 4  # the length of the scene, uint32
@@ -265,7 +265,8 @@ def model_plots(
         first += len(run.motion)
     spans = [(*s["t"], s["run"]) for s in failing if any(run.name == s["run"] for run in runs)]
     marks = [span(1e3 * a, 1e3 * b, "fails", "model fails", run=name, colour="warn") for a, b, name in spans]
-    shown = [*_residual_plots(residual_unit(model), marks, other), *_force_plots(other), *_motion_plots()]
+    sparse = any(_unread(run).any() for run in runs)
+    shown = [*_residual_plots(residual_unit(model), marks, other), *_force_plots(other, sparse), *_motion_plots()]
     return PlotData(first, columns, shown, entries, {"view": "compare", "model": model.name})
 
 
@@ -285,7 +286,8 @@ def _residual_plots(unit: str, marks: list[dict[str, Any]], other: ModelResults 
     ]
 
 
-def _force_plots(other: ModelResults | None) -> list[dict[str, Any]]:
+def _force_plots(other: ModelResults | None, sparse: bool) -> list[dict[str, Any]]:
+    """Plots of the forces; through points that have no neighbours a line cannot be drawn."""
     behind = [("F_other", "background-model", "background", model_label(other))] if other is not None else []
     over_time = [
         line("F", "measured", "measured", "measured", width=1, by_run=True),
@@ -298,7 +300,7 @@ def _force_plots(other: ModelResults | None) -> list[dict[str, Any]]:
         dots("F_model", "model", "model", "model", candidate="F_with"),
     ]
     return [
-        plot(FORCE_TITLES[0], TIME, ("F", "N"), *over_time, brush="x"),
+        plot(FORCE_TITLES[0], TIME, ("F", "N"), *(over_motion if sparse else over_time), brush="x"),
         plot(FORCE_TITLES[1], VELOCITY, ("F", "N"), *over_motion),
         plot("Force against place", PLACE, ("F", "N"), *over_motion),
     ]
@@ -338,7 +340,7 @@ def _run_columns(run: RunResults, model: ModelResults, other: ModelResults | Non
     rows: dict[str, Array] = {"t": 1e3 * m.t, "x": 1e3 * m.x, "v": m.v, "F": np.full(len(m), np.nan), "a": m.a}
     if f is not None:  # the push is much larger than what follows
         clean = unsmeared_frames(f, m.guard)
-        rows |= {"F": masked(f.F, clean), "a": masked(m.a, clean)}
+        rows |= {"F": masked(f.F, clean & ~_unread(run)), "a": masked(m.a, clean)}
     rows["left"], rows["F_model"], noise = _model_curves(run, model)
     if other is not None:
         rows["other"], rows["F_other"], _ = _model_curves(run, other)
@@ -352,12 +354,21 @@ def _model_curves(run: RunResults, model: ModelResults) -> tuple[Array, Array, A
     for part in residuals(model, run):
         at = _row_indices(run.motion.t, 1e-3 * part.t)
         left[at], noise[at] = part.values, part.sigma
+    frames, unread = np.arange(len(noise)), _unread(run)
+    if unread.any():  # the band goes on between two samples
+        noise[unread] = np.interp(frames[unread], frames[~unread], noise[~unread])
     for curve in model.curves:
         if curve.run == run.name:
             modelled[_row_indices(run.motion.t, curve.t)] = modelled_force(model, curve)
     if run.friction is not None:
         modelled[run.friction.free & ~unsmeared_frames(run.friction, run.motion.guard)] = np.nan
     return left, modelled, noise
+
+
+def _unread(run: RunResults) -> Mask:
+    """Frames (n,) between the samples of a load cell."""
+    cell = None if run.sensors is None else run.sensors.friction_N
+    return np.zeros(len(run.motion), dtype=bool) if cell is None else np.isnan(cell)
 
 
 def _row_indices(t: Array, some: Array) -> Any:

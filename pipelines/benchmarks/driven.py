@@ -54,6 +54,11 @@ class Case:
     inner: bool = False  # whether the noise passes the amplifier
     duration: float = 1.0
 
+    @property
+    def model(self) -> list[str]:
+        """The law, and the lag of a cell behind an amplifier, which a diagnosis names."""
+        return [*MODEL, "cell_lag"] if self.kind == "friction" and self.amplifier else MODEL
+
     def __str__(self) -> str:
         words = [self.kind, f"{self.rate:g} Hz"]
         if self.kind != "coast":
@@ -140,7 +145,7 @@ def scores(case: Case, seed: int, folder: Path) -> tuple[Array, float]:
         pairs = ((run.motion.x, x, run.motion.sigma_x), (run.motion.v, v, run.motion.sigma_v))
         pairs += ((force.F, truth, force.sigma_F),)
         squares.append([np.mean(((m - true) / sigma)[rows] ** 2) for m, true, sigma in pairs])
-    found = ft.fit(MODEL, runs)
+    found = ft.fit(case.model, runs)
     p = found.parameters
     law = [(p[name].value - true) / p[name].std for name, true in TRUTH.items()]
     return np.append(np.sqrt(np.mean(squares, axis=0)), law), found.reduced_chi2

@@ -118,7 +118,7 @@ def list_causes(law: Model, runs: Sequence[VirtualRun]) -> tuple[list[Cause], di
     for effect in effects.LIBRARY.values():
         if effect.name in present or effect.kind in replaced or effect.replaces:
             continue
-        if effect.modifies and not present & effect.modifies:
+        if effect.modifies and not effect.changed(law.effects):
             excluded[effect.name] = f"modifies {' or '.join(sorted(effect.modifies))}, which the model does not contain"
         elif lacking := effect.lacks([path]):
             excluded[effect.name] = lacking.removeprefix(f"{effect.name} ").partition(";")[0]
@@ -170,9 +170,9 @@ def _raw_columns(planned: VirtualRun, effect: Effect, settings: Sequence[dict[st
     if not effect.modifies:
         return np.concatenate([effect.columns(path, setting) for setting in settings], axis=1)
     values, _ = planned.layout.values(planned.p, piece.run)
-    changed = [e.name for e in model.effects if e.kind in effect.modifies]
     present = model.force_columns(path, values)
-    inner = np.sum([present[name] @ model.coefficients(name, values) for name in changed], axis=0)[:, None]
+    changed = (present[e.name] @ model.coefficients(e.name, values) for e in effect.changed(model.effects))
+    inner = np.sum(list(changed), axis=0)[:, None]
     return np.concatenate([effect.columns(path, setting, inner) - inner for setting in settings], axis=1)
 
 

@@ -224,7 +224,7 @@ class LinearisedPiece:
         """
         model = self.problem.model
         columns = model.force_columns(self.path_for(effect), self.values)
-        reshaped = [e.name for e in model.effects if e.kind in effect.modifies and e.name in columns]
+        reshaped = [e.name for e in effect.changed(model.effects)]
         if not effect.sized:
             return np.concatenate([columns[name] for name in reshaped], axis=1)
         force: Array = np.sum([columns[name] @ model.coefficients(name, self.values) for name in reshaped], axis=0)

@@ -33,7 +33,7 @@ from frictrack.fit.separable.common_amplitudes import variable_projection
 from frictrack.fit.separable.model import DataBlock, SeparableModel, path_at_compared, rows_at_compared
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.smooth_functions import correlated_frames, matern_covariance
-from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, free_section, is_moving
+from frictrack.measure.friction import MIN_NOISE_SHARE, cell_noise, correlated_cell_noise, free_section, is_moving
 from frictrack.records import Array, Mask, Run, stretches
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels
 
@@ -41,7 +41,8 @@ MAX_SAME_SPEED, MAX_SAME_LOAD = 1e-3, 0.05  # relative difference of speeds that
 MIN_REPEATS = 4  # points beyond the first of their speed that show the noise
 LENGTHS = np.geomspace(0.7, 8.0, 12)  # correlation lengths in ln v: no law of friction changes faster than twofold in v
 RATIOS = np.geomspace(1e-2, 1e7, 46)  # variance of the course over that of the noise
-PATH_ARRAYS = ("t", "s", "load", "drive", "lift", "angle", "travelled", "begins")  # arrays of a path besides x and v
+# arrays of a path besides x and v
+PATH_ARRAYS = ("t", "s", "load", "drive", "friction", "lift", "angle", "travelled", "begins")
 MIN_HELD_SHARE = 0.5  # least held friction at rest over the median friction
 MIN_CREEP_STD = 3.0  # standard deviations of a significant creep
 MAX_GRID_STARTS = 3  # points of a grid that are refined
@@ -170,11 +171,13 @@ class MeasuredFrictionPiece(Piece):
     """One run whose friction was measured: y is the friction, N, at the compared frames, rows `at` of the path.
 
     `whole` is the piece of all frames where only one in `every` frames is compared; of `points` (v, F), every row is.
+    `correlation` is the integrated correlation time of the noise of the cell, in frames.
     """
 
     whole: MeasuredFrictionPiece | None = None
     every: int = 1
     points: SpeedPoints | None = None  # of a table of speeds and forces
+    correlation: float = 1.0
 
     def noise_levels(self, model: Array, residual: Array, unknowns: int, errors: Array) -> Array:
         """Noise (D,) that is estimated of points with errors (n, D) of deviation one.
@@ -352,20 +355,27 @@ def reference_load(runs: Sequence[Run]) -> float:
     return float(known[0]) if np.all(np.isfinite(known)) else float("nan")
 
 
-def friction_pieces(runs: Sequence[Run], reference: float) -> list[Piece]:
+def friction_pieces(runs: Sequence[Run], reference: float) -> list[MeasuredFrictionPiece]:
     """Create one piece per run, all with the same noise, so that residuals in N have equal weights.
 
     Newtons are reported at the normal load `reference`, N; NaN if a load is not known.
     """
     noise = float(np.sqrt(np.mean([0.0 if run.steady else cell_noise(run) ** 2 for run in runs])))
     loads = [(run.load or reference) / reference if np.isfinite(reference) else 1.0 for run in runs]
-    return [
+    pieces = [
         _piece_of_points(run, i, load) if run.steady else _make_piece(run, i, noise, load)
         for i, (run, load) in enumerate(zip(runs, loads, strict=True))
     ]
+    if any(run.steady or run.noise is not None for run in runs):
+        return pieces
+    if (found := correlated_cell_noise([p.y for p in pieces], [p.frames for p in pieces])) is None:
+        return pieces
+    level = float(np.sqrt(np.mean(found.rms**2)))
+    frames = 1.0 + 2.0 * found.share * found.correlation / (1.0 - found.correlation)
+    return [replace(p, sigma=np.full(len(p.t), level), correlation=frames) for p in pieces]
 
 
-def _make_piece(run: Run, index: int, noise: float, load: float) -> Piece:
+def _make_piece(run: Run, index: int, noise: float, load: float) -> MeasuredFrictionPiece:
     """The piece of one run."""
     free, _ = free_section(run)
     series = np.asarray(run.friction_N, dtype=float)
@@ -418,7 +428,7 @@ def _measured_path(run: Run, context: RunContext, force: Array, load: float) -> 
     held = float(np.sign(force[0])) if abs(force[0]) > MIN_HELD_SHARE * np.median(np.abs(force)) else 0.0
     known = path_of_rows(run, np.arange(len(t)), t, context)
     travelled = slid - slid[int(np.searchsorted(t, 0.0))]
-    return replace(known, x=x, v=v, s=_direction(v, held), load=load, travelled=travelled, begins=x)
+    return replace(known, x=x, v=v, s=_direction(v, held), load=load, friction=force, travelled=travelled, begins=x)
 
 
 def _steady_velocity(run: Run) -> Array:

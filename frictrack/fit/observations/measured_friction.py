@@ -1,8 +1,9 @@
 """The observation of a measured friction force, and its noise, estimated independently of the model that is tested.
 
 The white part comes from the series itself (fifth differences). A slow part counts as noise only where it is known
-not to be friction: from the differences between repeated strokes over the same positions, or from the specification
-of the instrument. With one record and no repeat, slow misfit counts as misfit.
+not to be friction: from the differences between repeated strokes over the same positions, from the specification of
+the instrument, or where its correlation between neighbouring samples is seen at frequencies above those of any
+friction, as behind the filter of an amplifier. Else, with one record and no repeat, slow misfit counts as misfit.
 
 Correlated frames repeat the same information, so every frame has the weight of one over the integrated correlation
 time. Of long series every short block is one frame.
@@ -33,7 +34,7 @@ from frictrack.fit.pieces import Rows
 from frictrack.fit.routes import FittedRuns
 from frictrack.fit.smooth_functions import correlated_frames, correlation_time_frames, rms
 from frictrack.fit.uncertainty import linear_estimates
-from frictrack.fit.uncertainty.estimates import Estimates, Misfit
+from frictrack.fit.uncertainty.estimates import Estimates, Misfit, misfit_of
 from frictrack.records import Array, Curve, Run
 
 FRAMES_PER_CORRELATION = 4  # frames kept per correlation time
@@ -104,8 +105,13 @@ def friction_noise(solution: Solution) -> FrictionNoise:
     found = [d for r in solution.responses for d in _stroke_differences(r)]
     differences, count = [d for d, _ in found], sum(n for _, n in found)
     if not found or (slow := rms(np.concatenate(differences))) < MIN_SLOW_NOISE_RATIO * white:
-        return FrictionNoise(white, 1.0, white, count)
+        return FrictionNoise(white, _cell_correlation(solution), white, count)
     return FrictionNoise(slow, max(correlation_time_frames(d) for d in differences), white, count)
+
+
+def _cell_correlation(solution: Solution) -> float:
+    """Integrated correlation time of the noise of the load cell, in frames; 1 where it is white."""
+    return max(p.correlation for p in solution.problem.pieces if isinstance(p, MeasuredFrictionPiece))
 
 
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
@@ -205,6 +211,12 @@ def friction_remarks(solution: Solution, runs: Sequence[Run]) -> list[str]:
             f"does not repeat between {noise.stroke_count} strokes over the same positions "
             f"(white noise {noise.white:.2g} N)"
         )
+    elif noise.correlation_frames > 1:
+        interval = max(float(np.median(np.diff(run.motion.t))) for run in runs)
+        out.append(
+            f"noise {noise.rms:.2g} N rms, correlated over {noise.correlation_frames * interval:.2g} s as behind the "
+            "filter of an amplifier"
+        )
     elif not noise.stroke_count and left > MIN_DRIFT_RATIO * noise.white:
         slow = float(np.sqrt(left**2 - noise.white**2))
         out.append(
@@ -256,7 +268,13 @@ def block_covariance(solution: Solution) -> Array:
         return white_noise
     blocks = block_starts(solution.responses, len(solution.p))
     gradients = [np.add.reduceat(r.jac * r.r[:, None], at) for r, at in zip(solution.responses, blocks, strict=True)]
-    return clustered_covariance(solution, white_noise, solution.stacked(gradients))
+    found = clustered_covariance(solution, white_noise, solution.stacked(gradients))
+    if _cell_correlation(solution) == 1:
+        return found
+    # few blocks scatter: never less than by the noise that is known
+    known, _ = covariance_of(weight_by_noise(solution)[0])
+    scale = np.maximum(np.sqrt(np.diag(known) / np.maximum(np.diag(found), 1e-300)), 1.0)
+    return found * scale[:, None] * scale
 
 
 class FrictionObservation(Observation):
@@ -274,7 +292,10 @@ class FrictionObservation(Observation):
 
     def misfit(self, fitted: FittedRuns) -> Misfit | None:
         """Return the force that the model misses; that of points (v, F) is in their scatter about the law."""
-        return None if fitted.solution.problem.is_of_points else super().misfit(fitted)
+        solution = fitted.solution
+        if solution.problem.is_of_points:
+            return None
+        return misfit_of(self.weighted(solution) if _cell_correlation(solution) > 1 else solution)
 
     def noise(self, solution: Solution, reduced_chi2: float) -> tuple[float, float]:
         """Return the noise of a sample, N, and the reduced chi-squared against it."""

@@ -254,8 +254,8 @@ class EffectGroup:
 
 def coupled_effects(model: Model) -> list[list[Effect]]:
     """Effects that are evaluated together: modifiers with all that they modify, the others alone."""
-    kinds = {k for e in model.effects for k in e.modifies}
-    joined = [e for e in model.effects if e.modifies or e.kind in kinds]
+    changed = [one for e in model.effects for one in e.changed(model.effects)]
+    joined = [e for e in model.effects if e.modifies or e in changed]
     out: list[list[Effect]] = [[e] for e in model.effects if e not in joined]
     return [joined, *out] if joined else out
 

@@ -280,8 +280,8 @@ def _frames_before_stop(response: PieceResponse) -> int:
 
 def split_start_effects(model: Model) -> tuple[list[Effect], list[Effect]]:
     """Split effects: those without a scan start together, with modifiers and what they modify; the others are later."""
-    reshaped = frozenset[str]().union(*(e.modifies for e in model.effects if e.turns))
-    start_effects = [e for e in model.effects if e.turns or e.kind in reshaped or not any(p.free for p in e.nonlinear)]
+    reshaped = [changed for e in model.effects if e.turns for changed in e.changed(model.effects)]
+    start_effects = [e for e in model.effects if e.turns or e in reshaped or not any(p.free for p in e.nonlinear)]
     return start_effects, [e for e in model.effects if e not in start_effects]
 
 

@@ -598,9 +598,10 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
     both = np.stack([y - weighted_cubic(y, w), signal - weighted_cubic(signal, w)], axis=1)
     rows = np.array([_residual_and_lost(f, grid, w, both, undisturbed) for f in frequency])
     floor, passed = np.array([_passed_noise(f, grid.interval, colour) for f in frequency]).T * noise
-    structural = float(np.median(motion.sigma_a[undisturbed[grid.frames]]))
+    of_best = motion.sigma_a if best is filtered else derived.deviations()[2]
+    own, least = (float(np.median(q[undisturbed[grid.frames]])) for q in (motion.sigma_a, of_best))
     # No filter is known to be better than the best estimate: what that one does not know either is lost, too.
-    lost = np.hypot(rows[:, 1], np.sqrt(np.maximum(structural**2 - passed**2, 0.0)))
+    lost = np.hypot(rows[:, 1], np.sqrt(np.maximum(least**2 - passed**2, 0.0)))
     return CutoffTradeOff(
         frequency=frequency,
         residual=rows[:, 0],
@@ -610,7 +611,7 @@ def cutoff_tradeoff(displacement: Displacement, filtered: Filtered, motion: Moti
         hidden=undetectable_amplitude(int(np.sum(w > 0))) * noise * (2 * np.pi * frequency) ** 2 / np.sqrt(2.0),
         chosen=filtered.cutoff,
         least=float(frequency[np.argmin(np.hypot(passed, lost))]),
-        structural=structural,
+        structural=own,
         warnings=tuple(_warnings(best, filtered.cutoff, grid.interval)),
     )
 

@@ -30,6 +30,8 @@ SPLINE_REACH_SAMPLES = 16  # samples on either side from which the spline of one
 SPLINE_TAIL_SAMPLES = 4  # samples beyond the triangle in which a spline still acts: it falls to 0.27 per sample
 GAP_RESOLUTION = 0.02  # of the frame interval; gaps that differ by less share one table
 POINTS_PER_SAMPLE = 32  # of the table of a sample's effect, per sample or frame, whichever is shorter
+MAX_SLOPE_VARIANCE = 0.01  # of what a slope adds to a sample, over the variance of its noise
+TIME_TOLERANCE = 1e-6  # of the time between two frames
 MAX_FRAME_GAP = 4.5  # frame intervals between two frames; no difference is taken over a longer gap
 
 
@@ -142,6 +144,28 @@ class SensorRecord:
         span = np.where(last > first, last - first, 1.0)
         mean = (self.integral(last, 1) - self.integral(first, 1)) / span
         return np.where(covered & (last > first), mean, np.nan)
+
+    def means(self, at: Array) -> Array:
+        """Mean (k,) of the samples next to each of some times, followed there along the slope about them.
+
+        Every sample counts once, so that white noise of the samples is white in their means, too.
+
+        `at` (k,): rising times on the sensor's clock, s. Returns NaN where no sample is next.
+        """
+        t, y = self.t[self.known], self.values[self.known]
+        width = float(np.median(np.diff(at)))
+        furthest = min(width / self.interval, 1.0) / 2.0  # of a sample interval, from a mean to its time
+        reach = int(np.ceil((1.5 * furthest**2 / MAX_SLOPE_VARIANCE) ** (1 / 3)))  # a slope has 1.5 / reach^3
+        count = min(2 * reach + 1, (len(t) - 1) // 2 * 2 + 1)
+        smooth = scipy.signal.savgol_filter
+        rise, run = (smooth(q, count, 1, deriv=1) if count > 1 else np.gradient(q) for q in (y, t - t[0]))
+        # a sample midway between two times goes to the later one, whatever the rounding
+        nearest = np.searchsorted((at[1:] + at[:-1]) / 2.0 - TIME_TOLERANCE * width, t)
+        near = np.abs(at[nearest] - t) <= width * (0.5 + 2.0 * TIME_TOLERANCE)
+        counts = np.bincount(nearest[near], minlength=len(at))
+        each = np.where(counts > 0, counts, np.nan)
+        y, t, rise, run = (np.bincount(nearest[near], q[near], len(at)) / each for q in (y, t, rise, run))
+        return y + (at - t) * rise / run
 
     def covers(self, start: Array, end: Array) -> Mask:
         """Test whether the sensor was running without a gap.

@@ -73,9 +73,8 @@ def replacements(
     linearised, levels = linearise(reduced), penalty_residual(full.problem.layout, full.p, full.tau)
     screen = min(SCREEN_SHARE * (reduced.objective - full.objective) + SCREEN_CHI2, max_chi2) + float(levels @ levels)
     model, out = reduced.problem.model, dict[str, Solution]()
-    kinds = {e.kind for e in model.effects}
     for effect in effects.LIBRARY.values():
-        fits_in = not effect.replaces and (not effect.modifies or kinds & effect.modifies)
+        fits_in = not effect.replaces and (not effect.modifies or effect.changed(model.effects))
         if fits_in and effect.name not in model and effect.name != name:
             with suppress(FrictrackError):
                 fitted = _replacement(linearised, effect, full.tau, screen)

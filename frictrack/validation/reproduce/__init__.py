@@ -53,7 +53,7 @@ SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
 
 
 def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
-    """Reproduce both papers and write page, figures, tables and JSON.
+    """Reproduce both papers and write page, figures, tables and JSON; of the sections done, where it is interrupted.
 
     Parameters
     ----------
@@ -79,21 +79,21 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
     """
     with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):  # before minutes of work
         folder.mkdir(parents=True, exist_ok=True)
-    return write_reproduction(run_sections(quick=quick, seed=seed, progress=progress), folder)
-
-
-def run_sections(*, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> Reproduction:
-    """Run all sections; see `reproduce`."""
     known = {"effort": QUICK if quick else FULL, "seed": seed}
     longest_first = sorted(SECTIONS, key=lambda name: -SECTIONS[name][2])
     work = {name: partial(_timed, name, {key: known[key] for key in SECTIONS[name][1]}) for name in longest_first}
-    done = {}
+    done: dict[str, tuple[Section, float]] = {}
     progress(0, 0, describe_work(quick=quick))
-    for name, found in run_parallel(work, 1 if quick else None):
-        done[name] = found
-        progress(len(done), len(SECTIONS), "reproduce")
-    parts = tuple(done[name][0] for name in SECTIONS)
-    return Reproduction(parts, seed, quick, {name: done[name][1] for name in SECTIONS})
+    try:
+        for name, found in run_parallel(work, 1 if quick else None):
+            done[name] = found
+            progress(len(done), len(SECTIONS), "reproduce")
+    finally:  # where it is interrupted, what is done is kept
+        found_in_order = {name: done[name] for name in SECTIONS if name in done}
+        parts = tuple(part for part, _ in found_in_order.values())
+        seconds = {name: spent for name, (_, spent) in found_in_order.items()}
+        result = write_reproduction(Reproduction(parts, seed, quick, seconds, len(SECTIONS) - len(done)), folder)
+    return result
 
 
 def describe_work(*, quick: bool = False) -> str:

@@ -190,13 +190,14 @@ VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
 class Reproduction:
     """All sections of a reproduction, with the seed of its recordings and whether it was quick.
 
-    `seconds` is the processor time of each section by name, s.
+    `seconds` is the processor time of each section by name, s; `missing` is the number of sections that were not done.
     """
 
     parts: tuple[Section, ...]
     seed: int
     quick: bool
     seconds: dict[str, float] = field(default_factory=dict)
+    missing: int = 0
 
     @property
     def claims(self) -> list[Claim]:
@@ -269,6 +270,7 @@ def render_page(reproduction: Reproduction) -> str:
         claims=reproduction.claims,
         counts=reproduction.counts,
         quick=reproduction.quick,
+        missing=reproduction.missing,
         minutes=format_number(sum(reproduction.seconds.values()) / 60, 2),
         kinds=VERDICT_CLASSES,
         draw=draw,

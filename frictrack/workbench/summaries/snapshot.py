@@ -130,7 +130,8 @@ def source_version(path: Any) -> str:
 def list_recordings(snapshot: Snapshot) -> list[dict[str, Any]]:
     """List the recordings in the folder of the study file; `skipped` says why one cannot be used."""
     runs = snapshot.study.runs if snapshot.study else ()
-    used = {run.source.resolve() for run in runs if isinstance(run.source, Path)}
+    tables = [each.get("table") if isinstance(each, dict) else each for r in runs for each in (r.drive, r.sensor)]
+    used = {path.resolve() for path in (*(run.source for run in runs), *tables) if isinstance(path, Path)}
     return [
         {
             "name": seen.path.name,
