@@ -53,8 +53,12 @@ def test_a_mass_that_explains_all_runs_is_asked_before_effects_are_named() -> No
 def test_a_mass_that_is_typed_for_runs_of_double_mass_is_asked() -> None:
     runs = [slide(v, m, 0.35) for v, m in zip((3.0, 4.0, 5.0, 6.0), (0.35, 0.35, 0.7, 0.7), strict=True)]
     found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
-    assert (found.verdict, found.undetermined[0].what) == ("undetermined", "the mass of v5 and v6")
-    assert found.undetermined[0].why.startswith("with 2 times their stated mass, or 0.5 times that of the others,")
+    assert found.verdict == "undetermined"
+    what, ratios = found.undetermined[0].what, found.undetermined[0].why.partition(" the model")[0]
+    assert (what, ratios) in {
+        ("the mass of v5 and v6", "with 2 times their stated mass, or 0.5 times that of the others,"),
+        ("the mass of v3 and v4", "with 0.5 times their stated mass, or 2 times that of the others,"),
+    }
 
 
 @pytest.mark.slow

@@ -217,7 +217,8 @@ def _nearly_noise(excess: float, law: Solution) -> bool:
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     """Return the runs of which another mass explains all runs, with decisively more evidence than the effects found.
 
-    It may stand in place of all of them, or of one.
+    It may stand in place of all of them, or of one. Where only sizes of their own in every run were found, which take
+    up what a mass does, it need not be decisive.
     """
     last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
     if not search.something_is_missing or n != fitted.solution.problem.n_frames:
@@ -228,7 +229,8 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
         return np.inf if found is None else information_criterion(found)
 
     less = [t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
-    best = information_criterion(last) - bic_penalty(1, n) - MIN_CHI2_SEPARATED
+    decisive = 0.0 if search.found and all(t.effect.frees for t in search.found) else MIN_CHI2_SEPARATED
+    best = information_criterion(last) - bic_penalty(1, n) - decisive
     laws = chain([search.first.solution], (result_or_none(remove_effect, last, name) for name in less))
     for law in filter(None, laws):
         doubted = None
