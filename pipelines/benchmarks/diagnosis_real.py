@@ -20,13 +20,11 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import numpy as np
 from identification import screen
 from identification.emps import PUBLISHED, Record, records
 from identification.machine_fit import filmed, fitted, scored, timed
 
 import frictrack as ft
-from frictrack.records import Displacement, Run
 from frictrack.study import read_table
 
 Numbers = dict[str, Mapping[str, float]]
@@ -81,11 +79,9 @@ def steps(record: Record) -> Iterator[tuple[str, Numbers, float]]:
 def tribometer(path: Path) -> None:
     """What is named, and held-out errors in N."""
     table = read_table(path, COLUMNS)
-    nan = np.full(len(table.t), np.nan)
-    seen = Displacement(table.t, table.x, nan, nan, np.full(len(nan), 1e-7), nan, np.ones(len(nan), bool))
-    motion = ft.differentiate(ft.low_pass(seen, method="kalman"))
+    run = ft.Run.from_arrays(table.t, table.x, friction=table.friction, sigma=1e-7, normal_load=5.0)
     print("tribometer, coulomb + viscous", flush=True)
-    print_diagnosis(ft.fit("coulomb,viscous", [Run(seen, motion, friction_N=table.friction, normal_load=5.0)]))
+    print_diagnosis(ft.fit("coulomb,viscous", [run]))
 
 
 def print_diagnosis(fitted_law: ft.Fit) -> None:
