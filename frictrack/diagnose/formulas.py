@@ -441,6 +441,8 @@ def unexplained_force(search: FormulaSearch, extended: Solution | None = None) -
         "probability_none": max(1.0 - sum(one["probability"] for one in entries), 0.0) if entries else None,
         "formulas": entries,
     }
+    if formulas and leaves_only_noise(formulas[0].solution):
+        summary["words"] = _words(entries[0])
     return UnexplainedForce(summary, formulas)
 
 
@@ -527,14 +529,18 @@ def _log_prior_odds(axes: int, count: int) -> float:
     return float(np.log(PRIOR_NONE / forms) - np.log(1 - PRIOR_NONE) - log_prior_of_set(count))
 
 
-def _words(first: Mapping[str, Any], added: int, probability: float) -> str:
+def _words(first: Mapping[str, Any], added: int | None = None, probability: float = 1.0) -> str:
+    """Say what a formula explains, more or as much as effects with so many parameters where some were found."""
+    count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
+    force = f"a force that depends only on {_names_of(first['variables'])} explains"
+    if added is None:
+        return f"{force} the misfit with {count}, common to all runs: {first['formula']}"
     decisive = probability > MIN_PROBABILITY_DECISIVE
     much, than = ("more", "than") if decisive else ("as much", "as")
-    count = "one parameter" if first["unknowns"] == 1 else f"{first['unknowns']} parameters"
     instead = f"; the probability that it is the cause instead is {format_share(max(probability, 1e-9))}"
     return (
-        f"a force that depends only on {_names_of(first['variables'])} explains {much} with {count}, common to all "
-        f"runs, {than} the effects found with {added}: {first['formula']}{'' if decisive else instead}"
+        f"{force} {much} with {count}, common to all runs, {than} the effects found with {added}: "
+        f"{first['formula']}{'' if decisive else instead}"
     )
 
 

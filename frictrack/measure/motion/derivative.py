@@ -558,6 +558,7 @@ def _moving_sum(row: Array) -> Array:
 N_CUTOFFS = 32
 MIN_CYCLES, MAX_CUTOFF = 2.0, 0.4  # lowest cut-off in cycles per record, highest in cycles per frame
 EVENT_MARGIN_FRAMES = 8
+MAX_LOST_STD = 4.0  # robust deviations of a lost signal; a frame beyond is beside a push
 MIN_PASSED_AMPLITUDE = 0.9  # share of the amplitude; a line of which less passes lies above the cut-off
 N_FREQUENCIES = 2048  # at which the noise spectrum is summed
 
@@ -628,14 +629,15 @@ def _undisturbed(best: Filtered, guard: int, grid: FrameGrid) -> Mask:
 def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, undisturbed: Mask) -> tuple[float, float]:
     """Rms residual of the measured series (m), and acceleration lost of the signal (m/s^2), at one cut-off (Hz).
 
-    `both` are the series and the signal without their cubics, (n, 2). What is lost is a deviation by the median: an rms
-    would be that of a few frames beside a push, where it is many times the friction.
+    `both` are the series and the signal without their cubics, (n, 2). What is lost is an rms without the few frames
+    beside a push, where it is many times the friction.
     """
     removed = Structure.low_pass(f, grid.interval).factor_smoother(SmootherData(w, w)).smooth(both)
     np.subtract(both, removed, out=removed)
     residual = np.sqrt(np.average(removed[:, 0] ** 2, weights=w))
     lost = stencil_derivative(removed[:, 1], 2)[undisturbed] / grid.interval**2
-    return float(residual), float(robust_std(lost))
+    usual = lost[np.abs(lost) <= MAX_LOST_STD * robust_std(lost)]
+    return float(residual), float(np.sqrt(np.mean(usual**2))) if len(usual) else 0.0
 
 
 def _passed_noise(f: float, interval: float, colour: NoiseColour | None) -> tuple[float, float]:
