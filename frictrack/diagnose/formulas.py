@@ -140,6 +140,11 @@ class FormulaSearch:
         fitted = [*self._firsts, *([self._leader] if self._firsts else [])]
         return min([self.solution.objective, *(one.solution.objective for one in fitted)])
 
+    @property
+    def leaves_only_noise(self) -> bool:
+        """Whether the best formula of one term leaves only noise."""
+        return bool(self._firsts) and leaves_only_noise(self._leader.solution)
+
     @cached_property
     def leaves_nothing(self) -> bool:
         """Whether a formula is found beside which nothing is left, nor more probable."""

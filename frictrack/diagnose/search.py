@@ -203,7 +203,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     for size in range(1, MAX_SIZE + 1):
         if not (last.something_is_missing or (is_open and size == 1)):
             break
-        if size > 1 and simulates and _explains_more(formulas, best):
+        if size > 1 and simulates and _explains_more(formulas, best, size):
             beaten = True
             break
         lacking = join_as_one([e.title for e in best.effects] or ["the model"])
@@ -269,12 +269,15 @@ def _found(space: Explanations, best: Explanation, first: Examination) -> list[R
     return found
 
 
-def _explains_more(formulas: FormulaSearch, best: Explanation) -> bool:
-    """Whether one formula leaves nothing, and the effects found explain far less by the BIC: they imitate it."""
+def _explains_more(formulas: FormulaSearch, best: Explanation, size: int = MAX_SIZE) -> bool:
+    """Whether the effects found explain far less by the BIC than one formula, and so imitate it.
+
+    It leaves only noise where a set of three would be next, and nothing more probable before.
+    """
     start, misfit = formulas.solution, formulas.least_misfit
     fall = start.objective - misfit - bic_penalty(MAX_UNKNOWNS_OF_FORMULA, start.problem.n_frames)
     is_far = information_criterion(start) - fall < best.criterion + 2 * best.log_prior - MIN_BIC_BEATEN
-    return is_far and formulas.leaves_nothing
+    return is_far and ((size == MAX_SIZE and formulas.leaves_only_noise) or formulas.leaves_nothing)
 
 
 def _describe_cut(
