@@ -26,8 +26,8 @@ function text() {
   const { order, alone } = place.layouts[store.tab] || {};
   if (order?.length) query.set("order", order.join(","));
   if (alone) query.set("alone", alone);
-  for (const axis of AXES) {
-    for (const [name, ends] of Object.entries(place.zooms[store.tab]?.[axis] || {})) query.append(axis, `${ends.map((end) => Number(end.toPrecision(DIGITS)))}@${name}`);
+  for (const [axis, ranges] of Object.entries(place.zooms[store.tab] || {})) {
+    for (const [name, ends] of Object.entries(ranges)) query.append(axis, `${ends.map((end) => +end.toPrecision(DIGITS))}@${name}`);
   }
   return `#${query}`;
 }
@@ -88,6 +88,7 @@ export function keepPlace({ view, filmView, grid }) {
     if (grid.jumps !== jumps && zooms[tab]) grid.zooms = zooms[tab]; // once: new data may end a zoom
     grid.jumps = jumps;
     zooms[tab] = grid.zooms;
+    write(); // without the zoom that they ended
   }
   const hidden = place.hidden.filter((name) => view.runs.some((run) => run.name === name));
   if (hidden.length < view.runs.length && String(hidden) !== String([...view.hiddenRuns])) {
