@@ -476,7 +476,7 @@ def test_destroy_leaves_no_listener_and_no_element(opened: PlotsPage) -> None:
     assert [listeners(f"old[{k}]") for k in range(4)] == [0] * 4
     assert listeners("window") == on_window - 3  # keys and blur
     assert (
-        opened.js("[...view.calls.values()].map((calls) => calls.size).filter(Boolean)") == [1] * 6
+        opened.js("[...view.calls.values()].map((calls) => calls.size).filter(Boolean)") == [1] * 7
     )  # those of this test
     assert opened.js("document.querySelectorAll('[class^=fp-]').length") == 0
     asked = opened.js("window.asked")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
@@ -106,6 +107,12 @@ def test_numbers_are_written_for_people_and_typed_for_the_study_file(tables: Ser
     assert told == ["1.21 × 10⁻⁵", "\u22122.00 × 10⁶", "12\u202f346", "12345.7", "0.02"]
 
 
+def ends(address: str) -> list[float]:
+    """Ends of the ranges that an address zooms to."""
+    asked = parse_qs(address[address.index("#") + 1 :])
+    return [float(end) for axis in ("x", "y") for one in asked.get(axis, []) for end in one.split("@")[0].split(",")]
+
+
 @browsed
 def test_a_view_that_is_opened_again_has_its_plots_and_the_focus_as_before(
     measured_tables: Path, tmp_path: Path, serve: Serve, tab: Open
@@ -123,11 +130,28 @@ def test_a_view_that_is_opened_again_has_its_plots_and_the_focus_as_before(
     page.page.get_by_role("button", name="Enlarge Velocity").press("Enter")
     page.page.get_by_role("button", name="Move Velocity").press("ArrowLeft")
     page.until(lambda: "order=" in page.page.url)
+    plot = page.page.get_by_role("application", name="Velocity: ")
+    whole = page.page.evaluate(drawn := "document.querySelectorAll('.fp-base')[1].toDataURL()")
+    plot.press("+")
+    page.until(lambda: "x=" in page.page.url and "y=" in page.page.url)
+    zoomed = page.page.evaluate(drawn)
+    assert zoomed != whole
+    page.page.keyboard.press("4")
+    page.until(lambda: "tab=model" in page.page.url and "x=" not in page.page.url)  # each tab has its own
+    page.page.keyboard.press("3")
+    page.until(lambda: "tab=motion" in page.page.url and page.page.evaluate(drawn) == zoomed)
     other = tab()
     other.page.goto(f"{server.address}{page.page.url[page.page.url.index('#') :]}")
     shown = "[...document.querySelectorAll('.fp-move')].map((n) => n.getAttribute('aria-label').slice(5))"
     other.until(lambda: other.page.evaluate(shown) == page.page.evaluate(shown) != [])
     assert other.page.evaluate(shown).index("Velocity") < other.page.evaluate(shown).index("Displacement")
+    plot = other.page.get_by_role("application", name="Velocity: ")
+    plot.press("-")  # the address is what the plots show: now all data, to the rounding of the address
+    other.until(lambda: "y=" in other.page.url and ends(other.page.url) != ends(page.page.url))
+    page.page.get_by_role("application", name="Velocity: ").press("-")
+    page.until(lambda: ends(page.page.url) == pytest.approx(ends(other.page.url), rel=1e-5, abs=1e-9))
+    plot.press("0")
+    other.until(lambda: "x=" not in other.page.url and other.page.evaluate(drawn) == whole)
 
 
 @pytest.mark.slow

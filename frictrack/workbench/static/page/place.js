@@ -1,4 +1,4 @@
-// Where the user looks: tab, run, model, frame, selected frames, hidden runs and the order of the plots. They outlive a change
+// Where the user looks: tab, run, model, frame, selected frames, hidden runs, order and zoom of the plots. They outlive a change
 // of tab, and the address has them, so that a link opens the same view.
 
 import { store, update, watch } from "./store.js";
@@ -12,7 +12,9 @@ const place = {
   spans: {}, // selected frames by run: [[from, to], ...]
   hidden: [], // runs
   layouts: JSON.parse(localStorage.getItem(LAYOUTS_KEY) || "{}"), // by tab: {order, alone}, titles of plots
+  zooms: {}, // by tab: {x, y}, each {name: [low, high]}, see PlotGrid.zooms; not kept for the next study
 };
+const AXES = ["x", "y"], DIGITS = 7; // of a zoom in the address
 let timer = null, written = "";
 
 /** The place as text after the # of the address. */
@@ -24,6 +26,9 @@ function text() {
   const { order, alone } = place.layouts[store.tab] || {};
   if (order?.length) query.set("order", order.join(","));
   if (alone) query.set("alone", alone);
+  for (const [axis, ranges] of Object.entries(place.zooms[store.tab] || {})) {
+    for (const [name, ends] of Object.entries(ranges)) query.append(axis, `${ends.map((end) => +end.toPrecision(DIGITS))}@${name}`);
+  }
   return `#${query}`;
 }
 
@@ -50,6 +55,9 @@ function read() {
   }
   if (!TABS.some(({ name }) => name === query.get("tab"))) query.delete("tab");
   place.hidden = query.getAll("hide");
+  const zoomed = (axis) => query.getAll(axis).map(split).map(([ends, name]) => [name, ends.split(",").map(Number)]);
+  const ranges = (axis) => [axis, Object.fromEntries(zoomed(axis).filter(([, [low, high]]) => low < high))];
+  place.zooms[query.get("tab") || store.tab] = Object.fromEntries(AXES.map(ranges));
   place.layouts[query.get("tab") || store.tab] = { order: query.get("order")?.split(","), alone: query.get("alone") };
   update({ ...Object.fromEntries(KEYS.filter((key) => query.get(key)).map((key) => [key, query.get(key)])), jumps: (store.jumps || 0) + 1 });
 }
@@ -72,9 +80,16 @@ function spansOf(view) {
   return found;
 }
 
-/** Show the frame, the selection, the hidden runs and the order of the plots again in a view. */
+/** Show the frame, the selection, the hidden runs, the order and the zoom of the plots again in a view. */
 export function keepPlace({ view, filmView, grid }) {
-  grid.setLayout(place.layouts[store.tab] || {});
+  const { zooms } = place, { tab, jumps = 0 } = store;
+  grid.setLayout(place.layouts[tab] || {});
+  if (grid.plots.length) {
+    if (grid.jumps !== jumps && zooms[tab]) grid.zooms = zooms[tab]; // once: new data may end a zoom
+    grid.jumps = jumps;
+    zooms[tab] = grid.zooms;
+    write(); // without the zoom that they ended
+  }
   const hidden = place.hidden.filter((name) => view.runs.some((run) => run.name === name));
   if (hidden.length < view.runs.length && String(hidden) !== String([...view.hiddenRuns])) {
     view.hiddenRuns = new Set(hidden);
@@ -98,6 +113,7 @@ export function notePlace(view) {
     frame: (at) => { place.at = at; },
     selection: () => { place.spans = { ...Object.fromEntries(Object.entries(place.spans).filter(([name]) => elsewhere(name))), ...spansOf(view) }; },
     hidden: ({ runs }) => { place.hidden = [...place.hidden.filter(elsewhere), ...runs]; },
+    zoom: (zooms) => { place.zooms[store.tab] = zooms; },
     layout: (layout) => {
       place.layouts[store.tab] = layout;
       localStorage.setItem(LAYOUTS_KEY, JSON.stringify(place.layouts));

@@ -131,6 +131,9 @@ export class Plot {
     this.ask("base", "marks", "top");
   }
 
+  /** An axis over [low, high], null if no data are there. */
+  part(axis, ends) { return ends?.[0] < this.homeAxes[axis].high && ends[1] > this.homeAxes[axis].low ? new Axis(...ends) : null; }
+
   // --- drawing
 
   ask(...names) { for (const name of names) this.each[name].ask(); }

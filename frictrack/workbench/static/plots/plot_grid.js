@@ -142,10 +142,26 @@ export class PlotGrid {
       if (other === plot || !axes.x || other.spec.x.column !== plot.spec.x.column) continue;
       other.look({ ...other.zoom, x: new Axis(axes.x.low, axes.x.high) });
     }
+    this.view.say("zoom", this.zooms);
   }
 
   showAll() {
     for (const plot of this.plots) plot.look(null);
+    this.view.say("zoom", this.zooms);
+  }
+
+  /** Ranges that are zoomed: of x by its column, of y by the title of its plot. */
+  get zooms() {
+    const found = { x: {}, y: {} };
+    for (const { zoom: { x, y }, spec } of this.plots) {
+      if (x) found.x[spec.x.column] = [x.low, x.high];
+      if (y) found.y[spec.title] = [y.low, y.high];
+    }
+    return found;
+  }
+
+  set zooms({ x, y }) {
+    for (const plot of this.plots) plot.look({ x: plot.part("x", x[plot.spec.x.column]), y: plot.part("y", y[plot.spec.title]) });
   }
 
   // --- words
