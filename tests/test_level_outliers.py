@@ -46,11 +46,16 @@ def test_a_wrong_frame_rate_or_scale_of_one_run_is_said(wrong: dict[str, float],
 
 
 @pytest.mark.slow
-def test_a_wrong_frame_rate_is_not_taken_for_a_wrong_mass() -> None:
-    runs = [slide(v, k, rate=2.0 if k == 2 else 1.0) for k, v in enumerate(SPEEDS)]
+@pytest.mark.parametrize(
+    ("wrong", "missing"), [({"rate": 2.0}, ["clock_rate"]), ({"friction": 1.05}, []), ({"scale": 1.5}, [])]
+)
+def test_a_wrong_frame_rate_is_named_and_is_no_other_friction(wrong: dict[str, float], missing: list[str]) -> None:
+    runs = [slide(v, k, **(wrong if k == 2 else {})) for k, v in enumerate(SPEEDS)]
     found = ft.diagnose(ft.fit("coulomb, viscous", runs), quick=True)
-    assert found.undetermined[0].what == "the frame rate, mass and surface of v5"
-    assert "a frame rate that is 2 times too high does this" in found.undetermined[0].why
+    assert (found.missing, found.leads) == (missing, [])
+    if missing:
+        words = found.summary()["candidates"][0]["words"]["here"]
+        assert words.startswith("In run v5, whose true times would be its recorded ones times 2.000")
 
 
 @pytest.mark.few(1)

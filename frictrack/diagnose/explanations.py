@@ -442,8 +442,17 @@ class Explanations:
         fall = information_criterion(one.centre.law) - information_criterion(solution)
         fall -= sum(self._handicap(e) for e in one.effects if e.title not in one.centre.names)
         criterion = one.centre.criterion - fall - 2 * (one.log_prior - one.centre.log_prior)
-        objections = (objection(solution, e) for e in one.effects)
+        objections = (objection(solution, e) or self._only_levels(one, solution, e) for e in one.effects)
         return replace(one, solution=solution, criterion=criterion, objection=next(filter(None, objections), ""))
+
+    def _only_levels(self, one: Explanation, solution: Solution, effect: Effect) -> str:
+        """Objection that an effect of single runs shows in the friction levels alone: another surface does the same."""
+        rest = self.known.get(one.names - {effect.title})
+        if rest is None or rest.solution is None or not any(p.per_run and p.is_size for p in effect.parameters):
+            return ""
+        if rest.law.chi2 - solution.chi2 >= MIN_CHI2_SEPARATED:
+            return ""
+        return "it explains why the dry friction of runs differs, as another surface, load or scale does, and no more"
 
     def _restarted(self, one: Explanation) -> Explanation:
         """The set, refined again from one with an effect that contains one of its own and explains more.
