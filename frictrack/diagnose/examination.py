@@ -37,7 +37,7 @@ from frictrack.fit.linearised import (
 )
 from frictrack.fit.observations import MeasuredFrictionPiece
 from frictrack.fit.pieces import Piece, Rows
-from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, levels_scatter, scan_effects, ties_are_resolved
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, can_choose_levels, scan_effects, ties_are_resolved
 from frictrack.measure.motion import slow_spectrum
 from frictrack.records import Array, Mask
 from frictrack.sampling import DIFFERENCE_ORDER, FALLBACK_ORDER, difference_order, difference_variance
@@ -392,7 +392,7 @@ def _freed(solution: Solution) -> list[Effect]:
     That is a place, or the size of friction that friction levels need not multiply: it may scatter by itself.
     """
     several = len(solution.problem.layout.run_names) > 1
-    parts = solution.problem.model.effects if levels_scatter(solution) else ()
+    parts = solution.problem.model.effects if can_choose_levels(solution) else ()
     return [
         *(e.freed(p.name) for e in parts if e.may_follow_level for p in e.linear if p.loaded == e.level_is_chosen),
         *(

@@ -49,7 +49,7 @@ from frictrack.diagnose.formula_terms import (
     describe_formula,
     formula_axes,
 )
-from frictrack.diagnose.friction_levels import with_likely_levels
+from frictrack.diagnose.friction_levels import law_with_likely_levels
 from frictrack.diagnose.model_selection import (
     MAX_BIC_EQUAL,
     excess_chi2,
@@ -147,7 +147,7 @@ class FormulaSearch:
 
     @cached_property
     def leaves_nothing(self) -> bool:
-        """Whether a formula is found beside which nothing is left, nor more probable."""
+        """Whether the best formula is more probable than that none of them has the right form."""
         found = self._found
         return max(found.weights.values(), default=-np.inf) > found.none
 
@@ -179,7 +179,7 @@ class FormulaSearch:
     def _leader(self) -> FittedFormula:
         """The best of these, with the friction levels that are most likely beside it."""
         best = max(self._firsts, key=lambda one: one.delta_bic)
-        return self._evaluated(best.terms, with_likely_levels(best.solution))
+        return self._evaluated(best.terms, law_with_likely_levels(best.solution))
 
     @cached_property
     def _found(self) -> _Found:

@@ -1,6 +1,6 @@
 """What the friction levels of the runs multiply: dry friction alone, or other parts of friction too.
 
-It is a choice among laws with equally many parameters, compared by their likelihood; see `with_likely_levels`.
+It is a choice among laws with equally many parameters, compared by their likelihood; see `law_with_likely_levels`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from frictrack.effects import Effect
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, fit_with_scatter
 from frictrack.fit.linearised import linearise
-from frictrack.fit.stepwise import levels_scatter, likely_levels
+from frictrack.fit.stepwise import can_choose_levels, likely_levels
 from frictrack.fit.uncertainty import dispersion
 
 
-def with_likely_levels(solution: Solution) -> Solution:
+def law_with_likely_levels(solution: Solution) -> Solution:
     """Return the fit in which the friction levels multiply those parts of friction with which the law is most likely.
 
     Only where it leaves noise alone: else what is missing chooses, and each effect is tried with its likeliest levels.
     """
-    if not levels_scatter(solution):
+    if not can_choose_levels(solution):
         return solution
     trial = likely_levels(linearise(solution))
     if trial.layout is solution.problem.layout:

@@ -29,7 +29,7 @@ from frictrack.diagnose.explanations import (
 )
 from frictrack.diagnose.formula_terms import Shape
 from frictrack.diagnose.formulas import FormulaSearch
-from frictrack.diagnose.friction_levels import with_likely_levels
+from frictrack.diagnose.friction_levels import law_with_likely_levels
 from frictrack.diagnose.model_selection import (
     MAX_CHI2_NEAR,
     PRIOR_CAMERA,
@@ -172,7 +172,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
     n_runs = len(start.problem.layout.run_names)
     budget = EvaluationBudget(EVALUATIONS_PER_EFFECT * MAX_SIZE * max(1.0, n_runs / N_RUNS_TYPICAL))
     assumed = replace(start, problem=start.problem.with_budget(budget))
-    start = with_likely_levels(assumed)
+    start = law_with_likely_levels(assumed)
     changed = start is not assumed
     observation, simulates = observation_of(start.problem), start.problem.simulates
     sensor = assess_accelerometer(start, runs, settings.auxiliary or {}) if simulates else None

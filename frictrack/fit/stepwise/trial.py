@@ -183,14 +183,14 @@ def with_levels(
     `misfit` is that of the model without any effect.
     """
     out: list[CandidateTrial] = []
-    if not levels_scatter(linearised.solution):
+    if not can_choose_levels(linearised.solution):
         return trials
     for trial in sorted(trials, key=lambda t: t.misfit):
         out.append(with_likely_levels(linearised, trial, _near_best(linearised, out, misfit)))
     return out
 
 
-def levels_scatter(solution: Solution) -> bool:
+def can_choose_levels(solution: Solution) -> bool:
     """Return whether enough runs have levels that tell what they multiply; none whose mass or clock may be wrong."""
     layout, levels = solution.problem.layout, solution.p[solution.problem.layout.levels]
     is_off = any(describe_level_outliers(layout.run_names, levels, np.zeros((len(levels), len(levels)))))
@@ -205,7 +205,7 @@ def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial, below
     not expected to fall below `below` is not refined.
     """
     best = trial
-    while levels_scatter(linearised.solution):
+    while can_choose_levels(linearised.solution):
         other = _with_other_level(linearised, best, below)
         if other.misfit > best.misfit - MIN_CHI2_OF_LEVELS:
             return best
