@@ -54,6 +54,7 @@ from frictrack.records import Array, Mask
 
 MAX_SETTINGS_TRIED = 600  # grid points tried
 MAX_REFINEMENTS = 30  # function evaluations beyond the grid
+WINDOWS_PER_PIECE = 4  # of the longest piece, in which grid points are compared
 FIRST_SEGMENT_FRAMES = 128  # frames of the first, shortest stretches
 STEPS_PER_LENGTH = 6  # Gauss-Newton steps per length
 STOP_MARGIN_FRAMES = 2.0  # frames left out before a stop
@@ -300,6 +301,9 @@ def _linear_guess(problem: LeastSquaresProblem) -> Array:
 def best_on_grid(problem: LeastSquaresProblem) -> Array:
     """Find the best grid point of the non-linear parameters, refined along the smoothed motion.
 
+    A force that depends on position, such as a spring, turns position errors into slow errors after two integrations.
+    Each window of a piece therefore has its own start.
+
     Parameters
     ----------
     problem : LeastSquaresProblem
@@ -369,9 +373,10 @@ def _grid(problem: LeastSquaresProblem, i: int) -> Array:
 
 
 def _solved(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
-    """Unknowns (P,) with the best coefficients along the smoothed motion, and the residual (n,), starts taken out."""
+    """Unknowns (P,) with the best coefficients along the smoothed motion, and the residual (n,), starts of windows taken out."""
     rows = [(piece, displacement_rows(piece, _forces(problem, piece, p))) for piece in problem.pieces]
-    both = np.concatenate([without_starts(piece, own)[0] for piece, own in rows])
+    n = max(len(piece.t) for piece in problem.pieces) // WINDOWS_PER_PIECE
+    both = np.concatenate([window for piece, own in rows for window in without_starts(piece, own, n)])
     linear, out = [i for i, s in enumerate(problem.layout.slots) if s.linear], p.copy()
     low, high = (bound[linear] for bound in problem.layout.bounds)
     out[linear] = np.clip(np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-10)[0], low, high)
