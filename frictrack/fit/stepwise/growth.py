@@ -373,7 +373,7 @@ def _grid(problem: LeastSquaresProblem, i: int) -> Array:
 
 
 def _solved(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
-    """Unknowns (P,) with the best coefficients along the smoothed motion, and the residual (n,), starts of windows taken out."""
+    """Unknowns (P,) with the best coefficients, and the residual (n,) along the smoothed motion, starts taken out."""
     rows = [(piece, displacement_rows(piece, _forces(problem, piece, p))) for piece in problem.pieces]
     n = max(len(piece.t) for piece in problem.pieces) // WINDOWS_PER_PIECE
     both = np.concatenate([window for piece, own in rows for window in without_starts(piece, own, n)])
