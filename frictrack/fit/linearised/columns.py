@@ -14,7 +14,7 @@ Adcock, B. & Huybrechs, D. (2019). Frames and numerical approximation. SIAM Revi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
@@ -37,6 +37,7 @@ N_SAMPLES = 90  # along a run, at which the sums are fitted
 N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
 MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
 MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
+MIN_FRAMES_OF_SUMS = 200  # of a piece: along fewer, waves themselves cost less than sums of plain ones
 MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
 MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
 MAX_PLAIN = 400  # whose Gram matrix is held
@@ -246,17 +247,17 @@ class ColumnProducts:
         return np.asarray(self.gram + left @ own.transpose(0, 2, 1))
 
     @classmethod
-    def of_pieces(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
-        """Add the products along several pieces, whose columns have the same coefficients."""
-        if len(parts) == 1:
-            return parts[0]
-        size = np.max([p.size for p in parts], axis=0)
-        draws = np.zeros_like(parts[0].draws)
+    def of_pieces(cls, parts: Iterable[ColumnProducts]) -> ColumnProducts:
+        """Add the products along several pieces, whose columns have the same coefficients; one is held at once."""
+        parts = iter(parts)
+        total = next(parts)
+        coordinates = [total.coordinates]
         for p in parts:
-            draws += (p.size / size).astype(np.float32)[:, :, None] * p.draws
-        gram, data = sum(p.gram for p in parts), sum(p.data for p in parts)
-        coordinates = np.concatenate([p.coordinates for p in parts], axis=2)
-        return cls(np.asarray(gram), np.asarray(data), coordinates, size, draws)
+            size = np.maximum(total.size, p.size)
+            draws = sum((q.size / size).astype(np.float32)[:, :, None] * q.draws for q in (total, p))
+            total = cls(total.gram + p.gram, total.data + p.data, total.coordinates, size, np.asarray(draws))
+            coordinates.append(p.coordinates)
+        return replace(total, coordinates=np.concatenate(coordinates, axis=2))
 
     @classmethod
     def over_points(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
@@ -485,7 +486,7 @@ def are_sums_of_waves(grid: CandidateGrid, piece: LinearisedPiece) -> bool:
     wave = grid.effect.scan_wave
     if wave is None or grid.names[-1:] != (wave.parameter,) or grid.shape[-1] < MIN_WAVES:
         return False
-    if not grid.k == len(grid.phases) == 2:
+    if not grid.k == len(grid.phases) == 2 or len(piece.path_for(grid.effect).t) < MIN_FRAMES_OF_SUMS:
         return False
     q = wave.frequency(grid.values[: grid.shape[-1], -1])
     lengths = [float(np.ptp(_coordinate(grid, piece, g))) for g in range(0, len(grid.values), len(q))]

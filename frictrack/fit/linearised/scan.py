@@ -174,7 +174,7 @@ def _products_of_blocks(
 
     def together(block: list[int]) -> Callable[[slice], ColumnProducts]:
         pieces = [of_piece(i) for i in block]
-        return lambda points: ColumnProducts.of_pieces([products_at(points) for products_at in pieces])
+        return lambda points: ColumnProducts.of_pieces(products_at(points) for products_at in pieces)
 
     return [together(block) for block in grid.blocks]
 
