@@ -37,6 +37,7 @@ N_SAMPLES = 90  # along a run, at which the sums are fitted
 N_POWERS = 12  # of a Taylor series: phases up to pi/3, so that the rest is below 1e-8
 MIN_SINGULAR_VALUE = 1e-7  # relative; the plain waves nearly depend on one another
 MAX_WAVE_ERROR = 5e-5  # of the largest value of a wave
+ROOM = 8.0  # of the scale of a sum for longer columns, before all is scaled again
 MIN_FRAMES_OF_SUMS = 200  # of a piece: along fewer, waves themselves cost less than sums of plain ones
 MIN_WAVES = 101  # frequencies of a grid from which sums are worth their cost
 MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
@@ -217,11 +218,11 @@ class ColumnProducts:
     Attributes
     ----------
     gram : array of shape (g, k, k)
-        Gram matrices of the columns outside the bases of the pieces.
+        Gram matrices of the columns outside the bases of the pieces, or outside the spaces of the runs.
     data : array of shape (g, k)
         Products of these remainders with the measured series.
     coordinates : array of shape (g, k, L_b)
-        Coordinates of the columns in the bases of the pieces.
+        Coordinates of the columns in these bases or spaces.
     size : array of shape (g, k)
         Scale of the columns, which keeps `draws` in the range of a float32.
     draws : array of shape (g, k, D - 1), float32
@@ -248,16 +249,30 @@ class ColumnProducts:
 
     @classmethod
     def of_pieces(cls, parts: Iterable[ColumnProducts]) -> ColumnProducts:
-        """Add the products along several pieces, whose columns have the same coefficients; one is held at once."""
+        """Add the products along several pieces, whose columns have the same coefficients, in place of the first."""
         parts = iter(parts)
-        total = next(parts)
-        coordinates = [total.coordinates]
+        total, coordinates = next(parts), []
+        coordinates.append(total.coordinates)
         for p in parts:
-            size = np.maximum(total.size, p.size)
-            draws = sum((q.size / size).astype(np.float32)[:, :, None] * q.draws for q in (total, p))
-            total = cls(total.gram + p.gram, total.data + p.data, total.coordinates, size, np.asarray(draws))
+            size = np.where(p.size > total.size, ROOM * p.size, total.size)
+            for q in (total, p):
+                if not np.array_equal(q.size, size):
+                    np.multiply(q.draws, (q.size / size).astype(np.float32)[:, :, None], out=q.draws)
+            np.add(total.draws, p.draws, out=total.draws)
+            total = replace(total, gram=total.gram + p.gram, data=total.data + p.data, size=size)
             coordinates.append(p.coordinates)
         return replace(total, coordinates=np.concatenate(coordinates, axis=2))
+
+    def in_space(self, space: Array, outside: Array) -> ColumnProducts:
+        """Return the products with coordinates in the space (L_r, L') of a run instead of its pieces' bases.
+
+        `outside` (L_r, D) are the coordinates of the series outside the space.
+        """
+        inside = self.coordinates @ space
+        across = self.coordinates - inside @ space.T
+        draws = (across / self.size[:, :, None]).astype(np.float32) @ outside[:, 1:].astype(np.float32)
+        gram, data = self.gram + across @ across.transpose(0, 2, 1), self.data + across @ outside[:, 0]
+        return replace(self, gram=gram, data=data, coordinates=inside, draws=self.draws + draws)
 
     @classmethod
     def over_points(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
@@ -293,11 +308,11 @@ class GridProducts:
     rows : list of array of shape (G, K)
         Place of the columns of every grid among all.
     gram : array of shape (C, C)
-        Gram matrix of the columns outside the bases of the pieces.
+        Gram matrix of the columns outside the spaces of the runs.
     data : array of shape (C,)
         Products of these remainders with the measured series.
     coordinates : array of shape (C, L)
-        Coordinates of the columns in the bases of the pieces.
+        Coordinates of the columns in the spaces of the runs.
 
     """
 
@@ -313,15 +328,27 @@ def products_of_grids(law: LinearisedModel, grids: Sequence[CandidateGrid], seri
     rows = [np.arange(a, b).reshape(len(g.values), -1) for a, b, g in zip(ends, ends[1:], grids, strict=False)]
     count = int(ends[-1])
     out = GridProducts(rows, np.zeros((count, count)), np.zeros(count), np.zeros((count, len(series.coordinates))))
-    for i, piece in enumerate(law.pieces):
-        acting = [(g, own, g.block[g.members.index(i)]) for g, own in zip(grids, rows, strict=True) if i in g.members]
-        if not acting:
+    for run, space, coordinates in zip(law.runs, law.spaces, law.coordinate_slices, strict=True):
+        members = law.members(run)
+        pairs = [(g, own) for g, own in zip(grids, rows, strict=True) if members[0] in g.members]
+        if not pairs:
             continue
-        at = np.concatenate([own[:, b * g.k : (b + 1) * g.k].ravel() for g, own, b in acting])
-        left, coordinates = piece.split(np.concatenate([g.whitened_columns(piece, g.values) for g, _, _ in acting]))
-        out.gram[at[:, None], at] += left @ left.T
-        out.data[at] += left @ series.measured[law.rows[i]]
-        out.coordinates[at, law.coordinate_slices[i]] = coordinates
+        blocks = [g.block[g.members.index(members[0])] for g, _ in pairs]
+        at = np.concatenate(
+            [own[:, b * g.k : (b + 1) * g.k].ravel() for (g, own), b in zip(pairs, blocks, strict=True)]
+        )
+        inside = []
+        for i in members:
+            piece = law.pieces[i]
+            left, own = piece.split(np.concatenate([g.whitened_columns(piece, g.values) for g, _ in pairs]))
+            out.gram[at[:, None], at] += left @ left.T
+            out.data[at] += left @ series.measured[law.rows[i]]
+            inside.append(own)
+        whole = np.hstack(inside)
+        out.coordinates[at, coordinates] = whole @ space
+        across = whole - out.coordinates[at, coordinates] @ space.T
+        out.gram[at[:, None], at] += across @ across.T
+        out.data[at] += across @ law.outside_space(run, series.measured[:, None])[:, 0]
     return out
 
 

@@ -24,9 +24,10 @@ Eilers, P. H. C. (2003). A perfect smoother. Analytical Chemistry 75, 3631-3636.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -343,12 +344,14 @@ class LinearisedModel:
         The pieces.
     rows : list of slice
         Rows of every piece among all N frames.
+    spaces : list of array of shape (L_r, L')
+        For every run, orthonormal: what the model spans of the bases of its pieces, together L' directions.
     coordinate_slices : list of slice
-        Coordinates of every piece among all L.
+        Coordinates of every run among all L.
     basis : JacobianBasis
         Orthonormal basis (N, P') of the model.
     basis_coordinates : array of shape (L, P')
-        Coordinates of `basis` in the bases of the pieces.
+        Coordinates of `basis` in the spaces of the runs.
     unbounded : tuple of JacobianBasis and array
         Basis and its coordinates with the sensitivities to the unknowns that a bound holds.
 
@@ -357,6 +360,7 @@ class LinearisedModel:
     solution: Solution
     pieces: list[LinearisedPiece]
     rows: list[slice]
+    spaces: list[Array]
     coordinate_slices: list[slice]
     basis: JacobianBasis
     basis_coordinates: Array
@@ -374,12 +378,22 @@ class LinearisedModel:
 
     @cached_property
     def level_coordinates(self) -> Array:
-        """Coordinates (L, R) of the sensitivities to the friction levels in the bases of the pieces."""
+        """Coordinates (L, R) of the sensitivities to the friction levels."""
         return self.coordinates(self.solution.jac[:, self.solution.problem.layout.levels])
 
     def coordinates(self, series: Array | Float32Array) -> Array:
-        """Compute the coordinates (L, D) of whitened data (N, D) in the bases of the pieces."""
-        return _coordinates(self.pieces, self.rows, series)
+        """Compute the coordinates (L, D) of whitened data (N, D) in the spaces of the runs."""
+        return _in_spaces(self.spaces, _coordinates(self.pieces, self.rows, series))
+
+    def members(self, run: int) -> list[int]:
+        """Return the indices of the pieces of a run, which follow one another."""
+        return [i for i, piece in enumerate(self.pieces) if piece.run == run]
+
+    def outside_space(self, run: int, series: Array | Float32Array) -> Array:
+        """Compute the coordinates (L_r, D) of whitened data (N, D) in the pieces of a run, outside its space."""
+        at, space = self.members(run), self.spaces[self.runs.index(run)]
+        inside = _coordinates([self.pieces[i] for i in at], [self.rows[i] for i in at], series)
+        return inside - space @ (space.T @ inside)
 
     def residual_projector(self, tau: float) -> Array:
         """Compute the projector (L, L) on what the refitted model leaves of coordinates.
@@ -418,18 +432,40 @@ def linearise(solution: Solution) -> LinearisedModel:
     free = linearise_about_measurement(solution)
     pieces = [linearised_piece(free, r) for r in free.responses]
     rows = consecutive_slices(len(r.r) for r in free.responses)
-    coordinate_slices = consecutive_slices(s.basis.shape[1] - s.starts for s in pieces)
-    unbounded = free.basis, _coordinates(pieces, rows, free.basis.u)
+    spanned = _coordinates(pieces, rows, free.basis.u)
+    spaces = _spaces(pieces, spanned)
+    unbounded = free.basis, _in_spaces(spaces, spanned)
+    parts = pieces, rows, spaces, consecutive_slices(space.shape[1] for space in spaces)
     if not np.any(solution.held):
-        return LinearisedModel(free, pieces, rows, coordinate_slices, *unbounded, unbounded)
+        return LinearisedModel(free, *parts, *unbounded, unbounded)
     bounded = _without_held(free, solution.held)
-    own = bounded.basis, _coordinates(pieces, rows, bounded.basis.u)
-    return LinearisedModel(bounded, pieces, rows, coordinate_slices, *own, unbounded)
+    own = bounded.basis, _in_spaces(spaces, _coordinates(pieces, rows, bounded.basis.u))
+    return LinearisedModel(bounded, *parts, *own, unbounded)
 
 
-def _coordinates(pieces: list[LinearisedPiece], rows: list[slice], series: Array | Float32Array) -> Array:
+def _coordinates(pieces: Sequence[LinearisedPiece], rows: Sequence[slice], series: Array | Float32Array) -> Array:
+    """Coordinates (L, D) of whitened data (N, D) in the bases of pieces."""
     parts = [s.basis[:, s.starts :].T @ series[own] for s, own in zip(pieces, rows, strict=True)]
     return np.asarray(np.concatenate(parts), dtype=np.float64)
+
+
+def _spaces(pieces: Sequence[LinearisedPiece], spanned: Array) -> list[Array]:
+    """What the model, with coordinates (L, P') in the bases of pieces, spans of those of every run."""
+    # a run in hundreds of pieces has thousands of coordinates, of which the model spans as many as it has unknowns
+    out, end = [], 0
+    for _, own in groupby(pieces, key=lambda piece: piece.run):
+        sizes = [piece.basis.shape[1] - piece.starts for piece in own]
+        begin, end = end, end + sum(sizes)
+        u, size, _ = np.linalg.svd(spanned[begin:end], full_matrices=False)
+        several = len(sizes) > 1
+        out.append(u[:, size > MIN_SINGULAR_VALUE * max(float(size[0]), 1e-300)] if several else np.eye(end - begin))
+    return out
+
+
+def _in_spaces(spaces: Sequence[Array], coordinates: Array) -> Array:
+    """Coordinates (L', D) in the spaces of the runs of those (L, D) in the bases of their pieces."""
+    parts = np.split(coordinates, np.cumsum([len(space) for space in spaces])[:-1])
+    return np.concatenate([space.T @ own for space, own in zip(spaces, parts, strict=True)])
 
 
 def _projector(basis: JacobianBasis, coordinates: Array, tau: float) -> Array:
@@ -456,7 +492,7 @@ class ScannedSeries:
     residuals : array of shape (N, D), float32
         What the refitted model leaves of every series, at its own scatter of the levels.
     coordinates : array of shape (L, D)
-        Coordinates of the series in the pieces' bases.
+        Coordinates of the series in the spaces of the runs.
     taus : array of shape (T,)
         The considered scatters of the levels.
     residual_projectors : list of array of shape (L, L)

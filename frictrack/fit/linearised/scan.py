@@ -172,9 +172,17 @@ def _products_of_blocks(
             piece, grid.whitened_columns(piece, grid.values[points]), grid.k, series, law.rows[i]
         )
 
+    def of_run(run: int) -> Callable[[slice], ColumnProducts]:
+        pieces = [of_piece(i) for i in law.members(run)]
+        if len(pieces) == 1:
+            return pieces[0]
+        space, outside = law.spaces[law.runs.index(run)], law.outside_space(run, series.residuals)
+        outside[:, :1] = law.outside_space(run, series.measured[:, None])
+        return lambda points: ColumnProducts.of_pieces(at(points) for at in pieces).in_space(space, outside)
+
     def together(block: list[int]) -> Callable[[slice], ColumnProducts]:
-        pieces = [of_piece(i) for i in block]
-        return lambda points: ColumnProducts.of_pieces(products_at(points) for products_at in pieces)
+        runs = [of_run(run) for run in sorted({law.pieces[i].run for i in block})]
+        return lambda points: ColumnProducts.of_pieces(at(points) for at in runs)
 
     return [together(block) for block in grid.blocks]
 
@@ -188,7 +196,7 @@ class _Absorption:
 
     def __init__(self, law: LinearisedModel, grid: CandidateGrid, series: ScannedSeries) -> None:
         self._profile, self._limits = series.profile, _sign_limits(grid.low, grid.high)
-        self.rows = [coordinate_rows(law, block) for block in grid.blocks]
+        self.rows = [_coordinate_rows(law, block) for block in grid.blocks]
         groups = dict(enumerate(series.groups))
         if len(grid.values) * grid.size <= MAX_COLUMNS_EVERY_SCATTER:
             groups = dict.fromkeys(range(len(series.taus)), slice(0, series.profile.shape[1]))
@@ -262,9 +270,11 @@ def _block_parts(
     return [np.eye(len(r)) - levels[r] @ levels[r].T for r in rows], shared
 
 
-def coordinate_rows(law: LinearisedModel, pieces: Sequence[int]) -> NDArray[np.int_]:
-    """Return the rows of the coordinates of some pieces among all L."""
-    return np.concatenate([np.arange(len(law.basis_coordinates))[law.coordinate_slices[i]] for i in pieces])
+def _coordinate_rows(law: LinearisedModel, pieces: Sequence[int]) -> NDArray[np.int_]:
+    """Rows of the coordinates of the runs of some pieces among all L."""
+    runs, every = {law.pieces[i].run for i in pieces}, np.arange(len(law.basis_coordinates))
+    own = [every[at] for run, at in zip(law.runs, law.coordinate_slices, strict=True) if run in runs]
+    return np.concatenate(own)
 
 
 def _padded(matrices: Sequence[Array]) -> Array:

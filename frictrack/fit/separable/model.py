@@ -192,7 +192,8 @@ def tiled_path(path: Path, count: int) -> Path:
         for one in fields(path)
         if isinstance(value := getattr(path, one.name), np.ndarray) and value.shape == (n,)
     }
-    tiled = replace(path, starts=tuple(n * i + start for i in range(count) for start in path.starts), **repeated)
+    starts = np.add.outer(n * np.arange(count), path.starts)
+    tiled = replace(path, starts=tuple(starts.ravel().tolist()), **repeated)
     if n * count <= MAX_SAMPLES_KEPT:
         vars(path)["_tiled"] = count, tiled
     return tiled
