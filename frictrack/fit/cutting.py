@@ -15,7 +15,7 @@ motion before.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -93,13 +93,15 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
 
 @dataclass(frozen=True)
 class RunContext:
-    """What the pieces of one run share: reference, release time (s), and the smoothed motion since release."""
+    """What the pieces of one run share: reference, release time (s), smoothed motion and drive since release."""
 
     reference: Reference
     release: float
     way: Array  # t, x, v (3, k)
     slid: Array  # m since release, (k,)
     angle: Array | None  # rad, per frame; the significant part
+    motion_at: CubicSpline  # x and v (m, 2)
+    drive_at: Callable[[Array], Array] | None  # N
 
 
 def pieces_of(runs: Sequence[Run], reference: Reference, *, through_reversals: bool = False) -> list[list[Piece]]:
@@ -196,6 +198,7 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
     edges, at = panel_edges(t, 1)
     panels = Panels(edges)
     path = path_of_rows(run, rows, panels.t, context)
+    x_hat, v_hat = np.ascontiguousarray(context.motion_at(panels.t).T)
     drive = np.zeros_like(panels.t) if path.drive is None else path.drive
     return Piece(
         run=index,
@@ -206,8 +209,8 @@ def _piece(run: Run, index: int, rows: Rows, noise: Array, context: RunContext) 
         panels=panels,
         at=at,
         per_frame=1,
-        x_hat=CubicSpline(times, run.motion.x)(panels.t),
-        v_hat=CubicSpline(times, run.motion.v)(panels.t),
+        x_hat=x_hat,
+        v_hat=v_hat,
         a_hat=np.interp(panels.t, times, run.motion.a),
         known=drive / mass + run.pull,
         path=path,
@@ -227,7 +230,6 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
     """Create the path of a piece of some rows of a run at its nodes (m,), s since release; its x and v are zero."""
     motion = run.motion
     times = motion.t - context.release
-    drive_at = None if run.drive is None else partial(_clamped, CubicSpline(times, run.drive))
     still = np.zeros_like(nodes)
     before = motion_before(context.way, run.displacement.t[rows[0]] - context.release)
     row = max(before.shape[1] - 1, 0)
@@ -240,8 +242,8 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
         mass_ratio=float(run.mass or context.reference.mass) / context.reference.mass,
         mass=run.mass,
         pixel_pitch=run.pixel_pitch,
-        drive=None if drive_at is None else drive_at(nodes),
-        drive_at=drive_at,
+        drive=None if context.drive_at is None else context.drive_at(nodes),
+        drive_at=context.drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
         gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
         angle=_interpolated(times, context.angle, nodes),
@@ -278,7 +280,10 @@ def run_context(run: Run, reference: Reference) -> RunContext:
     if rest:  # the rest began before the record
         way = np.column_stack([[2 * way[0, 0] - way[0, 1], way[1, 0], 0.0], way])
         slid = np.append(0.0, slid)
-    return RunContext(reference, release, way, slid, _significant_angle(motion.t, run.displacement.angle))
+    times, angle = motion.t - release, _significant_angle(motion.t, run.displacement.angle)
+    motion_at = CubicSpline(times, np.column_stack([motion.x, motion.v]))
+    drive_at = None if run.drive is None else partial(_clamped, CubicSpline(times, run.drive))
+    return RunContext(reference, release, way, slid, angle, motion_at, drive_at)
 
 
 def _frames_at_rest(run: Run) -> int:
