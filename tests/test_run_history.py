@@ -64,19 +64,22 @@ def test_before_an_unknown_pause_nothing_is_known():
         ft.with_earlier_runs(runs, [None, 5.0])
 
 
+PARTED = [
+    ("heating", heating(2.0, 30.0), {"k": 2.0, "tau": 30.0}),
+    ("run_in", run_in(1.0, 2.0), {"dF": 1.0, "length": 2.0}),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "dry", "truth"),
-    [
-        ("heating", heating(2.0, 30.0), {"k": 2.0, "tau": 30.0}),
-        ("run_in", run_in(1.0, 2.0), {"dF": 1.0, "length": 2.0}),
-    ],
-)
-def test_the_effect_is_named_and_its_values_are_right(name, dry, truth):
-    runs = ft.with_earlier_runs(series(dry)[0], PAUSES)
-    found = diagnose(fit(["coulomb", "viscous"], runs), quick=True)
+@pytest.mark.parametrize(("name", "dry"), [(name, dry) for name, dry, _ in PARTED])
+def test_the_effect_is_named(name, dry):
+    found = diagnose(fit(["coulomb", "viscous"], ft.with_earlier_runs(series(dry)[0], PAUSES)), quick=True)
     assert (found.verdict, found.missing) == ("missing", [name])
-    fitted = fit(["coulomb", "viscous", name], runs)
+
+
+@pytest.mark.parametrize(("name", "dry", "truth"), PARTED)
+def test_its_values_are_right_where_friction_levels_change_with_them(name, dry, truth):
+    fitted = fit(["coulomb", "viscous", name], ft.with_earlier_runs(series(dry)[0], PAUSES))
     for parameter, value in truth.items():
         estimate = fitted.parameters[f"{name}.{parameter}"]
         assert abs(estimate.value - value) < 3 * estimate.std

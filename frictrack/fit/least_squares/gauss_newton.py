@@ -36,6 +36,8 @@ MAX_FALL_SHARE_SCATTER = 0.01  # predicted fall over the objective, below which 
 SCATTER_SHRINKAGE, SCATTER_GROWTH = 0.25, 4.0  # of the largest change of log tau, after a refused and an accepted one
 SCATTER_PATIENCE = 6  # steps in which the simulated motion may follow to a smaller scatter
 MIN_SCATTER_CHANGE = 0.1  # of log tau; smaller changes are not tried after a refusal
+MAX_PROJECTIONS = 2  # linear solves after a step that went too far
+MAX_PROJECTION_STEPS = 10.0  # length of such a solve over that of the step; what lies farther off is not linear
 MIN_CHI2_FALL = 1e-4  # smaller predicted falls are ignored; scaled up where the misfit is large
 MIN_CHI2_FALL_REVERSALS = 0.01  # the same with reversals or memory, whose kinks move between nodes
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-8, 1e-12, 1e8
@@ -233,13 +235,39 @@ class _Refinement:
         self, state: Solution, step: DampedStep, region: TrustRegion, threshold: float
     ) -> tuple[Solution, TrustRegion, bool, bool]:
         """A state after a trial step, the region from there, whether it moved, and whether little is left to gain."""
-        pairs = zip(state.starts, state.responses, strict=True)
-        starts = [start + r.start_step(step.values[r.active]) for start, r in pairs]
-        trial = result_or_none(self.at, state.p + step.values, starts, state.tau)
+        trial = self.after(state, step)
         if trial is None:  # the motion diverges: take a shorter step
             return state, replace(region, radius=MAX_SHRINKAGE * step.length), False, False
         fall = state.objective - trial.objective
         return trial if fall > 0 else state, region.after(step, fall), fall > 0, is_converged(step, fall, threshold)
+
+    def after(self, state: Solution, step: DampedStep) -> Solution | None:
+        """The solution after a trial step; None if its motion cannot be integrated.
+
+        Where it went too far, the coefficients are solved again for its non-linear parameters (variable projection):
+        along a valley that bends, a time constant and the friction levels change together.
+        """
+        low, high = self.bounds
+        linear, trial = self.problem.layout.coefficients, self._moved(state, step.values)
+        for _ in range(MAX_PROJECTIONS):
+            if trial is None or trial.objective < state.objective:
+                break
+            bounds = np.where(linear, low, trial.p), np.where(linear, high, trial.p)
+            within = TrustRegion(MIN_DAMPING, MAX_PROJECTION_STEPS * step.length)
+            projection = self.step(trial, within, bounds)
+            if trial.objective - projection.predicted_fall >= state.objective:
+                break
+            projected = self._moved(trial, projection.values)
+            if projected is None or projected.objective >= trial.objective:
+                break
+            trial = projected
+        return trial
+
+    def _moved(self, state: Solution, step: Array) -> Solution | None:
+        """The solution after a step (P,), its starts adjusted; None if its motion cannot be integrated."""
+        pairs = zip(state.starts, state.responses, strict=True)
+        starts = [start + r.start_step(step[r.active]) for start, r in pairs]
+        return result_or_none(self.at, state.p + step, starts, state.tau)
 
     def next_step(self, state: Solution, region: TrustRegion, reach: float) -> tuple[Solution, DampedStep, float]:
         """A state with the scatter of its levels, the step from there, and the rise of the determinant term by it.
@@ -254,9 +282,9 @@ class _Refinement:
         state = state.with_scatter(tau)
         return state, self.step(state, region), rise
 
-    def step(self, state: Solution, region: TrustRegion) -> DampedStep:
+    def step(self, state: Solution, region: TrustRegion, bounds: tuple[Array, Array] | None = None) -> DampedStep:
         """Bounded damped least-squares step of the unknowns, and the predicted fall of the objective."""
-        low, high = self.bounds
+        low, high = bounds or self.bounds
         rows, right = state.penalised_rows_and_residual
         rows[:, high <= low] = 0.0
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(right))):
