@@ -594,8 +594,8 @@ def _forces_of_terms(formula: Solution) -> tuple[Array, Array, list[tuple[int, P
     model, layout = formula.problem.model, formula.problem.layout
     forces, columns, runs = [], [], []
     for r in formula.responses:
-        values, level = layout.values(formula.p, r.piece.run)
-        path = r.piece.path_at_nodes(r.motion.x, r.motion.v, level)
+        values, _ = layout.values(formula.p, r.piece.run)
+        path = r.piece.path_at_nodes(r.motion.x, r.motion.v, 1.0)  # whatever the friction levels multiply
         made: Mapping[str, Array] = model.force_columns(path, values)
         terms = [name for name in made if name.startswith(EFFECT_NAME)]
         forces.append([made[name] @ model.coefficients(name, values) for name in terms])
