@@ -49,7 +49,7 @@ test_draw = TestDraw(positive=True)
 '''
 
 # What else may be missing, and may be mistaken for it: with all effects this takes half a minute more.
-FEW = ("coulomb", "stribeck", "viscous", "drag", "vibration", "texture", "patch", "spring", "slope")
+FEW = ("coulomb", "stribeck", "viscous", "drag", "vibration", "texture", "patch", "spring", "slope", "collision")
 
 # Run in the temporary package; prints what every part of the program says about the effect.
 SCRIPT = """

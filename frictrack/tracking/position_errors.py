@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
-from frictrack.sampling import noise_of_smooth
+from frictrack.sampling import correct_ticks, noise_of_smooth
+from frictrack.tracking.checks import slips
 from frictrack.tracking.correlation import Patch
 from frictrack.tracking.measure import residual_images
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit
@@ -87,10 +88,13 @@ def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
     its slow error.
     """
     columns: dict[str, Any] = {}
+    frames = np.arange(len(track))
+    ticks, kept = correct_ticks(frames, slips(track))  # a frame shown twice is no scatter
+    t = (track.t + (ticks - frames) * float(np.median(np.diff(track.t))))[kept]
     for name, series in (("sigma_px", track.x_px), ("sigma_y_px", track.y_px), ("sigma_angle", track.angle)):
         stated = getattr(track, name)
         usual = float(np.nanmedian(stated))
-        scatter, error = noise_of_smooth(series, track.t)
+        scatter, error = noise_of_smooth(series[kept], t)
         exceeds = error < MAX_SCATTER_ERROR and scatter * (1 - MIN_SCATTER_SIGMAS * error) > usual
         columns[name] = stated * (scatter / usual) if exceeds else stated
     level = [float(np.nanmedian(columns[name])) for name in ("sigma_px", "sigma_y_px")]
