@@ -22,7 +22,7 @@ from frictrack.base.files import is_file_name, lock_folder, make_subfolder
 from frictrack.base.units import parse_quantity
 from frictrack.flow import CommandHistory, Session, open_study, store
 from frictrack.flow.store import HEADER_BYTES, GroupContent
-from frictrack.flow.store.file_header import header_of, sign
+from frictrack.flow.store.integrity import header_of, sign
 from frictrack.measure.calibration.lens import read_lens
 from frictrack.present import export
 from frictrack.recording import open_recording
