@@ -213,7 +213,7 @@ def _survey_points(path: Path, table: study.TableFile, columns: dict[str, str]) 
     if not has_units(columns):
         words = f"{len(table.frame)} rows; the headers {', '.join(columns.values())} state no units"
         return Surveyed(path, words, columns_to_confirm=[columns_line(columns)], needs_mass=False)
-    data = measure.points.points_of_table(study.read_points(path, columns))
+    data = measure.tables.points_of_table(study.read_points(path, columns))
     assert data.v is not None
     named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
     speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"

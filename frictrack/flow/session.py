@@ -28,7 +28,7 @@ from frictrack.flow.plausibility_checks import find_duplicate_runs, why_unsearch
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.results.names import plain_name
+from frictrack.results.rows import plain_name
 from frictrack.results.verdicts import describe_no_run, describe_tests, describe_verdict
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
