@@ -20,7 +20,7 @@ from frictrack.flow import Session, open_study
 from frictrack.records import Array
 from frictrack.simulate import simulate
 from frictrack.validation.blind import benchmark, make, score
-from frictrack.validation.blind import truth as drawing
+from frictrack.validation.blind import truth_sampling as drawing
 from frictrack.validation.blind.benchmark import SEAL_FILE, open_seal, run_table, write_study
 from frictrack.validation.blind.ideal_detector import (
     IdealDetector,
@@ -40,16 +40,8 @@ from frictrack.validation.blind.outcome import (
     tally,
     wilson,
 )
-from frictrack.validation.blind.truth import (
-    FOREIGN,
-    LAWS,
-    SIZE_RANGE,
-    RunTruth,
-    Truth,
-    candidates,
-    draw_truth,
-    effect_named,
-)
+from frictrack.validation.blind.truth import FOREIGN, RunTruth, Truth, effect_named
+from frictrack.validation.blind.truth_sampling import LAWS, SIZE_RANGE, candidates, draw_truth
 
 LAW = {"coulomb": {"F_c": 3.0}, "viscous": {"F_v": 0.3}}
 TRUTH = Truth(

@@ -59,7 +59,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from frictrack.validation.blind.truth import LAWS, candidates, draw_truth
+from frictrack.validation.blind.truth_sampling import LAWS, candidates, draw_truth
 from frictrack.effects import LIBRARY
 from frictrack.fit import global_search
 from frictrack.flow import Session, open_study, plan

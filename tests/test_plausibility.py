@@ -44,7 +44,7 @@ from frictrack.measure.tables import displacement_of_table
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData, unnamed_force
 from frictrack.validation.blind.benchmark import write_study
-from frictrack.validation.blind.truth import draw_truth
+from frictrack.validation.blind.truth_sampling import draw_truth
 from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
 
 NOISE = 1e-5  # m

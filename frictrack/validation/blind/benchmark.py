@@ -31,7 +31,8 @@ from frictrack.results import to_builtins
 from frictrack.simulate import Trajectory
 from frictrack.simulate.rendering import Camera, Oscillation, Surface, Target, render, write_film
 from frictrack.validation.blind.outcome import Outcome, judge_study, read_outcome, tally
-from frictrack.validation.blind.truth import KINDS, RunTruth, Truth, draw_truth
+from frictrack.validation.blind.truth import RunTruth, Truth
+from frictrack.validation.blind.truth_sampling import KINDS, draw_truth
 
 FILM_WIDTH_PX, FILM_HEIGHT_PX = 480, 72  # px
 BLOCK_SIZE_PX = (76.0, 48.0)  # px

@@ -31,7 +31,8 @@ from frictrack.flow import Session, open_study
 from frictrack.records import Array, Mask
 from frictrack.simulate import Trajectory
 from frictrack.validation.blind.ideal_detector import MIN_SCATTER, MIN_SPEED, limits_over_ideal
-from frictrack.validation.blind.truth import KINDS, RunTruth, Truth, effect_named
+from frictrack.validation.blind.truth import RunTruth, Truth, effect_named
+from frictrack.validation.blind.truth_sampling import KINDS
 
 MAX_CHI2_EXCESS = 10.0  # expected excess below which these runs cannot distinguish two effects
 NOTHING = "nothing"  # stands among the equivalents of an effect that the law and the other effects imitate

@@ -22,7 +22,8 @@ from frictrack.validation.blind.benchmark import (
     study_lines,
 )
 from frictrack.validation.blind.benchmark import FILM_WIDTH_PX as FILM_WIDTH
-from frictrack.validation.blind.truth import MAX_DURATION_S, RunTruth, Truth, draw_truth
+from frictrack.validation.blind.truth import RunTruth, Truth
+from frictrack.validation.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from reality.faults import FILMED, KINDS, NONE, Fault, draw_fault
 from reality.spoil import Recorded, copied, lines_with_fault, with_fault
 

@@ -31,11 +31,8 @@ from frictrack.base.errors import FrictrackError  # noqa: E402
 from frictrack.flow import Session, open_study  # noqa: E402
 from frictrack.validation.blind.benchmark import write_study  # noqa: E402
 from frictrack.validation.blind.outcome import equivalent_effects  # noqa: E402
-from frictrack.validation.blind.truth import (  # noqa: E402
-    Truth,
-    candidates,
-    draw_truth,
-)
+from frictrack.validation.blind.truth import Truth  # noqa: E402
+from frictrack.validation.blind.truth_sampling import candidates, draw_truth  # noqa: E402
 
 KINDS = ("none", "one", "two")
 MAX_DIAGNOSES = 6

@@ -11,7 +11,8 @@ import numpy as np
 from diagnosis.studies import recorded
 
 import frictrack as ft
-from frictrack.validation.blind.truth import Truth, draw_truth, effects_in_order
+from frictrack.validation.blind.truth import Truth
+from frictrack.validation.blind.truth_sampling import draw_truth, effects_in_order
 from small_signals.ideal import name_ideally
 
 EFFECTS = ("stribeck", "viscous", "drag", "texture", "patch", "vibration", "beam_vibration", "load_modulation", "slope",

@@ -11,7 +11,8 @@ from diagnosis.studies import BARE, recorded
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Run
 from frictrack.validation.blind.benchmark import write_study
-from frictrack.validation.blind.truth import LAWS, Truth, candidates, draw_truth
+from frictrack.validation.blind.truth import Truth
+from frictrack.validation.blind.truth_sampling import LAWS, candidates, draw_truth
 
 RUNS, FRAMES = 5, 700
 MAX_SEEDS = 20  # tried until a study of this size is found
