@@ -84,6 +84,7 @@ EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expec
     "list": "a list [...]",
     "dict": "a table {{name = value}}",
     "model": "a table {{name = value}}",
+    "dataclass": "a table {{name = value}}",
     "literal_error": "{expected}",
     "string_pattern_mismatch": "a name of letters and digits",
     "string_too_short": "a text of {min_length} or more characters",

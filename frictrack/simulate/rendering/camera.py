@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 from scipy.interpolate import make_interp_spline
 from scipy.special import erf
 
 from frictrack.base.errors import raise_faults
 from frictrack.records import Array
 
+NO_OTHER_KEYS = ConfigDict(extra="forbid")  # in the tables of a scene file
+Side = Annotated[int, Field(ge=8, le=16_384)]  # of a picture of a scene, px
 WHITE_LEVEL = 0.8  # share of the full well that a white surface fills
 MIN_GAUSSIAN_ELECTRONS = 1000  # from here on shot noise is drawn from a Gaussian: skewness below 0.03, 8 times faster
 
@@ -38,6 +41,7 @@ class Oscillation:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     amplitude: float
     frequency: float  # Hz
     phase: float = 0.0  # rad
@@ -83,9 +87,10 @@ class Camera:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     fps: float = 4000.0
-    width: int = 640
-    height: int = 96
+    width: Side = 640
+    height: Side = 96
     scale: float = 0.5e-3  # m/px
     exposure: float = 0.1
     bit_depth: int = 8
@@ -247,6 +252,7 @@ class Rod:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     x: float
     width: float = 14.0
     reflectance: float = 0.06
@@ -277,6 +283,7 @@ class Highlight:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     x: float
     y: float
     radius: float = 14.0
