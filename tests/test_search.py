@@ -410,7 +410,7 @@ def test_errors_say_what_came(change: dict[str, Any], message: str) -> None:
 
 def test_missing_cma_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(FrictrackError, match="package cma but it is not installed; run: pip install cma"):
+    with pytest.raises(FrictrackError, match='search cmaes needs cma; pip install "cma"'):
         minimise(sphere, [[0, 1]], method="cmaes", rng=rng())
 
 

@@ -146,6 +146,15 @@ def result_or_none(function: Callable[..., T], *arguments: Any, **keywords: Any)
 
 
 @contextmanager
+def needs_package(what: str, package: str) -> Iterator[None]:
+    """Raise a failed import as a `FrictrackError`: what needs the module, and which package to install."""
+    try:
+        yield
+    except ImportError as e:
+        raise FrictrackError(f'{what} needs {e.name}; pip install "{package}"') from e
+
+
+@contextmanager
 def os_errors_as(what: str, advice: str = "") -> Iterator[None]:
     """Raise an error of the operating system as a `FrictrackError`: what could not be done, why, and what to do."""
     try:

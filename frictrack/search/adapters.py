@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import needs_package
 from frictrack.records import Array
 from frictrack.search.method import CostEvaluator, SearchMethod, setting
 
@@ -167,9 +167,5 @@ def _unit_box(evaluator: CostEvaluator) -> Any:
 
 def _cma() -> Any:
     """Import the package cma on first use: it is optional and slow to import."""
-    try:
+    with needs_package("search cmaes", "cma"):
         return import_module("cma")
-    except ImportError:
-        raise FrictrackError(
-            "search cmaes: expected the package cma but it is not installed; run: pip install cma"
-        ) from None

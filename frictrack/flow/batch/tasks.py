@@ -20,7 +20,7 @@ from typing import Any
 from uuid import uuid4
 
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, needs_package
 from frictrack.base.remote import RemoteFile, locate
 from frictrack.base.workers import WorkerPool
 from frictrack.flow import Session, open_study, run_pipeline
@@ -294,10 +294,8 @@ def cluster_workers(address: str) -> Iterator[WorkerPool]:
 
     The workers must see the same files and have the same version of frictrack.
     """
-    try:
+    with needs_package("--scheduler", "frictrack[cluster]"):
         from distributed import Client  # noqa: PLC0415
-    except ModuleNotFoundError as e:
-        raise FrictrackError('--scheduler needs distributed; pip install "frictrack[cluster]"') from e
     for name in _CLIENT_LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
