@@ -275,7 +275,7 @@ def test_a_model_file_is_read_by_its_path(tmp_path):
         ('model = ["colomb"]', 'expected names of models or effects but got "colomb"; did you mean "coulomb"?'),
         (
             'model = "tustin"\n[[effect]]\nfix = {a = 1}',
-            "[[effect]]: expected effect = the name of an effect but got None",
+            "[[effect]]: expected the key effect but it is missing",
         ),
     ],
 )

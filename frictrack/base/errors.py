@@ -91,6 +91,7 @@ EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expec
     "string_too_long": "a text of at most {max_length} characters",
     "greater_than": "a number above {gt:g}",
     "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number below {lt:g}",
     "less_than_equal": "a number of at most {le:g}",
     "too_short": "a list of {min_length} or more values",
     "too_long": "a list of at most {max_length} values",
