@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -72,6 +73,20 @@ def raise_faults(faults: list[str], what: str) -> None:
     """
     if faults:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return a hint for an unknown name: the nearest known name, or all of them.
+
+    Examples
+    --------
+    >>> suggest("cutof", ["cutoff", "free"])
+    'did you mean "cutoff"?'
+
+    """
+    known = list(known)
+    near = get_close_matches(word, known, 1)
+    return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
 
 
 EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expected, with what it names

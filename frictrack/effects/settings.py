@@ -6,7 +6,6 @@ such copies and so carries its settings.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 from pydantic import Field, ValidationError
 
-from frictrack.base.errors import FrictrackError, UsageError, describe_invalid
+from frictrack.base.errors import FrictrackError, UsageError, describe_invalid, suggest
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.registry import get, is_library
 from frictrack.effects.user import formula as define
@@ -67,9 +66,7 @@ class EffectSettings(EffectTable):
     def _check_name(self, effect: Effect, name: str) -> None:
         known = [p.name for p in effect.parameters]
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
-            self._refuse(f'unknown parameter "{name}"; {hint}')
+            self._refuse(f'unknown parameter "{name}"; {suggest(name, known)}')
 
     def _check(self, effect: Effect, p: Parameter, change: Mapping[str, Any]) -> None:
         """What the settings of one parameter must be to each other."""
@@ -216,8 +213,7 @@ def _target(members: Sequence[Effect], effect: str, p: Parameter, tie: Tie) -> P
         )
     known = [q.name for q in found.parameters]
     if tie.parameter not in known:
-        near = difflib.get_close_matches(tie.parameter, known, 1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+        hint = suggest(tie.parameter, known)
         _untied(effect, f'unknown parameter "{tie.parameter}" of {tie.effect}; {hint}')
     if tie.parameter in found.quoted:
         _untied(effect, f"{tie.effect}.{tie.parameter} is fitted relative to another parameter; no tie can refer to it")

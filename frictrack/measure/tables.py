@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from frictrack import sampling
 from frictrack.base.distributions import noise_of_differences, robust_std
-from frictrack.base.errors import FrictrackError, UsageError, raise_faults
+from frictrack.base.errors import FrictrackError, UsageError, raise_faults, suggest
 from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.motion import differentiate, low_pass
@@ -27,7 +27,7 @@ from frictrack.measure.plausibility import (
 )
 from frictrack.records import Array, Displacement, Mask, Motion, Run
 from frictrack.sampling import noise_level, white_noise
-from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, suggest, unrolled_clock
+from frictrack.study import COLUMNS, POINT_COLUMNS, TableData, read_frame, unrolled_clock
 
 if TYPE_CHECKING:
     import pandas as pd
