@@ -181,7 +181,7 @@ def test_a_wrong_scene_is_told_in_one_sentence(text, message):
 def test_a_wrong_parameter_or_missing_file_is_told(tmp_path):
     with pytest.raises(FrictrackError, match="coulomb has F_c but not F_x"):
         film_scene(read_scene(SCENE.replace("F_c", "F_x")), tmp_path)
-    with pytest.raises(FrictrackError, match="expected a scene file but found none"):
+    with pytest.raises(FrictrackError, match=r"expected a scene file .*none\.toml but cannot read it"):
         render_scene(tmp_path / "none.toml", tmp_path)
 
 

@@ -256,10 +256,9 @@ def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | No
         If the scene file is missing or invalid.
 
     """
-    if not path.is_file():
-        raise FrictrackError(f"expected a scene file but found none at {path}; see `frictrack render --help`")
+    text = read_small_text(path, MAX_SCENE_BYTES, "a scene file")
     try:
-        scene = read_scene(read_small_text(path, MAX_SCENE_BYTES, "a scene file"))
+        scene = read_scene(text)
     except FrictrackError as fault:
         raise UsageError(f"{path.name}: {fault}") from None
     film_scene(scene, out, rng=rng, progress=progress)

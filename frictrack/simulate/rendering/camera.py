@@ -9,7 +9,6 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
-from scipy.interpolate import make_interp_spline
 from scipy.special import erf
 
 from frictrack.base.errors import raise_faults
@@ -214,27 +213,6 @@ class Camera:
         number = self.gain * electrons
         number += self.black
         return number
-
-
-def cramer_rao_shift_std(clean_patch: Array, noise: Array | float) -> float:
-    """Cramer-Rao bound of the standard deviation of a measured shift along x: 1 / sqrt(sum (g_x / noise)^2).
-
-    Parameters
-    ----------
-    clean_patch
-        Picture without noise, (ny, nx); its slope g_x comes from a quintic spline along x.
-    noise
-        Standard deviation of the noise in the units of the patch, (ny, nx) or one number.
-
-    Returns
-    -------
-    float
-        Smallest standard deviation of an unbiased estimate, px. For the bound along y, transpose both.
-
-    """
-    x = np.arange(clean_patch.shape[1])
-    slope = make_interp_spline(x, clean_patch, k=5, axis=1).derivative()(x)
-    return float(1 / np.sqrt(np.sum((slope / noise) ** 2)))
 
 
 @dataclass(frozen=True)
