@@ -27,7 +27,7 @@ from frictrack.base import workers
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.cli.common import BatchPrinter, ProgressBars
 from frictrack.flow import Session
-from frictrack.flow.batch import BatchState, batch, cluster, find_studies
+from frictrack.flow.batch import BatchState, batch, find_studies, tasks
 from frictrack.flow.batch.driver import Journal, find_trends, fit_slope, write_table
 from frictrack.flow.batch.tasks import Scheduler, StudyOutcome
 
@@ -391,7 +391,7 @@ def test_as_many_as_the_memory_takes(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "SCHEDULER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(tasks, "SCHEDULER_TIMEOUT_S", 0.5)
     campaign(tmp_path, 1)
     with pytest.raises(FrictrackError, match=r"expected a Dask scheduler at tcp:.* but none answers"):
         batch([str(tmp_path)], tmp_path / "all", scheduler="tcp://127.0.0.1:9")

@@ -310,7 +310,7 @@ def filmed(seed):
     made = read_scene(SCENE.format(v=v, n=min(200, int(670 / v))))
     camera = scene._camera(made, made.runs[0])
     true = scene.true_trajectory(made, made.runs[0], camera, 1.0)
-    pictures = list(scene._render_frames(made, made.runs[0], camera, true, rng))
+    pictures = list(scene._render_frames(made, camera, true, rng))
     k = int(np.sum(true.x / camera.scale < camera.width - 50))
     corner = np.rint([true.x[0] / camera.scale - 44.5, camera.height / 2 - 4 - 27.5])
     displacement = calibrate(

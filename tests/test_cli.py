@@ -23,7 +23,7 @@ from frictrack import samples
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.cli import main, output, tables
+from frictrack.cli import main, output
 from frictrack.flow import Session
 from frictrack.measure import calibration
 
@@ -159,7 +159,7 @@ def test_tables_need_no_tracking(capsys: pytest.CaptureFixture[str]) -> None:
 def test_add_and_remove_print_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
     added = answer(capsys, "add", "study.toml", "drag")
     assert set(added) == {"effect", "error_before", "error_after", "parameters", "misfit"}
-    out = tables.Terminal(width=80, file=io.StringIO())
+    out = output.Terminal(width=80, file=io.StringIO())
     output.edit(out, added)
     assert len(out.file.getvalue().splitlines()) <= 12
     removed = answer(capsys, "remove", "study.toml", "drag")
@@ -430,7 +430,7 @@ NUMBERS = {"rms_displacement_um": 12.58, "heldout_rms_um": 12.64, "free_run_rms_
 @pytest.mark.parametrize("name", ["2_tustin+texture", "4_tustin+texture+viscous_modulation+decaying_vibration"])
 def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None:
     out = Console(width=80, file=io.StringIO())
-    tables.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
+    output.history(out, {"models": [{"name": name, "errors": NUMBERS}]})
     lines = out.file.getvalue().splitlines()
     assert all(len(line.rstrip()) <= 80 for line in lines)
     words = [word for line in lines[1:] for word in line.split()]
@@ -442,7 +442,7 @@ def test_a_table_of_models_fits_80_columns_and_breaks_no_name(name: str) -> None
 def test_no_line_of_the_terminal_ends_within_a_number_or_before_its_unit() -> None:
     wholes = ("+77\u202f572", "0.701 µm", "8.48 %", "(0.0398 ± 0.0012) N s/m")
     for width in range(24, 60):
-        out = tables.Terminal(width=width, file=io.StringIO(), highlight=False)
+        out = output.Terminal(width=width, file=io.StringIO(), highlight=False)
         out.print(f"delta BIC {wholes[0]}; from 2.64 to {wholes[1]}; force error {wholes[2]}; F_v {wholes[3]}")
         printed = out.file.getvalue()
         assert all(whole in printed for whole in wholes), printed
@@ -452,6 +452,6 @@ def test_a_table_of_films_breaks_no_name_at_80_columns(capsys: pytest.CaptureFix
     result = answer(capsys, "track", "film.toml")
     result["runs"][0]["run"] = "double_mass_2"
     out = Console(width=80, file=io.StringIO())
-    tables.track(out, result)
+    output.track(out, result)
     (line,) = (line for line in out.file.getvalue().splitlines() if line.startswith("double_mass_2  60"))
     assert "60/60" in line

@@ -19,7 +19,7 @@ import pytest
 from campaigns import campaign, results
 
 from frictrack.base.errors import FrictrackError
-from frictrack.flow.batch import BatchState, batch, cluster
+from frictrack.flow.batch import BatchState, batch, tasks
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="signals")]
 POISON = """
@@ -137,7 +137,7 @@ def test_no_task_is_lost_at_any_moment(dask: Cluster) -> None:
     todo = list(range(count))
     started = [dask.scheduler(), dask.worker(), dask.worker()]
     dask.wait_for(2)
-    with cluster.cluster_workers(dask.address) as pool:
+    with tasks.cluster_workers(dask.address) as pool:
         while len(found) < count:
             for i in [todo.pop() for _ in range(min(len(todo), 5 * pool.capacity() - len(running)))]:
                 running[pool.submit(operator.mul, i, i)] = i
@@ -155,7 +155,7 @@ def test_no_task_is_lost_at_any_moment(dask: Cluster) -> None:
 
 
 def test_a_scheduler_that_does_not_come_back(tmp_path: Path, dask: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "RESTART_TIMEOUT_S", 2.0)
+    monkeypatch.setattr(tasks, "RESTART_TIMEOUT_S", 2.0)
     there = campaign(tmp_path / "there", 3)
     scheduler = dask.scheduler()
     dask.worker()

@@ -140,7 +140,7 @@ def test_a_missing_library_is_named(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, library: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(FrictrackError, match=rf"needs {library}; pip install frictrack\[{extra}\]"):
+    with pytest.raises(FrictrackError, match=rf'needs {library}; pip install "frictrack\[{extra}\]"'):
         export_results(replace(results, output=tmp_path), to)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 

@@ -16,7 +16,7 @@ from page_client import wait_for
 from tornado.httputil import HTTPHeaders, HTTPServerRequest, RequestStartLine
 
 from frictrack.cli import main
-from frictrack.workbench.guard import RequestGuard, address_of
+from frictrack.workbench.server import RequestGuard, address_of
 
 PATHS = ("/", "/api/events", "/api/state", "/api/frame?file=a.avi", "/static/tokens.css", "/none")
 

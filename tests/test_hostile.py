@@ -22,7 +22,7 @@ from frictrack.base.files import is_file_name, lock_folder, make_subfolder
 from frictrack.base.units import parse_quantity
 from frictrack.flow import CommandHistory, Session, open_study, store
 from frictrack.flow.store import HEADER_BYTES, GroupContent
-from frictrack.flow.store.file_header import header_of, sign
+from frictrack.flow.store.integrity import header_of, sign
 from frictrack.measure.calibration.lens import read_lens
 from frictrack.present import export
 from frictrack.recording import open_recording
@@ -270,10 +270,10 @@ def test_an_error_is_one_line_that_no_terminal_obeys() -> None:
     ("key", "said"),
     [
         ('name = "../../up"', "expected every run with a name that can be a file name"),
-        ("frames = 1000000000", "expected frames = 2 to 1000000 in a run but got 1000000000"),
-        ("width = 100000", "expected a width from 8 to 16384 px but got 100000"),
-        ('v = "fast"', "expected v as a number but got 'fast'"),
-        ("v = nan", "expected v as a number but got nan"),
+        ("frames = 1000000000", "expected frames of number 1 of run as a number of at most 1e+06 but got 1000000000"),
+        ("width = 100000", "expected width of number 1 of run as a number of at most 16384 but got 100000"),
+        ('v = "fast"', 'expected v of number 1 of run as a number but got "fast"'),
+        ("v = nan", "expected v of number 1 of run as a finite number but got NaN"),
     ],
 )
 def test_a_scene_without_bounds(tmp_path: Path, key: str, said: str) -> None:

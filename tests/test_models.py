@@ -269,13 +269,13 @@ def test_a_model_file_is_read_by_its_path(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("model = [", "expected a model in TOML but got a text that cannot be read"),
-        ("gone.toml", "expected a model in TOML but got gone.toml that cannot be read"),
+        ("model = [", "model is not valid TOML"),
+        ("gone.toml", "expected a model in the file gone.toml but cannot read it (No such file or directory)"),
         ("name = 1", 'expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]'),
         ('model = ["colomb"]', 'expected names of models or effects but got "colomb"; did you mean "coulomb"?'),
         (
             'model = "tustin"\n[[effect]]\nfix = {a = 1}',
-            "[[effect]]: expected effect = the name of an effect but got None",
+            "[[effect]]: expected the key effect but it is missing",
         ),
     ],
 )
@@ -284,6 +284,12 @@ def test_toml_that_is_no_model_is_told_in_one_sentence(text, said):
         models.from_toml(text)
     assert said in str(caught.value)
     assert caught.value.usage
+
+
+def test_a_model_file_that_is_no_text_is_told(tmp_path):
+    (tmp_path / "model.toml").write_bytes(b'model = "\xff"')
+    with pytest.raises(FrictrackError, match=r"model\.toml is not a text in UTF-8"):
+        models.from_toml(tmp_path / "model.toml")
 
 
 def test_an_effect_made_by_hand_cannot_be_written():

@@ -17,7 +17,7 @@ from test_plots import candidate, diagnosis, model, parameter, results
 
 from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import upper_first
-from frictrack.cli import tables as cli_tables
+from frictrack.cli import output
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
 from frictrack.present.report import markup, tables, texts
@@ -372,5 +372,5 @@ def test_lost_frames_have_one_wording_on_terminal_page_and_report():
     assert _measured_part(replace(run, track=track))["lost_words"] == f"{upper_first(words)}."
     out = Console(file=StringIO(), width=200)
     row = run.quality | {"run": "v1", "target": "found", "lost": {"low score": 12}, "notes": []}
-    cli_tables.track(out, {"runs": [row | {"contact_sheet": "", "overlay": ""}]})
+    output.track(out, {"runs": [row | {"contact_sheet": "", "overlay": ""}]})
     assert f"{words}: 12 x low score" in out.file.getvalue()

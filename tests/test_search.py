@@ -383,14 +383,14 @@ def test_distinct_optima_of_a_valley_and_an_island() -> None:
     [
         ({"method": "gaa"}, 'expected a search among ga, mga, sa, sga, de, da, cmaes but got "gaa"'),
         ({"poulation": 3}, 'search ga: expected a setting among generations, .* mutation but got "poulation"'),
-        ({"population": 2, "gap": 1.5, "bits": 99}, r"at least 4 .* but got 2; .* got 1.5; .* 60 but got 99"),
-        ({"method": "mga", "l_const": 40}, "l_const as a whole number of at least 1 and at most 30 but got 40"),
+        ({"population": 2, "gap": 1.5, "bits": 99}, r"at least 4 but got 2; .* got 1.5; .* 60 but got 99"),
+        ({"method": "mga", "l_const": 40}, "expected l_const as a number of at most 30 but got 40"),
         (
             {"method": "mga", "as_printed": True, "d": 0.1},
             "expected at most 60 bits but Eq. 7 as printed begins with 105",
         ),
-        ({"selection": "best"}, "expected selection as one of universal, roulette, tournament but got 'best'"),
-        ({"mutation": "often"}, "expected mutation as a number of at least 0 and at most 1 but got 'often'"),
+        ({"selection": "best"}, 'expected selection as "universal", "roulette" or "tournament" but got "best"'),
+        ({"mutation": "often"}, 'expected mutation as a number but got "often"'),
         (
             {"method": "mga", "as_printed": 1, "restarts": 1.5},
             "restarts as a whole .* got 1.5; expected as_printed as true",
@@ -410,7 +410,7 @@ def test_errors_say_what_came(change: dict[str, Any], message: str) -> None:
 
 def test_missing_cma_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(FrictrackError, match="package cma but it is not installed; run: pip install cma"):
+    with pytest.raises(FrictrackError, match='search cmaes needs cma; pip install "cma"'):
         minimise(sphere, [[0, 1]], method="cmaes", rng=rng())
 
 

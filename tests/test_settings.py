@@ -384,13 +384,13 @@ def test_settings_that_do_not_go_together_are_refused_in_one_sentence(names, tab
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ({"fix": {"F": 1}}, "[[effect]]: expected effect = the name of an effect but got None"),
-        ({"effect": "coulomb", "fixed": {"F": 1}}, 'unknown key "fixed"; known are effect, fix, bounds, prior, tie'),
-        ({"effect": "coulomb", "fix": 3}, "fix: expected {parameter = value} but got 3"),
-        ({"effect": "coulomb", "fix": {"F_c": True}}, "fix: expected {parameter = value} but got"),
-        ({"effect": "coulomb", "prior": {"F_c": [1]}}, "prior: expected {parameter = [mean, std]} but got"),
-        ({"effect": "coulomb", "tie": {"F_c": 3}}, 'tie: expected {parameter = "effect.parameter"} but got'),
-        ({"effect": "coulomb", "formula": 3}, "formula: expected a text but got 3"),
+        ({"fix": {"F": 1}}, "[[effect]]: expected the key effect but it is missing"),
+        ({"effect": "coulomb", "fixed": {"F": 1}}, '[[effect]] "coulomb": unknown key "fixed"'),
+        ({"effect": "coulomb", "fix": 3}, "expected fix as a table {name = value} but got 3"),
+        ({"effect": "coulomb", "fix": {"F_c": True}}, "expected F_c of fix as a number but got true"),
+        ({"effect": "coulomb", "prior": {"F_c": [1]}}, "expected F_c of prior as a list of 2 or more values but got"),
+        ({"effect": "coulomb", "tie": {"F_c": 3}}, "expected F_c of tie as a text in quotes but got 3"),
+        ({"effect": "coulomb", "formula": 3}, "expected formula as a text in quotes but got 3"),
     ],
 )
 def test_a_table_of_the_wrong_kind_is_told(table, said):

@@ -176,7 +176,7 @@ def test_a_file_of_another_program_is_left_alone(tmp_path: Path) -> None:
 def test_a_later_schema_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "v3.h5"
     with monkeypatch.context() as later:
-        later.setattr("frictrack.flow.store.file_header.SCHEMA", 99)
+        later.setattr("frictrack.flow.store.integrity.SCHEMA", 99)
         later.setattr("frictrack.flow.store.hdf5_io.__version__", "7.1.0")
         store.write(path, {"a": GroupContent({"n": 1})})
     before = path.read_bytes()

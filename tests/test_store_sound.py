@@ -25,8 +25,8 @@ from frictrack import study
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, store
-from frictrack.flow.store import GroupContent, Provenance, file_header, integrity
-from frictrack.flow.store.file_header import header_of
+from frictrack.flow.store import GroupContent, Provenance, integrity
+from frictrack.flow.store.integrity import header_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "generators"))
 import hdf5 as written
@@ -183,7 +183,7 @@ def test_files_of_others_are_read_and_take_our_mark_when_written(sound: Path, mo
     assert store.names(path)
     assert asked == []
     for secret in (b"of somebody else", b""):  # also where there is no home to keep it
-        monkeypatch.setattr(file_header, "_secret", lambda secret=secret: secret)
+        monkeypatch.setattr(integrity, "_secret", lambda secret=secret: secret)
         shutil.copy(sound, path)
         for _ in range(3):
             assert store.read(path, "other") == {"n": 1}

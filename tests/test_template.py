@@ -8,8 +8,7 @@ from film import FULL_WELL, READ_NOISE, Film, block_film, expose, moved, speckle
 
 from frictrack.base.errors import FrictrackError
 from frictrack.tracking import TargetModel, learn_target, track
-from frictrack.tracking.measure import measure_frames, refine_robust
-from frictrack.tracking.position_errors import systematic_covariance
+from frictrack.tracking.measure import measure_frames, refine_robust, systematic_covariance
 from frictrack.tracking.subpixel_fit import refine_positions, template_products
 from frictrack.tracking.template import MAX_SHIFT_PX, fit_pattern, pattern_sums, shift_expansion
 from frictrack.tracking.template_learning import learn_template, template_from_frame

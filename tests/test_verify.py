@@ -281,7 +281,7 @@ def test_a_study_of_an_earlier_schema_is_sound_and_migrated(tmp_path: Path, monk
         velocity = file["motion/v"][()]
     np.testing.assert_array_equal(store.read(results / "v3.h5", "motion")["v"], velocity)
     assert {path.name: path.read_bytes() for path in results.glob("*.h5")} == before  # reading leaves them
-    monkeypatch.setattr("frictrack.flow.store.file_header.header_of", lambda hdf5, version, mark: 1 / 0)
+    monkeypatch.setattr("frictrack.flow.store.integrity.header_of", lambda hdf5, version, mark: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         store.write(results / "v3.h5", {})
     assert (results / "v3.h5").read_bytes() == before["v3.h5"]

@@ -16,7 +16,7 @@ from conftest import Clients
 from page_client import Client, wait_for
 
 from frictrack.samples import films_folder
-from frictrack.workbench.uploads import MAX_UPLOAD_BYTES
+from frictrack.workbench.handlers import MAX_UPLOAD_BYTES
 
 
 @pytest.fixture(scope="module")

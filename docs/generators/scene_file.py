@@ -3,51 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from numpydoc.docscrape import ClassDoc
 from page_text import code, plain, prose, table, write_page
+from pydantic_core import PydanticUndefined
 
 from frictrack import samples
 from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod
-from frictrack.simulate.scene import RUN_KEYS, SCENE_KEYS, TARGET_KEYS
-
-# Keys that no dataclass describes: meaning, unit and default.
-TOP = {
-    "name": ("name of the study", "", "scene"),
-    "mass": ("mass at which the forces of the law are given", "kg", "0.35"),
-    "scatter": ("relative standard deviation of dry friction from run to run", "", "0"),
-    "format": ("suffix of the films", "", "avi"),
-    "clamp_x": ("position of the clamp, for `beam_vibration`", "m", ""),
-    "beam_length": ("free length of the beam, for `beam_vibration`", "m", ""),
-    "lift": ("vertical motion of the mass, upward: amplitude (m), frequency (Hz), phase (rad)", "", ""),
-    "law": ("a table `[law.EFFECT]` for every effect of the law: values of its parameters", "SI", ""),
-    "camera": ("the table `[camera]`", "", ""),
-    "target": ("the table `[target]`", "", ""),
-    "rod": ("the table `[rod]`", "", ""),
-    "highlight": ("the table `[highlight]`", "", ""),
-    "run": ("a table `[[run]]` for every run", "", "required"),
-}
-RUN = {
-    "name": ("name of the run and of its film", "", "required"),
-    "v": ("speed at the start, or that a push would give without friction; negative toward -x", "m/s", "required"),
-    "frames": ("number of frames", "", "required"),
-    "push": ("duration of a push from rest; 0: the run starts in motion", "s", "0"),
-    "mass": ("mass, where it differs", "kg", "that of the scene"),
-    "width": ("width of the picture, where it differs", "px", "that of the camera"),
-    "level": ("dry friction of this run over that of the law", "", "drawn with `scatter`"),
-    "incline": ("angle by which the course rises toward +x", "rad", "0"),
-    "pause": ("time since the end of the run before it, for `run_in` and `heating`", "s", "60"),
-}
-TARGET = {
-    "width": ("length of the block along the course", "px", "90"),
-    "height": ("height of the block", "px", "56"),
-    "speckle": ("size of the speckles", "px", "4"),
-    "rotation": ("rocking, clockwise in the picture: amplitude (degrees), frequency (Hz), phase (rad)", "", ""),
-}
+from frictrack.simulate.scene import Block, Scene, SceneRun
 
 _HEAD = """# Scene file
 
@@ -71,35 +37,21 @@ def write_scene_file(folder: Path) -> None:
 
 
 def scene_file_page() -> str:
-    """Return the page as Markdown.
-
-    Raises
-    ------
-    ValueError
-        If a key of the code has no description here.
-
-    """
-    _check(SCENE_KEYS, TOP), _check(RUN_KEYS, RUN), _check(TARGET_KEYS, TARGET)
+    """Return the page as Markdown."""
     parts = [
         _HEAD + _example(),
-        "## Keys of the scene\n\n" + _table(TOP),
+        "## Keys of the scene\n\n" + _of_class(Scene),
         "## [law.EFFECT]\n\nParameters by name, as the [gallery](../../gallery/index.md) lists them for every effect. "
         "`F_s` is the total static friction. The effect `camera_shake` shakes the camera.\n",
         "## [camera]\n\n" + _of_class(Camera),
-        "## [target]\n\n" + _table(TARGET),
+        "## [target]\n\n" + _of_class(Block),
         "## [rod]\n\nA rod in front of the block.\n\n" + _of_class(Rod),
         "## [highlight]\n\nA bright spot on the window.\n\n" + _of_class(Highlight),
-        "## [[run]]\n\n" + _table(RUN),
+        "## [[run]]\n\n" + _of_class(SceneRun),
         "## Oscillations\n\n`flicker`, `shake_x`, `shake_y`, `lift` and `rotation` are tables of these numbers.\n\n"
         + _of_class(Oscillation),
     ]
     return "\n".join(parts)
-
-
-def _check(keys: Iterable[str], described: dict[str, Any]) -> None:
-    """Raise ValueError unless the code and this page know the same keys."""
-    if different := set(keys) ^ described.keys():
-        raise ValueError(f"expected a description of every key of a scene file, but {', '.join(different)} differ")
 
 
 def _example() -> str:
@@ -107,22 +59,21 @@ def _example() -> str:
     return f"## The scene of the sample study\n\n```toml\n{text}\n```\n"
 
 
-def _table(keys: dict[str, tuple[str, str, str]]) -> str:
-    rows = [[code(key), prose(text), plain(unit), plain(default)] for key, (text, unit, default) in keys.items()]
-    return table(["key", "meaning", "unit", "default"], rows)
-
-
 def _of_class(kind: Any) -> str:
-    """Return the table of a dataclass: its fields, what its docstring says of them, and their defaults."""
+    """Return the table of a class: its keys, what its docstring says of them, and their defaults."""
     doc = ClassDoc(kind, config={"show_class_members": False})
     said = {}
     for entry in [*doc["Parameters"], *doc["Attributes"]]:
         said |= dict.fromkeys(re.split(r"[,\s]+", entry.name), " ".join(entry.desc))
-    rows = [[code(f.name), prose(said[f.name]), _default(f)] for f in fields(kind)]
+    if is_dataclass(kind):
+        known = {f.name: (f.name, f.default) for f in fields(kind)}
+    else:
+        known = {name: (f.alias or name, f.default) for name, f in kind.model_fields.items()}
+    rows = [[code(name), prose(said[key]), _default(default)] for key, (name, default) in known.items()]
     return table(["key", "meaning", "default"], rows)
 
 
-def _default(f: Field[Any]) -> str:
-    if f.default is MISSING:
-        return "" if f.default_factory is not MISSING else "required"
-    return "" if f.default is None else plain(str(f.default))
+def _default(value: Any) -> str:
+    if value in (MISSING, PydanticUndefined):
+        return "required"
+    return plain(str(value)) if isinstance(value, str | float | int) else ""

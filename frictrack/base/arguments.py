@@ -8,13 +8,12 @@ import re
 import types
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from functools import cache, wraps
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from frictrack.base.errors import UsageError
+from frictrack.base.errors import UsageError, suggest
 from frictrack.base.units import parse_quantity
 
 P = ParamSpec("P")
@@ -102,9 +101,7 @@ def _mismatch(said: str, signature: inspect.Signature) -> str:
         hint = f"; give {', '.join(named)} by name" if named else ""
         count = len(known) - len(named)
         return f"expected {count or 'no'} value{'' if count == 1 else 's'} without a name but got more{hint}"
-    near = get_close_matches(name, known, 1)
-    hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-    return f'unknown name "{name}"; {hint}'
+    return f'unknown name "{name}"; {suggest(name, known)}'
 
 
 @cache

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -74,6 +75,20 @@ def raise_faults(faults: list[str], what: str) -> None:
         raise FrictrackError(f"{what}: " + "; ".join(faults))
 
 
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return a hint for an unknown name: the nearest known name, or all of them.
+
+    Examples
+    --------
+    >>> suggest("cutof", ["cutoff", "free"])
+    'did you mean "cutoff"?'
+
+    """
+    known = list(known)
+    near = get_close_matches(word, known, 1)
+    return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+
+
 EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expected, with what it names
     "string": "a text in quotes",
     "float": "a number",
@@ -84,12 +99,14 @@ EXPECTED = {  # kind of a fault of pydantic, or its first word -> what was expec
     "list": "a list [...]",
     "dict": "a table {{name = value}}",
     "model": "a table {{name = value}}",
+    "dataclass": "a table {{name = value}}",
     "literal_error": "{expected}",
     "string_pattern_mismatch": "a name of letters and digits",
     "string_too_short": "a text of {min_length} or more characters",
     "string_too_long": "a text of at most {max_length} characters",
     "greater_than": "a number above {gt:g}",
     "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number below {lt:g}",
     "less_than_equal": "a number of at most {le:g}",
     "too_short": "a list of {min_length} or more values",
     "too_long": "a list of at most {max_length} values",
@@ -142,6 +159,15 @@ def result_or_none(function: Callable[..., T], *arguments: Any, **keywords: Any)
         return function(*arguments, **keywords)
     except FrictrackError:
         return None
+
+
+@contextmanager
+def needs_package(what: str, package: str) -> Iterator[None]:
+    """Raise a failed import as a `FrictrackError`: what needs the module, and which package to install."""
+    try:
+        yield
+    except ImportError as e:
+        raise FrictrackError(f'{what} needs {e.name}; pip install "{package}"') from e
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, needs_package
 from frictrack.base.files import cache_root
 
 PROTOCOLS = ("file", "http", "https", "s3", "gs", "gcs", "az", "abfs")  # that an address may have
@@ -183,10 +183,8 @@ class RemoteFile:
 
     def filesystem(self) -> tuple[Any, str]:
         """Return the file system of fsspec for the address, and the path in it."""
-        try:
+        with needs_package("a recording by address", "frictrack[cluster]"):
             import fsspec  # noqa: PLC0415 - optional
-        except ModuleNotFoundError as e:
-            raise FrictrackError('recordings by address need fsspec; pip install "frictrack[cluster]"') from e
         options = {}
         if self.url.startswith("http"):
             with suppress(ModuleNotFoundError):  # fsspec says what it needs

@@ -128,11 +128,11 @@ def print_result(result: Mapping[str, Any], as_json: bool, show: str, where: str
     if as_json:
         sys.stdout.write(json.dumps(result, allow_nan=False, ensure_ascii=False) + "\n")
         return
-    from frictrack.cli import output, tables  # noqa: PLC0415
+    from frictrack.cli import output  # noqa: PLC0415
 
-    out = tables.Terminal(highlight=False)
+    out = output.Terminal(highlight=False)
     for name in show.split():
-        getattr(output if hasattr(output, name) else tables, name)(out, result)
+        getattr(output, name)(out, result)
     if look:
         out.print(f"look at: {look}", markup=False)
     if where:

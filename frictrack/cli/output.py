@@ -2,20 +2,251 @@
 
 from __future__ import annotations
 
+import math
+import re
 import shlex
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 from frictrack.base.glossary import symbols_in
-from frictrack.base.number_format import format_p_value, format_plain, format_plus_minus
-from frictrack.cli import tables
+from frictrack.base.number_format import DASH, format_p_value, format_plain, format_plus_minus
 from frictrack.results import verdicts
 from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
-from frictrack.results.rows import describe_held_out, error_rows
+from frictrack.results.rows import (
+    FAILING_HEADS,
+    MEASUREMENT_HEADS,
+    describe_held_out,
+    error_rows,
+    failing_rows,
+    measurement_cells,
+    numbered_name,
+    parameter_row,
+)
+from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
+
+BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
+MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
+NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
+
+
+UNBROKEN = re.compile(r"\u202f| (?=[±×] )|(?<=[±×]) |(?<=[\d)]) (?=[%°†]|(?:[kmnµ]?[gmNs]|Hz|px)\b)|(?<=N) (?=s\b)")
+LETTERS = {" ": "\ue000", "\u202f": "\ue001"}  # that no text has
+
+
+class Terminal(Console):
+    """Console that ends no line within a number or before its unit, except in tables.
+
+    Rich ends lines also at spaces that do not break, so they are printed as letters first.
+    """
+
+    lines = 0  # that were printed
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print texts and tables."""
+        with self.capture() as printed:
+            marked = (UNBROKEN.sub(lambda m: LETTERS[m[0]], one) if isinstance(one, str) else one for one in objects)
+            super().print(*marked, **how)
+        text = printed.get().translate({ord(letter): space for space, letter in LETTERS.items()})
+        self.lines += text.count("\n")
+        self.file.write(text)
+
+
+def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
+    """Return a table without a box; names in the first column and words that are not long stay whole."""
+    new, rows = Table(box=None, pad_edge=False, header_style="dim"), list(rows)
+    for i, header in enumerate(headers):
+        words = " ".join([header, *(row[i] for row in rows)]).split()
+        longest = max((len(word) for word in words if len(word) <= MAX_NAME_WIDTH), default=None)
+        new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=longest)
+    for row in rows:
+        new.add_row(*row)
+    return new
+
+
+def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Return a table without its empty columns."""
+    filled = [k for k in range(len(heads)) if any(row[k] not in ("", DASH) for row in rows)]
+    return table(*(heads[k] for k in filled), rows=([row[k] for k in filled] for row in rows))
+
+
+def cell(value: Any) -> str:
+    """Format a value of a dictionary for a table."""
+    if isinstance(value, float):
+        return format_plain(value)
+    if isinstance(value, list):
+        return escape(", ".join(map(str, value)))
+    return "" if value is None else escape(str(value))
+
+
+def lines(out: Console, texts: Iterable[str], indent: str = "") -> None:
+    """Print texts, one a line; long ones are broken by the terminal alone, so that they can be copied."""
+    for text in texts:
+        out.print(f"{indent}{escape(text)}", soft_wrap=True)
+
+
+# --- measurements
+
+
+def stages(out: Console, result: dict[str, Any]) -> None:
+    """Print one row per run, then the notes and the error budgets."""
+    runs = result["runs"]
+    keys = [k for k, value in runs[0].items() if k not in NOT_IN_TABLE and not isinstance(value, dict | list)]
+    heads = (k.replace("_", " ") for k in keys)
+    out.print(table(*heads, rows=([cell(row.get(k)) for k in keys] for row in runs)))
+    for row in runs:
+        notes = [*filter(None, [row.get("reason"), row.get("smoothing")]), *_happened(row), *row["notes"]]
+        lines(out, notes, f"{row['run']}: ")
+    for row in runs:
+        if row.get("budget"):
+            _budget(out, row)
+
+
+def _happened(row: dict[str, Any]) -> list[str]:
+    """What happened in a run, and what a plain low-pass would have cost."""
+    events = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
+    found = [", ".join(events)] if events else []
+    if cutoff := row.get("cutoff"):
+        plain = format_plain(math.hypot(cutoff["noise"], cutoff["lost"]), 2)
+        error = f"error of {format_plain(cutoff['followed_apart'], 2)} {cutoff['unit']}"
+        found.append(f"{error}; a plain low-pass at {format_plain(cutoff['chosen_Hz'])} Hz would have {plain}")
+        found += cutoff["warnings"]
+    return found
+
+
+def _budget(out: Console, row: dict[str, Any]) -> None:
+    """Print the error budget of one run's friction force, the total last, and what would make it smaller."""
+    rows = table(f"{row['run']}: error from", "size", "of the mean / N", "of a frame / N")
+    for part in row["budget"]:
+        unknown = part["source"] != "total" and part["size"] is None
+        size = "not known" if unknown else f"{format_plain(part['size'], 2)} {part['unit']}" if part["unit"] else ""
+        rows.add_row(part["source"], size, *(format_plain(part[key], 2) for key in ("mean_N", "frame_N")))
+    out.print(rows)
+    lines(out, row["budget_says"], "  ")
+
+
+def track(out: Console, result: dict[str, Any]) -> None:
+    """Print how well each film was measured: a table in px, then details of each film."""
+    if not result["runs"]:
+        out.print("no films in this study: its runs are tables")
+        return
+    rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
+    out.print(filled_table(("run", "found", *MEASUREMENT_HEADS), rows))
+    out.print(
+        "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
+        "fixed: noise of the fixed reference",
+        style="dim",
+    )
+    for row in result["runs"]:
+        out.print(f"[bold]{escape(row['run'])}[/bold]  {escape(row['target'])}", soft_wrap=True)
+        lines(out, _details(row), "  ")
+
+
+def _details(row: dict[str, Any]) -> list[str]:
+    """Return the details of one film: time base, lost frames, notes, pictures."""
+    audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
+    reasons = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
+    lost = f"{describe_lost(sum(row['lost'].values()), row['frames'])}: {reasons}" if reasons else ""
+    pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
+    look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
+    found = [f"time base: {audit}" if audit else "", lost, *look_at, *row["notes"], pictures]
+    return [line for line in found if line]
+
+
+# --- fits
+
+
+def fit(out: Console, result: dict[str, Any]) -> None:
+    """Print the parameters with standard deviations and units, then the errors."""
+    out.print(f"[bold]{' + '.join(result['model'])}[/bold]  ({result['domain']} domain, {result['search']})")
+    if "equation" in result:
+        out.print(escape(result["equation"]))
+        out.print(f"{symbols_in(result['equation'])}.", style="dim")
+    out.print(parameters(result["parameters"]))
+    if prior := result.get("prior"):
+        _prior(out, prior)
+    if result.get("misfit"):
+        out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
+    sentences(out, {"words": result.get("remarks", [])})
+    if result.get("scale_error"):
+        out.print(
+            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
+            "runs of a camera and included in every ±"
+        )
+    out.print(errors([("", result["errors"])]))
+
+
+def _prior(out: Console, prior: dict[str, Any]) -> None:
+    """Print how well the data agree with the prior; of several groups, group by group."""
+    for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
+        said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
+        of = f"{escape(group)}: " if group else ""
+        out.print(f"{of}disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}")
+
+
+def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -> Table:
+    """Return a table with one row per parameter: value ± standard deviation, remark.
+
+    A dagger column with wider deviations, intervals and the weight of a prior are shown where any parameter has them;
+    a brief table has one ± that includes the misfit, and the remark as far as it fits into a line; `more` says what it
+    leaves out.
+    """
+    found = {escape(name): parameter_row(p) for name, p in values.items()}
+    if brief:
+        new = table("parameter", "value ± std", more)
+        new.columns[1].no_wrap = True
+        for name, row in found.items():
+            new.add_row(name, row.short, Text(row.short_remark, no_wrap=True, overflow="ellipsis"))
+        return new
+    heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
+    cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
+    return filled_table(heads, cells)
+
+
+def errors(columns: Iterable[tuple[str, dict[str, Any]]], *, brief: bool = False) -> Table:
+    """Return a table with one row per error and one column per model; a brief one has only `BRIEF_ERRORS`."""
+    titles, models = zip(*columns, strict=True)
+    found = (row for row in error_rows(models) if (row.short in BRIEF_ERRORS if brief else row.short))
+    return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
+
+
+def compare(out: Console, result: dict[str, Any]) -> None:
+    """Print the errors of every model, and where the current one fails."""
+    history(out, result)
+    fails_at(out, result["fails_at"])
+
+
+def sentences(out: Console, result: dict[str, Any]) -> None:
+    """Print the "words" of a result, one sentence a line."""
+    for sentence in result["words"]:
+        out.print(escape(sentence))
+
+
+def history(out: Console, result: dict[str, Any]) -> None:
+    """Print every model tried, in order, one row each."""
+    models = result["models"]
+    found = [row for row in error_rows(model["errors"] for model in models) if row.short]
+    heads = (f"{row.short} / {row.unit}" if row.unit else row.short for row in found)
+    rows = table("model", *heads)
+    for k, model in enumerate(models):
+        name = numbered_name(model["name"])
+        name = name if len(name) <= MAX_NAME_WIDTH else name.replace(" + ", "\n  + ")
+        words = escape("\n  ".join([name, *model.get("settings", [])]))
+        rows.add_row(words, *(format_plain(row.values[k]) for row in found))
+    out.print(rows)
+    sentences(out, {"words": (*describe_tests(result), *describe_predictions(result))})
+
+
+def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
+    """Print spans of time, position and velocity with their share of the misfit."""
+    if spans:
+        out.print(table("fails in", *FAILING_HEADS, rows=failing_rows(spans)))
+
 
 MAX_FINDINGS = 8  # that the terminal shows
 MAX_LINES, LAST_LINES, MIN_PARAMETERS = 15, 3, 2  # without --details; the last: what to look at, and the results
@@ -74,11 +305,11 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
     for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
         out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
-    tables.fails_at(out, result.get("fails_at") or [])
+    fails_at(out, result.get("fails_at") or [])
     words = [result["repeats_words"]] if result.get("repeats_words") else []
-    tables.sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
+    sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
     unexplained(out, verdicts.force_without_effect(result))
-    tables.sentences(out, {"words": result.get("remarks", [])})
+    sentences(out, {"words": result.get("remarks", [])})
     next_experiment(out, result)
     if not result.get("complete", True):
         out.print(verdicts.VERDICT_ONLY)
@@ -113,7 +344,7 @@ def next_experiment(out: Console, result: dict[str, Any]) -> None:
 def plan(out: Console, result: dict[str, Any]) -> None:
     """Print the first runs in order with what each adds, and how much all leave open."""
     _film_now(out, result)
-    rows = tables.table("", "film", "cost", "separates", "pairs left", "for example")
+    rows = table("", "film", "cost", "separates", "pairs left", "for example")
     for k, run in enumerate(result["runs"][:MAX_RUNS], 1):
         example = " from ".join(run["separates"][0]) if run["separates"] else ""
         numbers = (format_plain(run["cost"], 3), str(run["adds"]), str(run["pairs_left"]))
@@ -136,7 +367,7 @@ def plan_details(out: Console, result: dict[str, Any]) -> None:
         out.print(f"[bold]{what}[/bold] cannot be {done}: {why}", soft_wrap=True)
     for name, why in result["not_planned"].items():
         out.print(f"{name} was not planned for: it {escape(why)}", style="dim", soft_wrap=True)
-    rows = tables.table("effect", "detection limit", "at")
+    rows = table("effect", "detection limit", "at")
     for name, limit in result["detection_limits"].items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
         size = limit["reason"] if limit["value"] is None else f"{format_plain(limit['value'], 2)} {unit}".rstrip()
@@ -167,20 +398,20 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
 
 def run_verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the fit, then the verdict, while the rest is being computed."""
-    tables.fit(out, result["fit"])
+    fit(out, result["fit"])
     verdict(out, result["diagnose"])
 
 
-def run_brief(out: tables.Terminal, result: dict[str, Any]) -> None:
+def run_brief(out: Terminal, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    found = [row for row in error_rows([fitted["errors"]]) if row.short in tables.BRIEF_ERRORS][-3:]
+    found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS][-3:]
     out.print(escape("; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)))
     _brief_parameters(out, fitted)
 
 
-def _brief_parameters(out: tables.Terminal, result: dict[str, Any], after: int = LAST_LINES) -> None:
+def _brief_parameters(out: Terminal, result: dict[str, Any], after: int = LAST_LINES) -> None:
     """Print what fits of the parameters that all runs share and that were fitted, and what a dagger means.
 
     Those that the data do not determine are left out first. `after` is the number of lines that will follow.
@@ -190,7 +421,7 @@ def _brief_parameters(out: tables.Terminal, result: dict[str, Any], after: int =
     shared = sorted((name for name in fitted if "[" not in name), key=lambda name: fitted[name].get("value") is None)
     shown = {name: one for name, one in fitted.items() if name in shared[:most]}
     left_out = len(fitted) - len(shown)
-    out.print(tables.parameters(shown, brief=True, more=f"and {left_out} more in the report" * (left_out > 0)))
+    out.print(parameters(shown, brief=True, more=f"and {left_out} more in the report" * (left_out > 0)))
     if result.get("misfit"):
         out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
 
@@ -212,7 +443,7 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
         out.print(escape(left["words"]))
 
 
-def demo(out: tables.Terminal, result: dict[str, Any]) -> None:
+def demo(out: Terminal, result: dict[str, Any]) -> None:
     """Print the steps of the demonstration."""
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
@@ -222,11 +453,11 @@ def demo(out: tables.Terminal, result: dict[str, Any]) -> None:
         _brief_parameters(out, result["add"], LAST_LINES - 1)
 
 
-def edit(out: tables.Terminal, result: dict[str, Any]) -> None:
+def edit(out: Terminal, result: dict[str, Any]) -> None:
     """Print the parameters, and the errors before and after an effect was added or removed."""
-    errors = tables.errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True)
-    _brief_parameters(out, result, errors.row_count + 1 + LAST_LINES)
-    out.print(errors)
+    both = errors([("before", result["error_before"]), ("after", result["error_after"])], brief=True)
+    _brief_parameters(out, result, both.row_count + 1 + LAST_LINES)
+    out.print(both)
 
 
 # --- the other commands
@@ -234,7 +465,7 @@ def edit(out: tables.Terminal, result: dict[str, Any]) -> None:
 
 def blind(out: Console, result: dict[str, Any]) -> None:
     """Print the shares of hits with intervals; score.json has more: groups, detection limits, confusions, times."""
-    rows = tables.table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
+    rows = table(f"{result['studies']} studies", "hits", "of", "share / %", "95 % interval / %")
     for words, (group, key) in SHARES:
         if (hits := result[group][key])["of"]:
             low, high = (100 * q for q in hits["interval"])
@@ -250,7 +481,7 @@ def crate(out: Console, result: dict[str, Any]) -> None:
     out.print(f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB")
     if result["by_hash"]:
         files = ((escape(f["file"]), f"{f['bytes'] / 1e6:.1f}", f["sha256"][:12]) for f in result["by_hash"])
-        out.print(tables.table("not included, only its hash", "MB", "SHA-256", rows=files))
+        out.print(table("not included, only its hash", "MB", "SHA-256", rows=files))
         out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
     for name in result["not_given"]:
         out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
@@ -258,7 +489,7 @@ def crate(out: Console, result: dict[str, Any]) -> None:
 
 def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     """Print the comparison group by group, and which versions differ."""
-    rows = tables.table("group", "numbers", "largest difference", "equal")
+    rows = table("group", "numbers", "largest difference", "equal")
     for group in result["groups"]:
         largest = group["largest_difference"]
         size = "infinite" if largest is None else f"{largest:.1e}" if largest else "0"
@@ -268,8 +499,8 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     differ = [one for group in result["groups"] for one in group["differences"][:MAX_DIFFERENCES]]
     places = [(f"{one['file']}:/{one['group']} {one['value']}".rstrip(), one) for one in differ]
     places += [(one["name"], one) for one in result["versions"]]
-    tables.lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
-    tables.lines(out, result["altered"], "altered since the crate was written: ")
+    lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
+    lines(out, result["altered"], "altered since the crate was written: ")
     if not result["equal"]:
         same = "are the same" if result["same_conclusions"] else "differ, too"
         out.print(f"models, verdicts, parameters and errors {same}")
@@ -279,9 +510,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
 
 def init(out: Console, result: dict[str, Any]) -> None:
     """Print what was found in a folder, what was left out, and what the user must give."""
-    out.print(tables.table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
+    out.print(table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
     if skipped := result["skipped"]:
-        out.print(tables.table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
+        out.print(table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
     needed = f"fill in {', '.join(result['fill_in'])} (marked FILL IN)" if result["fill_in"] else "look it over"
     path = result["study"]
     out.print(f"next: open {path}, {needed}, then `frictrack run {shlex.quote(path)}`", markup=False)
@@ -289,7 +520,7 @@ def init(out: Console, result: dict[str, Any]) -> None:
 
 def prior(out: Console, result: dict[str, Any]) -> None:
     """Print the parameters of a prior file, and what was left out."""
-    rows = tables.table("parameter", "value", "unit", "scales with")
+    rows = table("parameter", "value", "unit", "scales with")
     for name, one in result["parameters"].items():
         scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
         rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
@@ -300,7 +531,7 @@ def prior(out: Console, result: dict[str, Any]) -> None:
 
 def export(out: Console, result: dict[str, Any]) -> None:
     """Print what the format could not hold."""
-    tables.lines(out, result["lost"], "not in these files: ")
+    lines(out, result["lost"], "not in these files: ")
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
@@ -322,7 +553,7 @@ def effects(out: Console, result: dict[str, Any]) -> None:
     named = (
         (escape(e["name"]), escape(textwrap.shorten(e["what"], width, placeholder=" …"))) for e in result["effects"]
     )
-    out.print(tables.table("effect", "what it is", rows=named))
+    out.print(table("effect", "what it is", rows=named))
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
 
 
@@ -333,7 +564,7 @@ def explain(out: Console, result: dict[str, Any]) -> None:
         also = f" ({', '.join(others)})" if others else ""
         out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
     described_effects(out, result)
-    tables.lines(out, (f"the same: `frictrack effects {e['name']}`" for e in result["effects"]))
+    lines(out, (f"the same: `frictrack effects {e['name']}`" for e in result["effects"]))
 
 
 def described_effects(out: Console, result: dict[str, Any]) -> None:
@@ -350,10 +581,10 @@ def described_effects(out: Console, result: dict[str, Any]) -> None:
 
 def batch(out: Console, result: dict[str, Any]) -> None:
     """Print one row per study, and trends over the series."""
-    rows = tables.table("study", "runs", "verdict", "missing", "failed because")
+    rows = table("study", "runs", "verdict", "missing", "failed because")
     rows.columns[0].no_wrap = False  # a path may be longer than the terminal
     for row in result["studies"][:MAX_STUDIES]:
-        rows.add_row(*(tables.cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
+        rows.add_row(*(cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(rows)
     if (more := len(result["studies"]) - MAX_STUDIES) > 0:
         out.print(f"and {more} more")
@@ -369,12 +600,12 @@ def batch(out: Console, result: dict[str, Any]) -> None:
 
 def verify(out: Console, result: dict[str, Any]) -> None:
     """Print one line per fault, then what was verified."""
-    tables.lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
+    lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     if old := result["partly_hashed"]:
         words = "identify their film by the hash of 3 MB of it; to have all of it hashed, delete them and run again"
         out.print(f"{len(old)} results of an earlier version {words}")
-    tables.lines(out, result["at_work"], "another frictrack process is writing in ")
+    lines(out, result["at_work"], "another frictrack process is writing in ")
     if result["sound"]:
         out.print(f"{result['files']} result files are sound")

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import typer
 
 from frictrack import flow
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, needs_package
 from frictrack.cli.common import BatchPrinter, Json, Seed, Workers, app, command, look_at, print_result, progress_bars
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
@@ -132,10 +132,8 @@ def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
     frictrack app study.toml --port 8080 --no-browser
 
     """
-    try:
+    with needs_package("the workbench", "frictrack[app]"):
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
-    except ModuleNotFoundError as e:
-        raise FrictrackError(f'the workbench needs {e.name}; pip install "frictrack[app]"') from e
     token = _page_token(token, token_file)
     server.serve(study, host=host, port=port, token=token, names=name or (), show=browser)
 

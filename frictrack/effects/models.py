@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,11 +20,14 @@ import numpy as np
 from frictrack import effects
 from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.files import read_small_text
 from frictrack.base.number_format import format_plus_minus
 from frictrack.effects import Effect, EffectSettings, Path
 from frictrack.records import Array
+from frictrack.study import read_toml
 
 COMMON_SYMBOLS = frozenset("FLsxvtDmyS")  # of all equations: the whole force, load and level, direction, motion ...
+MAX_MODEL_BYTES = 1 << 20  # of a file that holds a model
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value, for one run
 
 
@@ -649,10 +651,8 @@ def from_toml(source: str | FilePath) -> Model:
 
     """
     file = FilePath(source) if isinstance(source, FilePath) or str(source).endswith(".toml") else None
-    try:
-        raw = tomllib.loads(str(source) if file is None else file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, OSError) as e:
-        raise UsageError(f"expected a model in TOML but got {file or 'a text'} that cannot be read: {e}") from e
+    text = str(source) if file is None else read_small_text(file, MAX_MODEL_BYTES, "a model in the file")
+    raw = read_toml("model" if file is None else file.name, text)
     asked = raw.get("model", raw.get("study", {}).get("model"))
     if not isinstance(asked, str | list):
         raise UsageError('expected model = a name or a list of effects, as in model = ["coulomb", "viscous"]')

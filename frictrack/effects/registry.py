@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable
 from typing import Any
 
-from frictrack.base.errors import UsageError
+from frictrack.base.errors import UsageError, suggest
 from frictrack.effects.atm2 import atm2, atm2_printed
 from frictrack.effects.definition import LEVEL, NEEDS, Effect, Parameter
 from frictrack.effects.library import load_library
@@ -86,8 +85,7 @@ def get(name: str, extra: Iterable[Effect] = ()) -> Effect:
     if name in table:
         return table[name]
     if kind not in table:
-        near = difflib.get_close_matches(kind, [*table, *OF_AN_ORDER], 1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join([*table, *OF_AN_ORDER])}"
+        hint = suggest(kind, [*table, *OF_AN_ORDER])
         raise UsageError(f'expected the name of an effect but got "{name}"; {hint}')
     return table[kind].called(name) if number is not None and number > 1 else table[kind]
 

@@ -6,43 +6,34 @@ such copies and so carries its settings.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NoReturn
+from dataclasses import dataclass
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
+from pydantic import Field, ValidationError
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, describe_invalid, suggest
 from frictrack.effects.definition import Effect, Parameter
 from frictrack.effects.registry import get, is_library
-from frictrack.effects.user import formula
+from frictrack.effects.user import formula as define
+from frictrack.study import EffectTable
 
 TIE = re.compile(
     r"\s*(?:(?P<factor>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*\s*)?(?P<of>[\w:]+)\.(?P<name>\w+)\s*"
 )
 MAX_TIE_LENGTH = 120  # characters
 Pair = tuple[float, float]
+Correlation = Annotated[float, Field(gt=-1, lt=1, strict=True)]
 # What each key of a table changes of a parameter.
 FIELDS = {"fix": "fixed"} | {key: key for key in ("bounds", "prior", "prior_correlation", "tie", "per_run")}
 
 
-@dataclass(frozen=True)
-class EffectSettings:
-    """One `[[effect]]` table. ``False`` as a fixed value frees what the library fixes."""
+class EffectSettings(EffectTable):
+    """One `[[effect]]` table; beside the keys of a study file it has what a model written as TOML has."""
 
-    effect: str
-    fix: Mapping[str, float | Literal[False]] = field(default_factory=dict)
-    bounds: Mapping[str, Pair] = field(default_factory=dict)
-    prior: Mapping[str, Pair] = field(default_factory=dict)  # mean and standard deviation
-    tie: Mapping[str, str] = field(default_factory=dict)
-    per_run: Mapping[str, bool] = field(default_factory=dict)
-    follows_level: bool | None = None  # whether the friction level of each run multiplies it; None as in the library
-    formula: str | None = None
-    units: Mapping[str, str] = field(default_factory=dict)
-    acts_on: Literal["force", "measurement"] = "force"
-    prior_correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # with other priors, by address
+    prior_correlation: dict[str, dict[str, Correlation]] = Field({})  # with other priors, by address
 
     def defined(self) -> Effect | None:
         """The effect that the table's formula defines, None without a formula."""
@@ -52,7 +43,7 @@ class EffectSettings:
             return None
         if is_library(self.effect) or not re.fullmatch(r"[A-Za-z]\w*", self.effect, re.ASCII):
             self._refuse("expected a name of its own for a formula (letters, digits and _), not one of the library")
-        return formula(self.effect, self.formula, units=self.units, bounds=self.bounds, acts_on=self.acts_on)
+        return define(self.effect, self.formula, units=self.units, bounds=self.bounds, acts_on=self.acts_on)
 
     def applied(self, effect: Effect) -> Effect:
         """The effect with these settings; raises FrictrackError (usage) for what does not go together."""
@@ -75,9 +66,7 @@ class EffectSettings:
     def _check_name(self, effect: Effect, name: str) -> None:
         known = [p.name for p in effect.parameters]
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
-            self._refuse(f'unknown parameter "{name}"; {hint}')
+            self._refuse(f'unknown parameter "{name}"; {suggest(name, known)}')
 
     def _check(self, effect: Effect, p: Parameter, change: Mapping[str, Any]) -> None:
         """What the settings of one parameter must be to each other."""
@@ -173,52 +162,11 @@ def read_settings(table: Mapping[str, Any]) -> EffectSettings:
     {'period': 0.03}
 
     """
-    name = table.get("effect")
-    if not isinstance(name, str):
-        raise UsageError(f"[[effect]]: expected effect = the name of an effect but got {name!r}")
-    made = EffectSettings(name)
-    unknown = [key for key in table if key not in EffectSettings.__dataclass_fields__]
-    if unknown:
-        made._refuse(f'unknown key "{unknown[0]}"; known are {", ".join(EffectSettings.__dataclass_fields__)}')
-    shaped = {key: _shaped(made, key, value) for key, value in table.items()}
-    return EffectSettings(**shaped)
-
-
-def _shaped(made: EffectSettings, key: str, value: Any) -> Any:
-    if key == "per_run" and isinstance(value, list):
-        return dict.fromkeys(value, True)
-    if key == "follows_level" and isinstance(value, bool):
-        return value
-    if key in _SHAPES:
-        fits, words = _SHAPES[key]
-        if not isinstance(value, Mapping) or not all(fits(v) for v in value.values()):
-            made._refuse(f"{key}: expected {words} but got {value!r}")
-        return {k: tuple(map(float, v)) if isinstance(v, list | tuple) else v for k, v in value.items()}
-    if not isinstance(value, str):
-        made._refuse(f"{key}: expected a text but got {value!r}")
-    return value
-
-
-def _number(v: Any) -> bool:
-    return isinstance(v, int | float) and not isinstance(v, bool)
-
-
-def _pair(v: Any) -> bool:
-    return isinstance(v, list | tuple) and len(v) == 2 and all(map(_number, v))
-
-
-_SHAPES: dict[str, tuple[Any, str]] = {
-    "fix": (lambda v: v is False or _number(v), "{parameter = value}"),
-    "bounds": (_pair, "{parameter = [low, high]}"),
-    "prior": (_pair, "{parameter = [mean, std]}"),
-    "prior_correlation": (
-        lambda v: isinstance(v, Mapping) and all(_number(r) and abs(r) < 1 for r in v.values()),
-        '{parameter = {"effect.parameter" = number between -1 and 1}}',
-    ),
-    "tie": (lambda v: isinstance(v, str), '{parameter = "effect.parameter"}'),
-    "per_run": (lambda v: isinstance(v, bool), "[parameter] or {parameter = true or false}"),
-    "units": (lambda v: isinstance(v, str), '{parameter = "unit"}'),
-}
+    try:
+        return EffectSettings.model_validate(table)
+    except ValidationError as invalid:
+        named = f' "{table["effect"]}"' if isinstance(table.get("effect"), str) else ""
+        raise UsageError(f"[[effect]]{named}: {describe_invalid(invalid)}") from None
 
 
 def definitions(tables: Iterable[EffectSettings]) -> list[Effect]:
@@ -265,8 +213,7 @@ def _target(members: Sequence[Effect], effect: str, p: Parameter, tie: Tie) -> P
         )
     known = [q.name for q in found.parameters]
     if tie.parameter not in known:
-        near = difflib.get_close_matches(tie.parameter, known, 1)
-        hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+        hint = suggest(tie.parameter, known)
         _untied(effect, f'unknown parameter "{tie.parameter}" of {tie.effect}; {hint}')
     if tie.parameter in found.quoted:
         _untied(effect, f"{tie.effect}.{tie.parameter} is fitted relative to another parameter; no tie can refer to it")

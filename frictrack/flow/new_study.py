@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from frictrack import measure, study
-from frictrack.base.errors import FrictrackError, UsageError, result_or_none
+from frictrack.base.errors import FrictrackError, UsageError, result_or_none, suggest
 from frictrack.base.files import replace_text
 from frictrack.base.number_format import first_words, format_number
 from frictrack.base.units import lacks_unit, parse_quantity
@@ -18,7 +18,7 @@ from frictrack.flow.plausibility_checks import known_pitch
 from frictrack.flow.stages import run_pipeline
 from frictrack.records import Array
 from frictrack.sampling import unwrapped
-from frictrack.study import COLUMNS, Study, columns_line, has_units, stated_unit, suggest
+from frictrack.study import COLUMNS, Study, columns_line, has_units, stated_unit
 
 # "4000fps", "4 kHz"
 RATE_IN_NAME = re.compile(r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(k?)(?:fps|hz)(?![a-z])", re.IGNORECASE)
@@ -213,7 +213,7 @@ def _survey_points(path: Path, table: study.TableFile, columns: dict[str, str]) 
     if not has_units(columns):
         words = f"{len(table.frame)} rows; the headers {', '.join(columns.values())} state no units"
         return Surveyed(path, words, columns_to_confirm=[columns_line(columns)], needs_mass=False)
-    data = measure.points.points_of_table(study.read_points(path, columns))
+    data = measure.tables.points_of_table(study.read_points(path, columns))
     assert data.v is not None
     named = ", ".join(f'{key} is "{header}"' for key, header in columns.items())
     speeds = f"{data.v.min():.3g} to {data.v.max():.3g} m/s"

@@ -16,7 +16,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from frictrack import effects
 from frictrack.base import __version__
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, suggest
 from frictrack.base.files import lock_work
 from frictrack.base.workers import WorkerPool
 from frictrack.effects import models
@@ -28,11 +28,11 @@ from frictrack.flow.plausibility_checks import find_duplicate_runs, why_unsearch
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.results.names import plain_name
+from frictrack.results.rows import plain_name
 from frictrack.results.verdicts import describe_no_run, describe_tests, describe_verdict
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
-from frictrack.study import Study, suggest
+from frictrack.study import Study
 
 P = ParamSpec("P")
 T = TypeVar("T")

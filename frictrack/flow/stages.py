@@ -269,12 +269,12 @@ def make_table_displacement(pipeline: RunPipeline) -> Displacement:
 def _points(pipeline: RunPipeline) -> study.TableData:
     """Return the points (v, F) of a run, in order of speed."""
     assert pipeline.run.table is not None
-    return measure.points.points_of_table(study.read_points(local_path(pipeline.run.table), pipeline.run.columns))
+    return measure.tables.points_of_table(study.read_points(local_path(pipeline.run.table), pipeline.run.columns))
 
 
 def _motion_of_points(pipeline: RunPipeline) -> tuple[Displacement, Motion]:
     """Read a table of points (v, F): rows at no known place, and their speeds."""
-    return measure.points.motion_of_points(_points(pipeline))
+    return measure.tables.motion_of_points(_points(pipeline))
 
 
 def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
@@ -282,7 +282,7 @@ def make_point_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sen
     points = _points(pipeline)
     measured = Sensors(displacement.t, friction_N=points.friction)
     load = make_run(pipeline.run, displacement, _motion_of_points(pipeline)[1], measured).load
-    return replace(measured, **measure.points.forces_of_points(points, load))
+    return replace(measured, **measure.tables.forces_of_points(points, load))
 
 
 def make_point_filtered(pipeline: RunPipeline, displacement: Displacement) -> Filtered:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         friction,
         motion,
         plausibility,
-        points,
         repairing,
         sensors,
         tables,

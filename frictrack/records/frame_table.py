@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.errors import needs_package, raise_faults
 from frictrack.base.lazy import imported
 
 if TYPE_CHECKING:
@@ -44,10 +44,8 @@ class NotebookView:
             If xarray is not installed.
 
         """
-        try:
+        with needs_package("to_xarray", "xarray"):
             import xarray as xr  # noqa: PLC0415 - optional
-        except ImportError as e:
-            raise FrictrackError("to_xarray needs xarray; pip install xarray") from e
         frame = self.to_dataframe()
         dataset = xr.Dataset.from_dataframe(frame.set_index("t") if "t" in frame else frame)
         for name, unit in frame.attrs.get("units", {}).items():

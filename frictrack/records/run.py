@@ -358,7 +358,7 @@ class Run(NotebookView):
         """
         deviation = "sigma_friction" if mu is None else "sigma_mu"
         columns = {"v": v, "friction": friction, "mu": mu, deviation: sigma, "load": load}
-        return imported("frictrack.measure.points:run_of_curve")(columns, settings)
+        return imported("frictrack.measure.tables:run_of_curve")(columns, settings)
 
     def __repr__(self) -> str:
         if self.steady and self.friction_N is not None:

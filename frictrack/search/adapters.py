@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import needs_package
 from frictrack.records import Array
 from frictrack.search.method import CostEvaluator, SearchMethod, setting
 
+Weight = Annotated[float, Field(ge=0, le=2)]
 UNLIMITED_ITERATIONS = 10**9  # iterations: the evaluator's budget decides
 DIFFERENCE_STEP = 1e-8  # of the box, the step of a forward difference
 MAX_FINITE_COST = 1e100  # stands for an infinite cost where differences are taken
@@ -31,11 +33,11 @@ class DE(SearchMethod):
     """
 
     name: ClassVar[str] = "de"
-    population: int = setting(15, low=1, high=10**6)  # individuals per parameter, but never fewer than 40 in all
-    mutation: tuple[float, float] = setting((0.5, 1.0), low=0, high=2)  # differential weight, drawn each generation
-    recombination: float = setting(0.7, low=0, high=1)
+    population: int = setting(15, ge=1, le=10**6)  # individuals per parameter, but never fewer than 40 in all
+    mutation: tuple[Weight, Weight] = setting((0.5, 1.0))  # differential weight, drawn each generation
+    recombination: float = setting(0.7, ge=0, le=1)
     # converged when the population's costs scatter by less than this share of their mean
-    tolerance: float = setting(1e-8, low=0)
+    tolerance: float = setting(1e-8, ge=0)
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until converged or until the evaluator stops it."""
@@ -76,8 +78,8 @@ class DA(SearchMethod):
     """
 
     name: ClassVar[str] = "da"
-    temperature: float = setting(5230.0, above=0.01, high=5e4)
-    visit: float = setting(2.62, above=1, high=3)
+    temperature: float = setting(5230.0, gt=0.01, le=5e4)
+    visit: float = setting(2.62, gt=1, le=3)
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search until the evaluator stops it."""
@@ -132,8 +134,8 @@ class CMAES(SearchMethod):
     """
 
     name: ClassVar[str] = "cmaes"
-    sigma: float = setting(0.3, above=0, high=10)  # first step length, share of the box
-    population: int | None = setting(None, low=4, high=10**6)  # None: 4 + 3 ln d
+    sigma: float = setting(0.3, gt=0, le=10)  # first step length, share of the box
+    population: int | None = setting(None, ge=4, le=10**6)  # None: 4 + 3 ln d
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Search, restarting from random points, until the evaluator stops it."""
@@ -167,9 +169,5 @@ def _unit_box(evaluator: CostEvaluator) -> Any:
 
 def _cma() -> Any:
     """Import the package cma on first use: it is optional and slow to import."""
-    try:
+    with needs_package("search cmaes", "cma"):
         return import_module("cma")
-    except ImportError:
-        raise FrictrackError(
-            "search cmaes: expected the package cma but it is not installed; run: pip install cma"
-        ) from None

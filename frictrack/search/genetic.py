@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,6 +213,7 @@ def linear_cooling(generation: int, limit: int, first: float, final: float) -> f
     return first * (1 + (final - 1) * generation / limit)
 
 
+Cooling = Literal["geometric", "linear"]
 COOLING = {"geometric": geometric_cooling, "linear": linear_cooling}
 
 
@@ -244,9 +245,11 @@ class GeneticMethod(SearchMethod):
 
     """
 
-    population: int = setting(40, low=4, high=10**6)  # individuals
-    gap: float = setting(0.9, above=0, high=1)  # generation gap: children per generation over population
-    selection: str = setting("universal", choices=tuple(SELECTIONS))  # how parents are drawn by their rank fitness
+    population: int = setting(40, ge=4, le=10**6)  # individuals
+    gap: float = setting(0.9, gt=0, le=1)  # generation gap: children per generation over population
+    selection: Literal["universal", "roulette", "tournament"] = (
+        "universal"  # how parents are drawn by their rank fitness
+    )
 
     @property
     def points(self) -> tuple[int, int]:
@@ -308,9 +311,9 @@ class GA(GeneticMethod):
     """
 
     name: ClassVar[str] = "ga"
-    bits: int = setting(20, low=1, high=MAX_BITS)  # code length L per parameter
-    crossover: float = setting(0.7, low=0, high=1)  # P_c, per pair
-    mutation: float | None = setting(None, low=0, high=1)  # P_m, per bit; None: 0.7 / chromosome length
+    bits: int = setting(20, ge=1, le=MAX_BITS)  # code length L per parameter
+    crossover: float = setting(0.7, ge=0, le=1)  # P_c, per pair
+    mutation: float | None = setting(None, ge=0, le=1)  # P_m, per bit; None: 0.7 / chromosome length
 
     def resolved(self, evaluator: CostEvaluator) -> Self:
         """Return the settings with the mutation probability of this number of parameters."""
@@ -339,9 +342,9 @@ class SGA(GA):
     """
 
     name: ClassVar[str] = "sga"
-    temperature: float | None = setting(None, above=0)  # T_0 over (median - minimum) of the first costs; None: 0.3
-    final: float = setting(1e-4, above=0, high=1)  # T at the end of the budget over T_0
-    cooling: str = setting("geometric", choices=tuple(COOLING))
+    temperature: float | None = setting(None, gt=0)  # T_0 over (median - minimum) of the first costs; None: 0.3
+    final: float = setting(1e-4, gt=0, le=1)  # T at the end of the budget over T_0
+    cooling: Cooling = "geometric"
 
     def resolved(self, evaluator: CostEvaluator) -> Self:
         """Return the settings with the mutation probability of this number of parameters."""
@@ -486,15 +489,15 @@ class MGA(GeneticMethod):
     """
 
     name: ClassVar[str] = "mga"
-    a: float | None = setting(None, low=0)  # Eq. 5; None: 10/G_max
-    b: float = setting(0.4, low=0, high=1)  # Eq. 5
-    c: float | None = setting(None, low=0)  # Eq. 6; None: 20/G_max, as printed 2/G_max
+    a: float | None = setting(None, ge=0)  # Eq. 5; None: 10/G_max
+    b: float = setting(0.4, ge=0, le=1)  # Eq. 5
+    c: float | None = setting(None, ge=0)  # Eq. 6; None: 20/G_max, as printed 2/G_max
     # Eq. 6; None: four bits of the longest chromosome, printed 0.05
-    p_const: float | None = setting(None, low=0, high=1)
-    l_const: int = setting(10, low=1, high=MAX_BITS // 2)  # Eq. 7
-    d: float = setting(0.2, above=0)  # Eq. 7
-    s: float | None = setting(None, above=0)  # Eq. 7; None: G_max/4
-    bits: int | None = setting(None, low=1, high=MAX_BITS)  # a fixed code length in place of Eq. 7 (Table 5 has 20)
+    p_const: float | None = setting(None, ge=0, le=1)
+    l_const: int = setting(10, ge=1, le=MAX_BITS // 2)  # Eq. 7
+    d: float = setting(0.2, gt=0)  # Eq. 7
+    s: float | None = setting(None, gt=0)  # Eq. 7; None: G_max/4
+    bits: int | None = setting(None, ge=1, le=MAX_BITS)  # a fixed code length in place of Eq. 7 (Table 5 has 20)
     as_printed: bool = setting(False)
 
     def __post_init__(self) -> None:
@@ -556,10 +559,10 @@ class SA(SearchMethod):
     """
 
     name: ClassVar[str] = "sa"
-    chains: int = setting(8, low=1, high=10**6)  # few and long: more chains cool faster within the same budget
-    temperature: float = setting(0.1, above=0)  # T_0 over (median - minimum) of the first population's costs
-    final: float = setting(1e-6, above=0, high=1)  # T at the end of the budget over T_0
-    cooling: str = setting("geometric", choices=tuple(COOLING))
+    chains: int = setting(8, ge=1, le=10**6)  # few and long: more chains cool faster within the same budget
+    temperature: float = setting(0.1, gt=0)  # T_0 over (median - minimum) of the first population's costs
+    final: float = setting(1e-6, gt=0, le=1)  # T at the end of the budget over T_0
+    cooling: Cooling = "geometric"
 
     @property
     def points(self) -> tuple[int, int]:

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import Field, asdict, dataclass, field, fields, replace
-from math import inf
-from numbers import Integral, Real
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
 from sys import maxsize
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from frictrack.base.errors import FrictrackError, UsageError
+from frictrack.base.errors import FrictrackError, UsageError, describe_fault
 from frictrack.records import Array
 
 Cost = Callable[[Array], Array]
@@ -330,19 +330,11 @@ class EvaluationBudget:
 
 
 PAPER_NAMES = {"p_c": "crossover", "p_m": "mutation", "l": "bits"}  # symbol of the papers in small letters -> setting
-WORDS = {"int": "a whole number", "float": "a number", "tuple": "two numbers", "bool": "true or false"}
 
 
-def setting(
-    default: Any,
-    *,
-    low: float = -inf,
-    high: float = inf,
-    above: float | None = None,
-    choices: tuple[str, ...] | None = None,
-) -> Any:
-    """Declare a setting: its default, its limits (`above` is exclusive), or the texts that it may be."""
-    return field(default=default, metadata={"low": low, "high": high, "above": above, "choices": choices})
+def setting(default: Any, **limits: float) -> Any:
+    """Declare a setting: its default, and its limits as pydantic names them (ge, gt, le)."""
+    return field(default=default, metadata={"limits": limits})
 
 
 @dataclass(frozen=True)
@@ -366,21 +358,35 @@ class SearchMethod:
     """
 
     name: ClassVar[str] = ""
-    generations: int | None = setting(None, low=1, high=10**7)
-    restarts: int = setting(0, low=0, high=1000)
-    seed: int | None = setting(None, low=0)
+    generations: int | None = setting(None, ge=1, le=10**7)
+    restarts: int = setting(0, ge=0, le=1000)
+    seed: int | None = setting(None, ge=0)
 
     def __post_init__(self) -> None:
-        refuse(self.name, *(fault for f in fields(self) for fault in _faults(f, getattr(self, f.name))))
+        try:
+            self._table().model_validate({name: _as_builtin(value) for name, value in vars(self).items()})
+        except ValidationError as invalid:
+            refuse(self.name, *(describe_fault(fault, fault["loc"]) for fault in invalid.errors()))
 
     def __call__(self, evaluator: CostEvaluator, rng: np.random.Generator) -> None:
         """Ask the evaluator for the costs of points in the unit box until it stops the search, or until converged."""
         raise NotImplementedError
 
     @classmethod
+    @cache
+    def _table(cls) -> type[BaseModel]:
+        """Return the settings as a model of pydantic, which checks them."""
+        types = get_type_hints(cls, include_extras=True)
+        checks = {f.name: Field(f.default, **f.metadata.get("limits", {})) for f in fields(cls)}
+        known: dict[str, Any] = {name: (types[name], check) for name, check in checks.items()}
+        return create_model(cls.__name__, __config__=ConfigDict(strict=True, allow_inf_nan=False), **known)
+
+    @classmethod
     def describe_settings(cls) -> dict[str, dict[str, Any]]:
         """Describe the settings by name: the default (None: chosen for each problem), and the texts that it may be."""
-        return {f.name: {"default": f.default, "choices": f.metadata["choices"]} for f in fields(cls) if f.metadata}
+        known = cls._table().model_fields.items()
+        texts = {name: get_args(one.annotation) for name, one in known if get_origin(one.annotation) is Literal}
+        return {name: {"default": one.default, "choices": texts.get(name)} for name, one in known}
 
     @property
     def points(self) -> tuple[int, int] | None:
@@ -446,6 +452,10 @@ def refuse(name: str, *faults: str) -> None:
         raise UsageError(f"search {name}: {'; '.join(faults)}")
 
 
+def _as_builtin(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def _read(value: Any) -> Any:
     """Read a text of the command line as a number, true, false or a list; other texts and values stay as they are."""
     if isinstance(value, str):
@@ -454,35 +464,3 @@ def _read(value: Any) -> Any:
         except ValueError:
             return None if value == "none" else value
     return tuple(value) if isinstance(value, list) else value
-
-
-def _faults(f: Field[Any], value: Any) -> list[str]:
-    """Return what is wrong with the value of a setting: empty, or one sentence."""
-    kind, limits = str(f.type), f.metadata  # types are texts here: "int | None"
-    if (value is None and kind.endswith("None")) or not limits:
-        return []
-    kind = kind.partition(" ")[0].partition("[")[0]
-    if limits["choices"]:
-        words, right = f"one of {', '.join(limits['choices'])}", value in limits["choices"]
-    elif kind == "bool":
-        words, right = WORDS[kind], isinstance(value, bool)
-    else:
-        words, right = f"{WORDS[kind]}{_range(limits)}", _is_number(value, kind) and _is_inside(value, limits)
-    return [] if right else [f"expected {f.name} as {words} but got {value!r}"]
-
-
-def _is_number(value: Any, kind: str) -> bool:
-    if kind == "tuple":
-        return isinstance(value, tuple) and len(value) == 2 and all(_is_number(v, "float") for v in value)
-    return isinstance(value, Integral if kind == "int" else Real) and not isinstance(value, bool)
-
-
-def _is_inside(value: Any, limits: Mapping[str, Any]) -> bool:
-    least = -inf if limits["above"] is None else limits["above"]
-    return all(limits["low"] <= v <= limits["high"] and v > least and abs(v) < inf for v in np.atleast_1d(value))
-
-
-def _range(limits: Mapping[str, Any]) -> str:
-    low = f" of at least {limits['low']}" if limits["low"] > -inf else ""
-    low = low if limits["above"] is None else f" above {limits['above']}"
-    return low + (f" and at most {limits['high']}" if limits["high"] < inf else "")

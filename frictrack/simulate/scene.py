@@ -29,40 +29,106 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import to_json
 from scipy.interpolate import CubicSpline
 
 from frictrack.base.arguments import checked
 from frictrack.base.distributions import RNG, as_seed
-from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.base.files import is_file_name
+from frictrack.base.errors import FrictrackError, UsageError, describe_fault
+from frictrack.base.files import is_file_name, read_small_text
 from frictrack.effects import models
 from frictrack.effects.models import Model
 from frictrack.measure.friction import after_run
 from frictrack.records import Array, EarlierRuns
-from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod, Surface, Target, render, write_film
+from frictrack.simulate.rendering import Camera, Highlight, Oscillation, Rod, Side, Surface, Target, render, write_film
 from frictrack.simulate.trajectory import Conditions, Trajectory, push_force, simulate
 from frictrack.study import read_toml
 
-SCENE_KEYS = {
-    *("name", "mass", "scatter", "law", "camera", "target", "rod", "highlight", "run", "format"),
-    *("clamp_x", "beam_length", "lift"),
-}
-RUN_KEYS = {"name", "v", "frames", "push", "mass", "width", "level", "incline", "pause"}
-CAMERA_KEYS = {f.name for f in fields(Camera)}
-TARGET_KEYS = {"width", "height", "speckle", "rotation"}
-OSCILLATION_KEYS = ("flicker", "shake_x", "shake_y")
-MAX_NUMBER, MAX_SIDE_PX, MAX_FRAMES = 1e12, 16_384, 1_000_000  # any number; side of a picture; frames of a run
-
-SceneElement = TypeVar("SceneElement", Oscillation, Rod, Highlight)
+MAX_NUMBER, MAX_FRAMES = 1e12, 1_000_000  # any number; frames of a run
+MAX_SCENE_BYTES = 1 << 20
 
 
-@dataclass(frozen=True)
-class Scene:
+def _file_name(name: str) -> str:
+    if not is_file_name(name):
+        raise UsageError(f"expected every run with a name that can be a file name but got {name!r}")
+    return name
+
+
+Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER, allow_inf_nan=False)]
+
+
+class SceneKeys(BaseModel):
+    """A table of the scene file; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SceneRun(SceneKeys):
+    """The keys of a ``[[run]]``.
+
+    Attributes
+    ----------
+    name
+        Name of the run and of its film.
+    v
+        Speed at the start, or that a push would give without friction; negative toward -x, m/s.
+    frames
+        Number of frames.
+    push
+        Duration of a push from rest, s; 0: the run starts in motion.
+    mass
+        Mass, kg, where it is not that of the scene.
+    width
+        Width of the picture, px, where it is not that of the camera.
+    level
+        Dry friction of this run over that of the law; drawn with `scatter` by default.
+    incline
+        Angle by which the course rises toward +x, rad.
+    pause
+        Time since the end of the run before it, for `run_in` and `heating`, s; 60 by default.
+
+    """
+
+    name: Annotated[str, AfterValidator(_file_name)]
+    v: Number
+    frames: Annotated[int, Field(ge=2, le=MAX_FRAMES)]
+    push: Number = 0.0
+    mass: Number | None = None
+    width: Side | None = None
+    level: Number | None = None
+    incline: Number = 0.0
+    pause: Number | None = None
+
+
+class Block(SceneKeys):
+    """The keys of ``[target]``.
+
+    Attributes
+    ----------
+    width
+        Length of the block along the course, px.
+    height
+        Height of the block, px.
+    speckle
+        Size of the speckles, px.
+    rotation
+        Rocking, clockwise in the picture; its amplitude is in degrees.
+
+    """
+
+    width: Number = 90.0
+    height: Number = 56.0
+    speckle: Number = 4.0
+    rotation: Oscillation | None = None
+
+
+class Scene(SceneKeys):
     """A scene: a law, a camera and the runs to film.
 
     Attributes
@@ -70,39 +136,63 @@ class Scene:
     name
         Name of the study.
     mass
-        Reference mass, kg.
+        Mass at which the forces of the law are given, kg.
     scatter
         Relative standard deviation of dry friction from run to run.
-    law
-        Parameter values by effect, as the scene file gives them (F_s is the total static friction).
-    camera, target
-        The camera, and the block with what stands in front of it.
-    runs
-        The [[run]] tables.
     format
         Suffix of the films.
-    beam
-        clamp_x and beam_length, m, where the scene has them.
+    clamp_x
+        Position of the clamp, for `beam_vibration`, m.
+    beam_length
+        Free length of the beam, for `beam_vibration`, m.
     lift
         Vertical motion of the mass, m, positive upward.
+    law
+        A table `[law.EFFECT]` for every effect of the law: values of its parameters (F_s is the total static friction).
+    camera
+        The table `[camera]`.
+    block
+        The table `[target]`.
+    rod
+        What stands in front of the block: the table `[rod]`.
+    highlight
+        What shines in the window: the table `[highlight]`.
+    runs
+        A table `[[run]]` for every run.
 
     """
 
-    name: str
-    mass: float
-    scatter: float
-    law: dict[str, dict[str, float]]
-    camera: Camera
-    target: Target
-    runs: tuple[dict[str, Any], ...]
+    name: str = "scene"
+    mass: Number = 0.35
+    scatter: Number = 0.0
     format: str = "avi"
-    beam: dict[str, float] = field(default_factory=dict)
+    clamp_x: Number | None = None
+    beam_length: Number | None = None
     lift: Oscillation | None = None
+    law: Annotated[dict[str, dict[str, Number]], Field(min_length=1)]
+    camera: Camera = Camera()
+    block: Block = Field(Block(), alias="target")
+    rod: Rod | None = None
+    highlight: Highlight | None = None
+    runs: Annotated[tuple[SceneRun, ...], Field(min_length=1, alias="run")]
 
     @property
     def model(self) -> Model:
         """The law as a model, without a camera shake, which the camera adds."""
         return models.of([name for name in self.law if name != "camera_shake"])
+
+    @property
+    def target(self) -> Target:
+        """The block and what stands in front of it, as they are drawn."""
+        given, turn = self.block, self.block.rotation
+        return Target(
+            width=given.width,
+            height=given.height,
+            surface=Surface(size=given.speckle, seed=11),
+            rotation=turn and replace(turn, amplitude=float(np.deg2rad(turn.amplitude))),
+            rod=self.rod,
+            highlight=self.highlight,
+        )
 
 
 def read_scene(text: str) -> Scene:
@@ -131,111 +221,13 @@ def read_scene(text: str) -> Scene:
 
     """
     raw = read_toml("scene", text)
-    faults = _type_faults(raw) or _key_faults(raw) + [f for run in raw["run"] for f in _run_faults(run)]
-    if faults:
-        raise UsageError("scene: " + "; ".join(faults))
     try:
-        return _scene(raw)
-    except FrictrackError:
-        raise
-    except (TypeError, ValueError, AttributeError, OverflowError) as fault:
-        raise UsageError(f"scene: expected numbers but {fault}") from None
-
-
-def _type_faults(raw: dict[str, Any]) -> list[str]:
-    """Name what should be a table but is not."""
-    faults = [f"expected [{k}] as a table" for k in ("camera", "target", "law") if not isinstance(raw.get(k, {}), dict)]
-    runs, laws = raw.get("run", []), raw.get("law", {})
-    if not isinstance(runs, list) or not all(isinstance(run, dict) for run in runs):
-        faults.append("expected every run as a table [[run]]")
-    if isinstance(laws, dict):
-        faults += [f"expected [law.{k}] as a table of numbers" for k, v in laws.items() if not _is_number_table(v)]
-    if not runs or not laws:
-        faults.append("expected a [law.coulomb] table or the like and at least one [[run]]")
-    return faults
-
-
-def _is_number_table(values: Any) -> bool:
-    return isinstance(values, dict) and all(_is_number(v) for v in values.values())
-
-
-def _is_number(value: Any, low: float = -MAX_NUMBER, high: float = MAX_NUMBER) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
-
-
-def _key_faults(raw: dict[str, Any]) -> list[str]:
-    """Name unknown keys and pictures that are too large."""
-    tables = [("", SCENE_KEYS, raw), *((" in a run", RUN_KEYS, run) for run in raw["run"])]
-    tables += [
-        (" in [camera]", CAMERA_KEYS, raw.get("camera", {})),
-        (" in [target]", TARGET_KEYS, raw.get("target", {})),
-    ]
-    faults = [f'unknown key "{k}"{place}' for place, known, given in tables for k in given if k not in known]
-    for key in ("width", "height"):
-        value = raw.get("camera", {}).get(key, 8)
-        if not isinstance(value, int) or not _is_number(value, 8, MAX_SIDE_PX):
-            faults.append(f"expected the camera's {key} from 8 to {MAX_SIDE_PX} px but got {value!r}")
-    return faults
-
-
-def _run_faults(run: dict[str, Any]) -> list[str]:
-    """Name faults of a run: its name becomes a file name, and its numbers limit the work to do."""
-    name, frames, width = run.get("name"), run.get("frames"), run.get("width", 8)
-    faults = []
-    if not isinstance(name, str) or not is_file_name(name):
-        faults.append(f"expected every run with a name that can be a file name but got {name!r}")
-    if not isinstance(frames, int) or not _is_number(frames, 2, MAX_FRAMES):
-        faults.append(f"expected frames = 2 to {MAX_FRAMES} in a run but got {frames!r}")
-    if not isinstance(width, int) or not _is_number(width, 8, MAX_SIDE_PX):
-        faults.append(f"expected a width from 8 to {MAX_SIDE_PX} px but got {width!r}")
-    if "v" not in run:
-        faults.append("expected v, the speed in m/s, in every run")
-    faults += [f"expected {k} as a number but got {v!r}" for k, v in run.items() if k != "name" and not _is_number(v)]
-    return faults
-
-
-def _scene(raw: dict[str, Any]) -> Scene:
-    """Scene from a checked table."""
-    camera: dict[str, Any] = {
-        k: _read_element(Oscillation, k, v) if k in OSCILLATION_KEYS else v for k, v in raw.get("camera", {}).items()
-    }
-    return Scene(
-        name=str(raw.get("name", "scene")),
-        mass=float(raw.get("mass", 0.35)),
-        scatter=float(raw.get("scatter", 0.0)),
-        law={k: dict(v) for k, v in raw["law"].items()},
-        camera=Camera(**camera),
-        target=_read_target(raw),
-        runs=tuple(raw["run"]),
-        format=str(raw.get("format", "avi")),
-        beam={key: float(raw[key]) for key in ("clamp_x", "beam_length") if key in raw},
-        lift=_read_element(Oscillation, "lift", raw["lift"]) if "lift" in raw else None,
-    )
-
-
-def _read_target(raw: dict[str, Any]) -> Target:
-    """Block, which may rock by an angle given in degrees, and what stands in front of it."""
-    given = raw.get("target", {})
-    turn = _read_element(Oscillation, "rotation", given["rotation"]) if "rotation" in given else None
-    return Target(
-        width=float(given.get("width", 90)),
-        height=float(given.get("height", 56)),
-        surface=Surface(size=float(given.get("speckle", 4.0)), seed=11),
-        rotation=turn and replace(turn, amplitude=float(np.deg2rad(turn.amplitude))),
-        rod=_read_element(Rod, "rod", raw["rod"]) if "rod" in raw else None,
-        highlight=_read_element(Highlight, "highlight", raw["highlight"]) if "highlight" in raw else None,
-    )
-
-
-def _read_element(kind: type[SceneElement], name: str, given: Any) -> SceneElement:
-    """Oscillation, rod or highlight from its table."""
-    known = [f.name for f in fields(kind)]
-    try:
-        return kind(**{key: float(value) for key, value in given.items()})
-    except (TypeError, ValueError, AttributeError):
-        raise UsageError(
-            f"scene: expected {name} as a table of the numbers {', '.join(known)} but got {given}"
-        ) from None
+        scene = Scene.model_validate_json(to_json(raw), strict=True)
+        scene.target  # noqa: B018 - checks the block
+    except ValidationError as invalid:
+        faults = [describe_fault(fault, fault["loc"]) for fault in invalid.errors(include_url=False)]
+        raise UsageError("scene: " + "; ".join(faults)) from None
+    return scene
 
 
 Progress = Callable[[int, int, str], None]
@@ -264,12 +256,9 @@ def render_scene(path: Path, out: Path, *, rng: RNG = 0, progress: Progress | No
         If the scene file is missing or invalid.
 
     """
-    if not path.is_file():
-        raise FrictrackError(f"expected a scene file but found none at {path}; see `frictrack render --help`")
+    text = read_small_text(path, MAX_SCENE_BYTES, "a scene file")
     try:
-        scene = read_scene(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError as fault:
-        raise UsageError(f"{path.name} is not a text in UTF-8 (byte {fault.start})") from None
+        scene = read_scene(text)
     except FrictrackError as fault:
         raise UsageError(f"{path.name}: {fault}") from None
     film_scene(scene, out, rng=rng, progress=progress)
@@ -302,20 +291,21 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
     motion: Trajectory | None = None
     for i, run in enumerate(scene.runs):
         if progress:
-            progress(i, len(scene.runs), f"rendering {run['name']}")
-        level = float(run.get("level", 1 + scene.scatter * generator.standard_normal()))
-        mass = float(run.get("mass", scene.mass))
+            progress(i, len(scene.runs), f"rendering {run.name}")
+        scattered = 1 + scene.scatter * generator.standard_normal()
+        level = scattered if run.level is None else run.level
+        mass = _mass(scene, run)
         camera = _camera(scene, run)
         if motion is not None:
-            pause = float(run.get("pause", DEFAULT_PAUSE_S))
+            pause = DEFAULT_PAUSE_S if run.pause is None else run.pause
             earlier = after_run(earlier, motion.duration, motion.distance, pause)
         motion = true_trajectory(scene, run, camera, level, earlier)
-        film = f"{run['name']}.{scene.format}"
-        write_film(_render_frames(scene, run, camera, motion, generator), folder / film, camera.fps)
+        film = f"{run.name}.{scene.format}"
+        write_film(_render_frames(scene, camera, motion, generator), folder / film, camera.fps)
         if _is_driven(scene, run):
-            table = np.column_stack([motion.t, push_force(mass, float(run["v"]), float(run["push"]))(motion.t)])
-            np.savetxt(folder / f"{run['name']}_drive.csv", table, "%.9g", ",", header="t_s,drive_N", comments="")
-        about = {"name": run["name"], "mass": mass, "level": level, "v": run["v"], "camera": asdict(camera)}
+            table = np.column_stack([motion.t, push_force(mass, run.v, run.push)(motion.t)])
+            np.savetxt(folder / f"{run.name}_drive.csv", table, "%.9g", ",", header="t_s,drive_N", comments="")
+        about = {"name": run.name, "mass": mass, "level": level, "v": run.v, "camera": asdict(camera)}
         truth["runs"].append(about | {"x_m": motion.x.tolist()})
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     (folder / "study.toml").write_text(_study_text(scene), encoding="utf-8")
@@ -323,14 +313,18 @@ def film_scene(scene: Scene, folder: Path, *, rng: RNG = 0, progress: Progress |
         progress(len(scene.runs), len(scene.runs), "rendered")
 
 
-def _is_driven(scene: Scene, run: dict[str, Any]) -> bool:
+def _mass(scene: Scene, run: SceneRun) -> float:
+    return scene.mass if run.mass is None else run.mass
+
+
+def _is_driven(scene: Scene, run: SceneRun) -> bool:
     """Whether a run comes with a measured drive: only where the law says that it may be wrong."""
-    return "drive_error" in scene.law and bool(run.get("push"))
+    return "drive_error" in scene.law and bool(run.push)
 
 
-def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
+def _camera(scene: Scene, run: SceneRun) -> Camera:
     """Camera of one run; a `camera_shake` of the law moves the whole picture."""
-    camera = replace(scene.camera, width=run.get("width", scene.camera.width))
+    camera = replace(scene.camera, width=run.width or scene.camera.width)
     shake = scene.law.get("camera_shake")
     if shake is None:
         return camera
@@ -338,9 +332,7 @@ def _camera(scene: Scene, run: dict[str, Any]) -> Camera:
     return replace(camera, shake_x=Oscillation(amplitude, shake["frequency"], shake.get("phase", 0.0)))
 
 
-def true_trajectory(
-    scene: Scene, run: dict[str, Any], camera: Camera, level: float, earlier: EarlierRuns = ()
-) -> Trajectory:
+def true_trajectory(scene: Scene, run: SceneRun, camera: Camera, level: float, earlier: EarlierRuns = ()) -> Trajectory:
     """Simulate one run of a scene; a pushed run starts at rest.
 
     Parameters
@@ -360,26 +352,28 @@ def true_trajectory(
         True motion at the frames.
 
     """
-    mass, rotation = float(run.get("mass", scene.mass)), scene.target.rotation
-    v, push = float(run["v"]), float(run.get("push", 0.0))
-    t = np.arange(int(run["frames"])) / camera.fps
+    mass, target = _mass(scene, run), scene.target
+    t = np.arange(run.frames) / camera.fps
     ratio = mass / scene.mass
     conditions = Conditions(
         mass=mass,
         load=ratio * level,
         mass_ratio=ratio,
         pixel_pitch=camera.scale,
-        incline=float(run.get("incline", 0.0)),
-        drive=push_force(mass, v, push) if push else None,
+        incline=run.incline,
+        drive=push_force(mass, run.v, run.push) if run.push else None,
         lift=scene.lift and scene.lift.second_derivative(),
-        angle=rotation and replace(rotation, amplitude=-rotation.amplitude),  # the picture's y points down
-        clamp_x=scene.beam.get("clamp_x"),
-        beam_length=scene.beam.get("beam_length"),
+        angle=target.rotation
+        and replace(target.rotation, amplitude=-target.rotation.amplitude),  # the picture's y points down
+        clamp_x=scene.clamp_x,
+        beam_length=scene.beam_length,
         earlier=earlier,
     )
-    edge = MARGIN_PX + scene.target.width / 2
-    start = camera.scale * (edge if v > 0 else camera.width - 1 - edge)  # x counts from the left edge of the picture
-    return simulate(scene.model, _effect_values(scene), conditions, t, (start, 0.0 if push else v))
+    edge = MARGIN_PX + target.width / 2
+    start = camera.scale * (
+        edge if run.v > 0 else camera.width - 1 - edge
+    )  # x counts from the left edge of the picture
+    return simulate(scene.model, _effect_values(scene), conditions, t, (start, 0.0 if run.push else run.v))
 
 
 def _effect_values(scene: Scene) -> dict[str, dict[str, float]]:
@@ -397,9 +391,7 @@ def _effect_values(scene: Scene) -> dict[str, dict[str, float]]:
     return out
 
 
-def _render_frames(
-    scene: Scene, run: dict[str, Any], camera: Camera, motion: Trajectory, rng: np.random.Generator
-) -> Any:
+def _render_frames(scene: Scene, camera: Camera, motion: Trajectory, rng: np.random.Generator) -> Any:
     """Recorded frames of one run."""
     x = (motion.x + motion.shift) / camera.scale
     y = np.full_like(x, camera.height / 2 - 4)
@@ -427,12 +419,10 @@ def _study_text(scene: Scene) -> str:
         f'scale = "{camera.scale * 1e3:g} mm/px"',
     ]
     for run in scene.runs:
-        lines += ["", "[[run]]", f'name = "{run["name"]}"', f'video = "{run["name"]}.{scene.format}"']
-        if "mass" in run:
-            lines.append(f'mass = "{run["mass"]:g} kg"')
-        if "pause" in run:
-            lines.append(f'pause = "{run["pause"]:g} s"')
-        lines += [f'{key} = "{value:g} m"' for key, value in scene.beam.items()]
+        lines += ["", "[[run]]", f'name = "{run.name}"', f'video = "{run.name}.{scene.format}"']
+        given = {"mass": (run.mass, "kg"), "pause": (run.pause, "s")}
+        given |= {"clamp_x": (scene.clamp_x, "m"), "beam_length": (scene.beam_length, "m")}
+        lines += [f'{key} = "{value:g} {unit}"' for key, (value, unit) in given.items() if value is not None]
         if _is_driven(scene, run):
-            lines.append(f'drive = "{run["name"]}_drive.csv"')
+            lines.append(f'drive = "{run.name}_drive.csv"')
     return "\n".join(lines) + "\n"

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
         RunTable,
         needs_film,
         read_frame_rate,
-        suggest,
     )
     from frictrack.study.table_files import open_table
     from frictrack.study.table_layout import TableFile, stated

@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from frictrack.base.errors import UsageError, describe_fault
+from frictrack.base.errors import UsageError, describe_fault, suggest
 from frictrack.base.files import MAX_NAME_LENGTH, is_file_name, read_small_text
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 from frictrack.settings.priors import Prior
@@ -179,7 +179,7 @@ def _read(path: Path) -> str:
     if not path.exists():
         there = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         new = f"`frictrack init {shlex.quote(str(path.parent))}` writes one"
-        hint = schema.suggest(path.name, there) if there else new
+        hint = suggest(path.name, there) if there else new
         raise UsageError(f"expected a study file {path} but there is none; {hint}")
     if not path.is_file():
         raise UsageError(f"expected a study file but {path} is none")
@@ -251,14 +251,14 @@ class _Reader:
         index = rest.pop(0) if rest and table in ARRAY_TABLES else 0
         key = str(rest[0]) if rest else ""
         if table not in TABLES:
-            return f'unknown table "{table}" ({self._line("", 0, table)}); {schema.suggest(table, TABLES)}'
+            return f'unknown table "{table}" ({self._line("", 0, table)}); {suggest(table, TABLES)}'
         if not rest and fault["type"] != "value_error":
             brackets = f"[[{table}]]" if table in ARRAY_TABLES else f"[{table}]"
             return f'expected "{table}" as a table {brackets} ({self._line(table, 0, "")})'
         where = f"{_title(table, index, self.raw[table])}, {self._line(table, index, key)}"
         if fault["type"] == "extra_forbidden":
             home = next((t for t, keys in TABLES.items() if key in keys.model_fields), None)
-            hint = f"it belongs in [{home}]" if home else schema.suggest(key, TABLES[table].model_fields)
+            hint = f"it belongs in [{home}]" if home else suggest(key, TABLES[table].model_fields)
             return f"{where}: {describe_fault(fault, rest)}; {hint}"
         return f"{where}: {describe_fault(fault, rest)}"
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frictrack.base.errors import FrictrackError, raise_faults
+from frictrack.base.errors import FrictrackError, raise_faults, suggest
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
 from frictrack.base.units import parse_quantity
 from frictrack.records import GRAVITY, Array
 from frictrack.study import column_names
-from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable, suggest
+from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable
 from frictrack.study.table_layout import TableFile, TrackColumns
 
 if TYPE_CHECKING:

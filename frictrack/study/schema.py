@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from frictrack.base.errors import suggest
 from frictrack.base.polygons import Polygon, are_coordinates, polygon, polygons
 from frictrack.base.remote import RemoteFile, is_address, locate
 from frictrack.base.units import parse_quantity
@@ -52,20 +53,6 @@ POINT_COLUMNS = {
     "load": ("load_N", "N"),
 }  # of a table of speeds and forces
 SENSOR_COLUMNS = {key: COLUMNS[key] for key in ("t", "drive", "a", "friction")} | {"pressure": ("pressure_Pa", "Pa")}
-
-
-def suggest(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown name: the nearest known name, or all of them.
-
-    Examples
-    --------
-    >>> suggest("cutof", ["cutoff", "free"])
-    'did you mean "cutoff"?'
-
-    """
-    known = list(known)
-    near = difflib.get_close_matches(word, known, 1)
-    return f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
 
 
 def _number(unit: str, **limits: float) -> BeforeValidator:

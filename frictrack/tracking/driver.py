@@ -22,7 +22,7 @@ from frictrack.tracking.correlation import Patch, Rectangle, best_match, nearest
 from frictrack.tracking.detection import Target, resolve_areas, resolve_target, target_fault
 from frictrack.tracking.followed_target import Followed, measure_track
 from frictrack.tracking.learning_rounds import learn_target_model
-from frictrack.tracking.measure import residual_images
+from frictrack.tracking.measure import residual_images, systematic_covariance
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import (
     has_marks,
@@ -32,7 +32,6 @@ from frictrack.tracking.pose_tracker import (
     track_disc,
     track_rotating,
 )
-from frictrack.tracking.position_errors import systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, refine_positions, template_products
 from frictrack.tracking.template import TargetModel, Template
 from frictrack.tracking.template_learning import template_from_frame, without_border

@@ -21,8 +21,7 @@ from frictrack.tracking.areas import Areas
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, SEGMENT_FRAMES, Work
 from frictrack.tracking.checks import at_rest, interlacing_note
 from frictrack.tracking.correlation import Rectangle, nearest_corner
-from frictrack.tracking.measure import measure_frames, refine_predicted, unexplained_share
-from frictrack.tracking.position_errors import codec_shift, with_scatter
+from frictrack.tracking.measure import codec_shift, measure_frames, refine_predicted, unexplained_share, with_scatter
 from frictrack.tracking.subpixel_fit import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
 from frictrack.tracking.template import MAX_SHIFT_PX, TargetModel
 from frictrack.tracking.template_learning import peak_locking_correction

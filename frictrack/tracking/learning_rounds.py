@@ -11,8 +11,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask
 from frictrack.tracking.areas import with_obstacles
 from frictrack.tracking.correlation import Patch, nearest_corner
-from frictrack.tracking.measure import measure_frames, model_images
-from frictrack.tracking.position_errors import systematic_covariance
+from frictrack.tracking.measure import measure_frames, model_images, systematic_covariance
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import MAX_SHIFT_PX, FixedPattern, TargetModel, Template, fit_pattern, pattern_sums
 from frictrack.tracking.template_learning import (

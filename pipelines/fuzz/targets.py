@@ -30,7 +30,7 @@ from frictrack.flow.crate.reproducing import find_inputs, read_crate, set_up_stu
 from frictrack.flow.crate.writing import METADATA
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
-from frictrack.flow.store.file_header import header_of
+from frictrack.flow.store.integrity import header_of
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.calibration.lens import read_lens
 from frictrack.measure.sensors import SensorRecord

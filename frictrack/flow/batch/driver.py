@@ -37,8 +37,7 @@ from frictrack.base.files import append_line, atomic_write, make_internal_folder
 from frictrack.base.number_format import format_plus_minus
 from frictrack.base.workers import local_workers
 from frictrack.fit import CovariateTrend, CovariateTrends, ParameterEstimates, trend
-from frictrack.flow.batch.cluster import cluster_workers
-from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged
+from frictrack.flow.batch.tasks import BatchState, Scheduler, StudyOutcome, are_unchanged, cluster_workers
 from frictrack.present.report import write_campaign
 from frictrack.records import Array
 from frictrack.results import to_builtins

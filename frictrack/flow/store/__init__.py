@@ -2,8 +2,8 @@
 
     hdf5_io      write and read groups, list what is in a file, check it
     encoding     records and dictionaries as HDF5 groups; marks for viewers
-    file_header  the checksum of a whole file, checked before HDF5 reads it, and who wrote it
-    integrity    faults inside a file; a separate process opens files of others
+    integrity    the header with the checksum of a whole file, checked before HDF5 reads it, and who wrote it; faults
+                 inside a file; a separate process opens files of others
 
 What is in a file, and how others read it, is in SCHEMA.md.
 """
@@ -12,6 +12,5 @@ What is in a file, and how others read it, is in SCHEMA.md.
 
 from frictrack.flow.store.encoding import ATTRIBUTES as NEXUS_ATTRIBUTES
 from frictrack.flow.store.encoding import GroupContent, Provenance
-from frictrack.flow.store.file_header import CHECKSUM_START, HEADER_BYTES, SCHEMA, file_state, read_header
 from frictrack.flow.store.hdf5_io import attributes, check, names, provenance, provenances, read, snapshot, write
-from frictrack.flow.store.integrity import Fault
+from frictrack.flow.store.integrity import CHECKSUM_START, HEADER_BYTES, SCHEMA, Fault, file_state, read_header

@@ -29,7 +29,6 @@ import h5py
 import numpy as np
 
 from frictrack.base import __version__
-from frictrack.flow.store.file_header import HEADER_BYTES
 from frictrack.results import to_builtins
 
 NX_CLASS = "NX_class"
@@ -253,7 +252,3 @@ def _listed(value: Any) -> Any:
 
 def _tuple(value: Any) -> Any:
     return tuple(_tuple(v) for v in value) if isinstance(value, list) else value
-
-
-# HDF5 1.8: MATLAB and HDFView of the last ten years read it
-FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": HEADER_BYTES}

@@ -21,11 +21,13 @@ import h5py
 from frictrack.base import __version__
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, lock_folder
-from frictrack.flow.store import encoding, file_header
-from frictrack.flow.store.encoding import FORMAT, GroupContent, Provenance, mark_default, members, without_marks
+from frictrack.flow.store import encoding, integrity
+from frictrack.flow.store.encoding import GroupContent, Provenance, mark_default, members, without_marks
 from frictrack.flow.store.integrity import REMEDY, Fault, copy_groups, fault_inside, opens_safely
 
 NOTHING: Mapping[Any, Any] = {}
+# HDF5 1.8: MATLAB and HDFView of the last ten years read it
+FORMAT = {"libver": ("v108", "v108"), "locking": False, "userblock_size": integrity.HEADER_BYTES}
 MAX_GROUPS_KNOWN = 10_000  # whose attributes are kept
 _ATTRIBUTES: dict[tuple[Path, Any, str], dict[str, Any]] = {}  # by file, its version and the group
 _HELD: ContextVar[Mapping[Path, h5py.File]] = ContextVar("files held open", default=NOTHING)
@@ -170,12 +172,12 @@ def _reading(path: Path) -> Iterator[h5py.File]:
 
 def check_header(path: Path, *, reread: bool = False) -> None:
     """Check before HDF5 opens a file that it holds the bytes that were written, in a known schema."""
-    header = file_header.read_header(path, reread=reread)
+    header = integrity.read_header(path, reread=reread)
     if not header.is_intact:
         raise FrictrackError(f"{path} is damaged or is not HDF5; {REMEDY}")
-    if header.schema > file_header.SCHEMA:
+    if header.schema > integrity.SCHEMA:
         raise FrictrackError(
-            f"expected {path} of schema {file_header.SCHEMA} at most but it has {header.schema} and was written by "
+            f"expected {path} of schema {integrity.SCHEMA} at most but it has {header.schema} and was written by "
             f"frictrack {header.version}, this is {__version__}; update it"
         )
 
@@ -222,12 +224,12 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
                     if old.attrs["schema"] == 2:  # whose checksums of groups would be wrong after a change
                         file.attrs.pop(encoding.FORMER_CHECKSUM, None)
                         file.visititems(lambda _, item: item.attrs.pop(encoding.FORMER_CHECKSUM, None) and None)
-            file.attrs.update(schema=file_header.SCHEMA, version=__version__)
+            file.attrs.update(schema=integrity.SCHEMA, version=__version__)
             yield file
             mark_default(file)
             begin = file.userblock_size
         content = whole.getbuffer()
-        content[:begin] = file_header.header_of(content[begin:], __version__, file_header.sign)
+        content[:begin] = integrity.header_of(content[begin:], __version__, integrity.sign)
         part.write_bytes(content)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import yaml
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.files import read_small_text
 from frictrack.measure.calibration.pictures import Board, BoardView
 from frictrack.measure.calibration.scale import (
     MAX_RADIAL_COEFFICIENT,
@@ -180,14 +181,7 @@ def _size(fields: dict[str, Any], path: Path) -> tuple[int, int] | None:
 
 def _fields(path: Path) -> dict[str, Any]:
     """Top-level names of the file with their numbers, texts and matrices (as lists)."""
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise FrictrackError(f"{path.name}: expected a lens file but it has {path.stat().st_size / 1e6:.0f} MB")
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as e:
-        raise FrictrackError(f"{path.name}: expected a lens file of text (OpenCV's yml, xml or json)") from e
-    except OSError as e:
-        raise FrictrackError(f"expected a lens file {path} but cannot read it; check the path") from e
+    text = read_small_text(path, MAX_FILE_BYTES, "a lens file")
     try:
         return _parsed(text.lstrip())
     except (ValueError, yaml.YAMLError, ElementTree.ParseError, AttributeError, TypeError, RecursionError) as e:

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, needs_package
 from frictrack.base.files import make_subfolder
 from frictrack.present.export import tables
 from frictrack.present.export.formats import ExportedFiles, write_files
@@ -117,11 +117,9 @@ MAX_ATTRIBUTE_CHARACTERS = 16_000  # HDF5 keeps an attribute below 64 kB; a long
 
 def write_netcdf(results: Results) -> ExportedFiles:
     """Write the file."""
-    try:
+    with needs_package("writing netCDF", "frictrack[xarray]"):
         import h5netcdf  # noqa: F401, PLC0415 - optional; xarray loads it
         import xarray as xr  # noqa: PLC0415
-    except ImportError as e:
-        raise FrictrackError(f"writing netCDF needs {e.name}; pip install frictrack[xarray]") from e
     writer = partial(xr.DataTree.from_dict(_groups(results)).to_netcdf, engine="h5netcdf")
     return ExportedFiles(write_files(results.output, {f"{results.path.stem}.nc": writer}))
 
@@ -213,10 +211,8 @@ def write_xlsx(results: Results) -> ExportedFiles:
             for name, table in pages.items():
                 table.to_excel(book, sheet_name=sheets[name], index=False)
 
-    try:
+    with needs_package("writing Excel", "frictrack[xlsx]"):
         paths = write_files(results.output, {f"{results.path.stem}.xlsx": write_book})
-    except ImportError as e:
-        raise FrictrackError("writing Excel needs openpyxl; pip install frictrack[xlsx]") from e
     shortened = tuple(f'name of the sheet "{name}", shortened to "{s}"' for name, s in sheets.items() if s != name)
     return ExportedFiles(paths, shortened)
 
@@ -248,11 +244,9 @@ Rows = tuple[Mapping[str, str], list[tables.Column]]  # constants of a part of t
 
 def write_parquet(results: Results) -> ExportedFiles:
     """Write the tables into the folder `parquet`: curves, tracks, motion by the models, and the summaries."""
-    try:
+    with needs_package("writing Parquet", "frictrack[parquet]"):
         import pyarrow as pa  # noqa: PLC0415 - optional
         import pyarrow.parquet as pq  # noqa: PLC0415
-    except ImportError as e:
-        raise FrictrackError("writing Parquet needs pyarrow; pip install frictrack[parquet]") from e
     parts: dict[str, list[Rows]] = {"curves": [], "tracks": [], "motion": []}
     for kind, names, columns in tables.column_groups(results):
         parts[{"runs": "curves", "models": "motion"}.get(kind, kind)].append((names, columns))

@@ -38,4 +38,4 @@ from frictrack.present.plots.plan import next_experiments, pair_separation, rema
 from frictrack.present.plots.style import file_content, html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import passes
-from frictrack.results.names import numbered_name, plain_name
+from frictrack.results.rows import numbered_name, plain_name

@@ -16,7 +16,7 @@ from frictrack.present.plots.model import modelled_force, worst_runs
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve
 from frictrack.results import ModelResults, RunResults
-from frictrack.results.names import plain_name
+from frictrack.results.rows import plain_name
 
 HEIGHT_IN, WIDTH_IN = 3.4, 7.0
 POINT_STYLE: dict[str, Any] = {"color": style.MEASURED_COLOUR, "ls": "none", "marker": ".", "ms": 2.2, "alpha": 0.4}

@@ -21,11 +21,11 @@ from frictrack.base.files import atomic_write, replace_text
 from frictrack.present import plots
 from frictrack.present.report import markup, tables, texts
 from frictrack.present.report.markup import SvgEmbedder, explain_words, now, page_template
-from frictrack.results import ModelResults, Results, RunResults, candidates, names, rows, verdicts
+from frictrack.results import ModelResults, Results, RunResults, candidates, rows, verdicts
 
 MODULES = {  # whose functions the template calls
     module.__name__.rpartition(".")[2]: module
-    for module in (glossary, plots, markup, tables, texts, candidates, names, verdicts)
+    for module in (glossary, plots, markup, tables, texts, candidates, verdicts)
 }
 MAX_FILMS = 4  # films of which the first frame is shown
 

@@ -14,7 +14,6 @@ from frictrack.present.plots import parameter_unit
 from frictrack.present.plots.style import axis_label
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import MAIN_KINDS, CandidateRow
-from frictrack.results.names import plain_name
 from frictrack.results.rows import (
     FAILING_HEADS,
     MEASUREMENT_HEADS,
@@ -23,6 +22,7 @@ from frictrack.results.rows import (
     interval_with_unit,
     measurement_cells,
     parameter_row,
+    plain_name,
 )
 
 Cell = str | Markup

@@ -20,8 +20,7 @@ from frictrack.present.report.markup import describe_evidence, mark_code, senten
 from frictrack.present.report.tables import Cell, TextTable, make_table
 from frictrack.results import ModelResults, Results, RunResults, verdicts
 from frictrack.results.candidates import candidate_rows
-from frictrack.results.names import AXES, plain_name
-from frictrack.results.rows import describe_held_out
+from frictrack.results.rows import AXES, describe_held_out, plain_name
 
 EFFECT_NAMES = {"coulomb": "Coulomb friction", "stribeck": "Stribeck friction", "viscous": "viscous friction"}
 

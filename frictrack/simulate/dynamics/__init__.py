@@ -11,20 +11,18 @@ The simulator and the fit share this integrator. Three steps use it:
 # ruff: noqa: F401 - the imports are the interface
 
 from frictrack.simulate.dynamics.collocation import (
+    MEMORY_TOLERANCE_M,
     NODES,
+    NOT_INTEGRATED,
+    TOLERANCE_M,
     CollocationSolution,
     EdgeResponse,
     LinearResponse,
     Panels,
     Start,
-    response_with_memory,
-)
-from frictrack.simulate.dynamics.reversals import directions, mean_directions
-from frictrack.simulate.dynamics.solver import (
-    MEMORY_TOLERANCE_M,
-    NOT_INTEGRATED,
-    TOLERANCE_M,
     difference_steps,
+    response_with_memory,
     solve_motion,
     solve_simplified_newton,
 )
+from frictrack.simulate.dynamics.reversals import directions, mean_directions

@@ -2,6 +2,6 @@
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, cramer_rao_shift_std
+from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, Side
 from frictrack.simulate.rendering.film_writer import write_film
 from frictrack.simulate.rendering.renderer import Surface, Target, render, render_clean

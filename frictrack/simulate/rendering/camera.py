@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from pydantic import ConfigDict, Field
 from scipy.special import erf
 
 from frictrack.base.errors import raise_faults
 from frictrack.records import Array
 
+NO_OTHER_KEYS = ConfigDict(extra="forbid")  # in the tables of a scene file
+Side = Annotated[int, Field(ge=8, le=16_384)]  # of a picture of a scene, px
 WHITE_LEVEL = 0.8  # share of the full well that a white surface fills
 MIN_GAUSSIAN_ELECTRONS = 1000  # from here on shot noise is drawn from a Gaussian: skewness below 0.03, 8 times faster
 
@@ -38,6 +40,7 @@ class Oscillation:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     amplitude: float
     frequency: float  # Hz
     phase: float = 0.0  # rad
@@ -83,9 +86,10 @@ class Camera:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     fps: float = 4000.0
-    width: int = 640
-    height: int = 96
+    width: Side = 640
+    height: Side = 96
     scale: float = 0.5e-3  # m/px
     exposure: float = 0.1
     bit_depth: int = 8
@@ -211,27 +215,6 @@ class Camera:
         return number
 
 
-def cramer_rao_shift_std(clean_patch: Array, noise: Array | float) -> float:
-    """Cramer-Rao bound of the standard deviation of a measured shift along x: 1 / sqrt(sum (g_x / noise)^2).
-
-    Parameters
-    ----------
-    clean_patch
-        Picture without noise, (ny, nx); its slope g_x comes from a quintic spline along x.
-    noise
-        Standard deviation of the noise in the units of the patch, (ny, nx) or one number.
-
-    Returns
-    -------
-    float
-        Smallest standard deviation of an unbiased estimate, px. For the bound along y, transpose both.
-
-    """
-    x = np.arange(clean_patch.shape[1])
-    slope = make_interp_spline(x, clean_patch, k=5, axis=1).derivative()(x)
-    return float(1 / np.sqrt(np.sum((slope / noise) ** 2)))
-
-
 @dataclass(frozen=True)
 class Rod:
     """Upright rod in front of the course, with sub-pixel edges; it shakes with the scene.
@@ -247,6 +230,7 @@ class Rod:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     x: float
     width: float = 14.0
     reflectance: float = 0.06
@@ -277,6 +261,7 @@ class Highlight:
 
     """
 
+    __pydantic_config__: ClassVar = NO_OTHER_KEYS
     x: float
     y: float
     radius: float = 14.0

@@ -4,7 +4,6 @@
     picture_tracks     DeepLabCut: .csv, .h5; movement: .nc; SLEAP: .h5; `hdf5_contents` reads HDF5 in another process;
                        DICe: a folder of solutions, or the solution of one subset; pyidi: .npy
     instruments        LabVIEW: .lvm, .tdms; MATLAB: .mat
-    track_table        positions of several tracks -> one table
 
 A new format is one module and one line in `FORMATS`.
 """

@@ -21,8 +21,7 @@ import numpy as np
 import pandas as pd
 
 from frictrack.study.table_layout import TableFile, text_encoding
-from frictrack.study.track_formats.picture_tracks import read_arrays
-from frictrack.study.track_formats.track_table import SECONDS
+from frictrack.study.track_formats.picture_tracks import SECONDS, read_arrays
 
 LABVIEW = "LabVIEW Measurement"  # first words of a text
 _END_OF_HEADER = re.compile(r"^\*\*\*End_of_Header\*\*\*.*\n", re.MULTILINE)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from frictrack.records import Array
 from frictrack.study.table_layout import MAX_UNPACKED_BYTES, TableFile, read_xml
-from frictrack.study.track_formats.track_table import FRAMES, SECONDS, TargetPositions, table_of_tracks
+from frictrack.study.track_formats.picture_tracks import FRAMES, SECONDS, TargetPositions, table_of_tracks
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -15,7 +15,7 @@ from frictrack.measure.repairing import suspect_spans
 from frictrack.present.report import failed_checks, is_good
 from frictrack.records import CutoffTradeOff
 from frictrack.results import RunResults, to_builtins
-from frictrack.results.names import joined_name, numbered_name
+from frictrack.results.rows import joined_name, numbered_name
 from frictrack.results.verdicts import CHECK_FIRST, describe_lost, describe_tests
 from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
