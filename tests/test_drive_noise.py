@@ -213,6 +213,15 @@ def test_a_drive_without_scatter_is_exact() -> None:
     assert drive_noise(run) == 0.0
 
 
+def test_the_deviation_of_friction_has_no_least_value() -> None:
+    t, rng = np.arange(400) / 1000, np.random.default_rng(3)
+    x = [(1 + 0.2 * k) * t - 0.5 * t**2 + 1e-8 * rng.normal(size=len(t)) for k in range(2)]
+    found = ft.fit(["coulomb"], [ft.Run.from_arrays(t, one, mass=MASS, name=f"r{k}") for k, one in enumerate(x)])
+    one = found.parameters["coulomb.F_c"]
+    assert one.std < 1e-5
+    assert abs(one.value - MASS) < 4 * one.std
+
+
 @pytest.mark.slow
 def test_rounded_positions_of_a_motion_with_nearly_whole_steps_per_frame_have_errors_that_are_alike() -> None:
     t, step, runs, truth = np.arange(1000) / 1000, 1e-4, [], []
