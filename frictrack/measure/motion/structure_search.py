@@ -462,11 +462,10 @@ def _ramps(s: Structure, begin: int, stop: int, rises: int, n: int) -> Iterator[
         for depth in RAMP_DEPTHS if width > 1 else ():
             ramp = Event(first, first + width - 1, KNOT_SPREAD * depth, rises)
             yield StructureChange(float(np.exp(-0.5 * depth**2)) / len(RAMP_LENGTHS), ramp)
-    if begin and rises < 0 or stop < n - TREND_ORDER and rises > 0:
-        return
     widths = {int(min(round(length * period), (stop - begin) // 2)) for length in REST_LENGTHS}
     prior = float(np.sum(np.exp(-0.5 * RAMP_DEPTHS**2))) / len(widths)  # stiffer is as likely as softer
-    for width in sorted(widths - {0, 1}):
+    is_end = begin == 0 if rises < 0 else stop == n - TREND_ORDER
+    for width in sorted(widths - {0, 1}) if is_end else ():
         first = stop - width if rises > 0 else begin
         yield StructureChange(prior, Event(first, first + width - 1, -KNOT_SPREAD * RAMP_DEPTHS[-1]))
 

@@ -341,7 +341,7 @@ class SlideEstimate:
 
     @property
     def is_rare_braking(self) -> bool:
-        """Whether friction is above that of dry solids, and it and the speed are as large as a wrong scale makes them."""
+        """Whether friction is above that of dry solids, and it and the speed as large as a wrong scale makes them."""
         return self.friction is not None and self.friction > DRY_FRICTION.high and self.rarity > MAX_RARITY
 
     @property
