@@ -188,6 +188,10 @@ def test_a_load_cell_behind_a_slow_amplifier_is_named_with_its_lag(tmp_path: Pat
     assert 0.7 < found.reduced_chi2 < 1.3
     lag = found.parameters["cell_lag.tau"]
     assert abs(lag.value - 1 / (2 * np.pi * 20.0)) < 2.6 * lag.std
+    known = ft.friction(runs[0])
+    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * runs[0].motion.t))
+    z = np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2))
+    assert 0.6 < z < 1.4 or not inner  # noise that passed the amplifier shows its lag
 
 
 def test_the_force_of_a_load_cell_that_is_read_seldom_is_drawn(tmp_path: Path) -> None:

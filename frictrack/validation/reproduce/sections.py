@@ -97,7 +97,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[ResultTable, ...] = ()
-    figures: dict[str, tuple[str, Figure | str]] = field(default_factory=dict)
+    figures: Mapping[str, tuple[str, Figure | str]] = field(default_factory=dict)
     claims: tuple[Claim, ...] = ()
     key: str = ""
     seconds: float = 0.0
