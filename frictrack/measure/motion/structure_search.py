@@ -461,13 +461,12 @@ def _ramps(s: Structure, begin: int, stop: int, rises: int, n: int) -> Iterator[
         first = stop - width if rises > 0 else begin
         for depth in RAMP_DEPTHS if width > 1 else ():
             ramp = Event(first, first + width - 1, KNOT_SPREAD * depth, rises)
-            yield StructureChange(float(np.exp(-0.5 * depth**2)) / len(RAMP_LENGTHS), ramp)
-    widths = {int(min(round(length * period), (stop - begin) // 2)) for length in REST_LENGTHS}
-    prior = float(np.sum(np.exp(-0.5 * RAMP_DEPTHS**2))) / len(widths)  # stiffer is as likely as softer
+            yield StructureChange(float(np.exp(-0.5 * depth**2)), ramp)
     is_end = begin == 0 if rises < 0 else stop == n - TREND_ORDER
-    for width in sorted(widths - {0, 1}) if is_end else ():
+    widths = {int(min(round(length * period), (stop - begin) // 2)) for length in REST_LENGTHS if is_end}
+    for width in sorted(widths - {0, 1}):
         first = stop - width if rises > 0 else begin
-        yield StructureChange(prior, Event(first, first + width - 1, -KNOT_SPREAD * RAMP_DEPTHS[-1]))
+        yield StructureChange(1.0, Event(first, first + width - 1, -KNOT_SPREAD * RAMP_DEPTHS[-1]))
 
 
 def _changed_events(s: Structure, i: int, n: int) -> Iterator[StructureChange]:
@@ -507,15 +506,17 @@ def _weigh_changes(data: SmootherData, s: Structure, changes: Sequence[Structure
         return None
     base = _factor(part, s, window, None).restricted_likelihood()[0]
     gains = np.array([base - _factor(part, s, window, c).restricted_likelihood()[0] for c in changes])
-    prior = np.array([c.weight for c in changes])
-    posterior, unchanged = prior * np.exp(0.5 * np.minimum(gains, MAX_GAIN)), 1.0
     rests = np.array([c.event.boost < 0 for c in changes])
-    if np.max(gains[rests], initial=0.0) > np.log(part.count):  # more than its length, a parameter, gains by chance
-        posterior, unchanged = np.where(rests, posterior, 0.0), 0.0
-    order = np.argsort(-posterior)[:MAX_CHANGES]
-    kept = order[posterior[order] > MIN_WEIGHT * (unchanged + np.sum(posterior))]
-    shares = posterior / (unchanged + np.sum(posterior[kept]))
-    return ChangeGroup(*window[:2], tuple(replace(changes[i], weight=float(shares[i])) for i in kept.tolist()))
+    rested = np.max(gains[rests], initial=0.0) > np.log(part.count)  # more than a parameter, the length, by chance
+    prior = np.where(rests == rested, [c.weight for c in changes], 0.0)
+    if changes[0].instead < 0:  # the prior of the ramps includes one of no depth
+        prior = prior / np.sum(prior)
+    posterior = prior * np.exp(0.5 * np.minimum(gains, MAX_GAIN))
+    shares = posterior / (float(not rested) + np.sum(posterior))
+    kept = [i for i in np.argsort(-shares)[:MAX_CHANGES].tolist() if shares[i] > MIN_WEIGHT]
+    if rested:
+        shares /= np.sum(shares[kept])
+    return ChangeGroup(*window[:2], tuple(replace(changes[i], weight=float(shares[i])) for i in kept))
 
 
 def _window(s: Structure, changes: Sequence[StructureChange], n: int) -> Window:
@@ -571,7 +572,6 @@ def added_variances(
         part = SmootherData(np.zeros(g.stop - g.first), data.w[g.first : g.stop], colour=data.colour)
         stencil = stencils(g.stop - g.first, interval)
         found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
-        rests = np.array([c.event.boost < 0 for c in g.changes])
-        left = 1.0 - np.einsum("k,kqn->qn", weights[rests], 1.0 - found[1:][rests] / found[0])
-        within = np.einsum("k,kqn->qn", weights[~rests], found[1:][~rests] - found[0])
-        yield slice(g.first, g.stop), np.minimum(left, 1.0), np.maximum(between, 0.0) + np.maximum(within, 0.0)
+        within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
+        left = 1.0 + np.minimum(within, 0.0) / found[0]
+        yield slice(g.first, g.stop), left, np.maximum(between, 0.0) + np.maximum(within, 0.0)
