@@ -92,9 +92,8 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
     result = write()  # before minutes of work
     missing = sorted(SECTIONS.keys() - done, key=lambda name: -SECTIONS[name][2])  # the longest first
     progress(0, 0, describe_work(quick=quick, done=done))
-    for name, found in run_parallel(
-        {name: partial(_made, keys, arguments, name) for name in missing}, 1 if quick else None
-    ):
+    work = {name: partial(_made, keys, arguments, name) for name in missing}
+    for name, found in run_parallel(work, 1 if quick else None):
         done[name] = found
         result = write()
         progress(len(done), len(SECTIONS), "reproduce")
@@ -113,7 +112,7 @@ def describe_work(*, quick: bool = False, done: Collection[str] = ()) -> str:
     seconds, n = sum(one[2] for name, one in SECTIONS.items() if name not in done), processors()
     workers = "processor" if n == 1 else f"{n} processors in parallel"
     long = f"{max(seconds / 60, 1):.0f} min of processor time, on {workers}"
-    sections = f"{len(SECTIONS)} sections; " + (f"{len(done)} of them are there, the others" if done else "they")
+    sections = f"{len(SECTIONS)} sections; " + (f"{len(done)} are there, the others" if done else "they")
     return f"reproduce: {sections} take about {'a minute' if quick else long}"
 
 

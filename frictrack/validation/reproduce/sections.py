@@ -104,9 +104,7 @@ class Section:
 
     def with_drawn_figures(self) -> Section:
         """Return the section with its figures as SVG."""
-        drawn = {
-            name: (text, one if isinstance(one, str) else plots.svg(one)) for name, (text, one) in self.figures.items()
-        }
+        drawn = {n: (text, one if isinstance(one, str) else plots.svg(one)) for n, (text, one) in self.figures.items()}
         return replace(self, figures=drawn)
 
     def summary(self) -> dict[str, Any]:
@@ -124,13 +122,8 @@ class Section:
     @classmethod
     def read(cls, kept: Mapping[str, Any], seconds: float, folder: Path) -> Section:
         """Read a section from its JSON and its figures."""
-        figures = {
-            name: (
-                _texts()["figures"][name]["caption"],
-                (folder / "figures" / f"{name}.svg").read_text(encoding="utf-8"),
-            )
-            for name in kept["figures"]
-        }
+        texts, place = _texts()["figures"], folder / "figures"
+        figures = {n: (texts[n]["caption"], (place / f"{n}.svg").read_text(encoding="utf-8")) for n in kept["figures"]}
         tables = tuple(ResultTable(**t | {"heads": tuple(t["heads"])}) for t in kept["tables"])
         claims = tuple(Claim(**c) for c in kept["claims"])
         return cls(kept["name"], kept["title"], tuple(kept["text"]), tables, figures, claims, kept["key"], seconds)
