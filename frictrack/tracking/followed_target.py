@@ -217,10 +217,8 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
     result = _to_track(recording, measured, followed.rectangle, name)
     direction = _path_direction(result)
     result = _with_systematic_error(result, target_model, direction)
-    doubled = np.isin(
-        np.arange(len(result)), [s.frame for s in slips(result) if s.doubled]
-    )  # neither scatter nor codec
-    result = with_scatter(result, direction, codec_shift(film, measured, target_model, ~doubled), ~doubled)
+    counts = ~np.isin(np.arange(len(result)), [s.frame for s in slips(result) if s.doubled])
+    result = with_scatter(result, direction, codec_shift(film, measured, target_model, counts), counts)
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(
