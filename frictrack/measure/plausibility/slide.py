@@ -94,7 +94,7 @@ MIN_ROLLING = 1e-3  # friction coefficient of a ball bearing (0.0010 to 0.0015, 
 DRY_FRICTION = Range(0.02, 2.0)  # from ice or PTFE on steel to rubber; most dry pairs lie between 0.1 and 1
 USUAL_FRICTION = 0.3  # most pairs of solids, dry or with boundary lubrication, lie within a decade of it
 USUAL_SPEED = 1.0  # m/s
-MAX_RARITY = 1.5  # decades from a usual slide, friction and speed together, where no dry solid rubs as much
+MAX_RARITY = 2.0  # decades from a usual slide, friction and speed together, where no dry solid rubs as much
 USUAL_TRAVEL = Range(1e-4, 20.0)  # m: courses in a laboratory
 BLOW_ENERGY = Range(0.0, 300.0)  # J: the largest pendulum hammers in common use (ISO 148-1)
 
@@ -408,7 +408,7 @@ def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | 
     if slide.speed not in SPEED:
         than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if slide.speed > RAIL_SPEED else "than in a laboratory"
         kind, words = "speed", f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
-    elif slide.friction is not None and (slide.friction < FRICTION.low or slide.is_rare_braking):
+    elif slide.friction is not None and (slide.friction not in FRICTION or slide.is_rare_braking):
         kind, words = "friction", _friction_text(run, slide)
     elif slide.friction is not None and slide.travel not in TRAVEL:
         kind, words = "scale", f"the mass would slide {slide.travel:.3g} m without a stop"
