@@ -188,6 +188,10 @@ def test_a_load_cell_behind_a_slow_amplifier_is_named_with_its_lag(tmp_path: Pat
     assert 0.7 < found.reduced_chi2 < 1.3
     lag = found.parameters["cell_lag.tau"]
     assert abs(lag.value - 1 / (2 * np.pi * 20.0)) < 2.6 * lag.std
+    known = ft.friction(runs[0])
+    error = known.F - F_C - F_V * (0.2 + 0.12 * np.cos(8 * runs[0].motion.t))
+    z = np.sqrt(np.mean((error / known.sigma_F)[known.free] ** 2))
+    assert 0.6 < z < 1.4 or not inner  # noise that passed the amplifier shows its lag
 
 
 def test_the_force_of_a_load_cell_that_is_read_seldom_is_drawn(tmp_path: Path) -> None:
@@ -211,6 +215,15 @@ def test_the_force_of_a_load_cell_that_is_read_seldom_is_drawn(tmp_path: Path) -
 def test_a_drive_without_scatter_is_exact() -> None:
     run = replace(driven(0.0, 1, is_force=True), drive_scatter=None)
     assert drive_noise(run) == 0.0
+
+
+def test_the_deviation_of_friction_has_no_least_value() -> None:
+    t, rng = np.arange(400) / 1000, np.random.default_rng(3)
+    x = [(1 + 0.2 * k) * t - 0.5 * t**2 + 1e-8 * rng.normal(size=len(t)) for k in range(2)]
+    found = ft.fit(["coulomb"], [ft.Run.from_arrays(t, one, mass=MASS, name=f"r{k}") for k, one in enumerate(x)])
+    one = found.parameters["coulomb.F_c"]
+    assert one.std < 1e-5
+    assert abs(one.value - MASS) < 4 * one.std
 
 
 @pytest.mark.slow

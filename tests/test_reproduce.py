@@ -283,7 +283,7 @@ def test_the_time_is_said_before_the_work() -> None:
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reproduce, "_timed", None)  # nothing is computed
+    monkeypatch.setattr(reproduce, "_made", None)  # nothing is computed
     (tmp_path / "file").write_text("")
     with pytest.raises(FrictrackError, match="choose another folder with -o"):
         reproduce.reproduce(tmp_path / "file")
@@ -379,15 +379,24 @@ def test_page_escapes_and_counts() -> None:
 def test_an_interrupted_reproduction_keeps_the_sections_that_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted() -> Section:
+    def interrupted(effort: object = None) -> Section:
         raise KeyboardInterrupt
 
-    sections = {"later": (interrupted, (), 1.0), "p": (lambda: _small().parts[0], (), 2.0)}
+    sections = {"later": (interrupted, (), 1.0), "p": (lambda effort: _small().parts[0], ("effort",), 2.0)}
     monkeypatch.setattr(reproduce, "SECTIONS", sections)
     with pytest.raises(KeyboardInterrupt):
         reproduce.reproduce(tmp_path, quick=True)
     assert "1 of 2 sections are missing" in (tmp_path / "reproduce.html").read_text(encoding="utf-8")
     assert [part["name"] for part in json.loads((tmp_path / "reproduce.json").read_text())["parts"]] == ["p"]
+    later = replace(_small().parts[0], name="later")
+    monkeypatch.setitem(sections, "later", (lambda: later, (), 1.0))
+    monkeypatch.setitem(sections, "p", (interrupted, ("effort",), 2.0))  # it is there, and not computed again
+    result = reproduce.reproduce(tmp_path, quick=True)
+    assert [part["name"] for part in result["parts"]] == ["later", "p"]
+    assert result["parts"][0] | {"name": "p", "key": ""} == result["parts"][1] | {"key": ""}
+    assert "are missing" not in (tmp_path / "reproduce.html").read_text(encoding="utf-8")
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.reproduce(tmp_path, quick=False)  # other settings
 
 
 def test_numbers_for_people() -> None:

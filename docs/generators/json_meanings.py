@@ -98,7 +98,7 @@ MEANINGS = {
     "sigma_v": "standard deviation of the velocity, m/s",
     "sigma_a": "standard deviation of the acceleration, m/s²",
     "sigma_a_smoothed": "the same of the smoothed motion, m/s²",
-    "sigma_F_N": "standard deviation of the friction force, N",
+    "sigma_F_N": "standard deviation of the friction force, N; the lag of an amplifier counts if its noise shows it",
     "smoothing": "how the motion was smoothed",
     "lines_Hz": "frequencies of sinusoids that were found in the motion, Hz",
     "guard_frames": "frames that the filter smears at each end",

@@ -285,7 +285,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 - one argument per option
     Exits with 1 if a number differs: bit for bit on the same platform; on another one to a relative 1e-9, and
     uncertainties, misfits and detection limits to the digits that they have. Of the papers: compares the printed values
     with those computed here and checks every claim, in about five minutes of processor time. Writes a page, figures,
-    tables and JSON.
+    tables and JSON; a call that was interrupted goes on with the same options.
 
     Options
     -------

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         survey_recording,
     )
     from frictrack.flow.opening import open_study
-    from frictrack.flow.pipeline import Progress, hash_path, no_progress
+    from frictrack.flow.pipeline import Progress, digest, hash_path, no_progress
     from frictrack.flow.session import Session
     from frictrack.flow.stages import contact_sheet_path, run_pipeline
     from frictrack.flow.stored_results import ResultsReader, preview_motion, read_results

@@ -212,7 +212,7 @@ def budget(
 def _cell(sigma: Array, free: Mask) -> Contribution:
     """Error of a load cell that measured friction itself; nothing else counts."""
     level = float(np.sqrt(np.mean(sigma[free] ** 2)))
-    known_from = "white noise of the record, from its fifth differences; zero and sensitivity are not known"
+    known_from = "white noise of the record, zero, sensitivity and lag are not known"
     return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
 
 
@@ -333,7 +333,7 @@ class _RunErrors:
         t, level = self.run.motion.t, drive_noise(self.run)
         per_sample = (self.run.drive_interval or 0.0) / float(np.median(np.diff(t)))  # frames
         n = float(np.sum(self.free)) / max(per_sample, 1.0)
-        known_from = "white noise of the record, from its differences" if self.run.sigma_drive is None else "stated"
+        known_from = "white noise of the record; its lag is not known" if self.run.sigma_drive is None else "stated"
         rows = [Contribution(DRIVE, level, "N", known_from, level, level / float(np.sqrt(n)))]
         offset_std = clock.get("sigma_offset_s")
         if offset_std:

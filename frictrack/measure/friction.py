@@ -36,6 +36,7 @@ MIN_FREE_FRAMES = 8  # of a free section
 MIN_BOUNCE_SIGMAS = 5.0  # standard deviations by which a bounce changes the velocity
 MIN_DISTANCE_SIGMAS = 5.0  # standard deviations of the position that a motion must cover
 MIN_NOISE_SHARE = 1e-9  # smallest noise of a force sensor over its largest force
+LAGS_OF_SLOPE = 2.0  # before and after a moment, between which the slope of a force is taken
 USUAL_SHARE = 0.9  # of the intervals between samples of a load cell; where one is longer, it was not running
 MIN_REST_FRAMES = 12  # frames needed to estimate the noise
 EDGE_FRAMES = 3  # frames at either end of a rest that may still move
@@ -213,7 +214,8 @@ def friction(run: Run) -> Friction:
 
     The variance of F is the sum of those of m a, of the mass (`sigma_mass abs(a + g sin(incline))`), of the scale
     (`m abs(a)` times its relative error) and of the measured drive. Errors of mass and scale are common to all frames.
-    Where friction itself was measured, F is that series with gaps interpolated, and sigma_F its white noise.
+    Where friction itself was measured, F is that series with gaps interpolated, and sigma_F its noise. How late the
+    amplifier of a load cell answers is in sigma_F only where noise that passed it shows that.
 
     Parameters
     ----------
@@ -246,8 +248,13 @@ def friction(run: Run) -> Friction:
     if run.friction_N is not None:
         known, rows = np.isfinite(run.friction_N), np.arange(len(run.friction_N))
         force = np.interp(rows, rows[known], run.friction_N[known])
-        sigma = np.full(len(force), cell_noise(run)) if run.sigma_friction is None else run.sigma_friction
-        return Friction(run.motion.t, force, sigma, mask & _between_samples(known), reason, run.motion.repaired)
+        t, (noise, lag) = run.motion.t, _cell_noise_and_lag(run)
+        noise = noise if run.noise is None else run.noise
+        sigma = np.full(len(force), noise) if run.sigma_friction is None else run.sigma_friction
+        around = np.clip(t[:, None] + LAGS_OF_SLOPE * lag * np.array([-1.0, 1.0]), t[0], t[-1])
+        if lag:
+            sigma = np.hypot(sigma, lag * np.diff(np.interp(around, t, force))[:, 0] / np.diff(around)[:, 0])
+        return Friction(t, force, sigma, mask & _between_samples(known), reason, run.motion.repaired)
     assert run.inertia is not None  # Run checks this
     acceleration = run.motion.a - run.pull
     drive = np.zeros(len(acceleration)) if run.drive is None else np.asarray(run.drive, dtype=float)
@@ -283,14 +290,17 @@ def drive_noise(run: Run) -> float:
 
 def cell_noise(run: Run) -> float:
     """Noise of the load cell of a run, N: as stated, or what it scatters at the frames at which it was read."""
-    if run.noise is not None:
-        return run.noise
+    return _cell_noise_and_lag(run)[0] if run.noise is None else run.noise
+
+
+def _cell_noise_and_lag(run: Run) -> tuple[float, float]:
+    """Noise of the load cell, N, and the lag of its amplifier, s; 0 where no noise that passed it shows one."""
     force = np.asarray(run.friction_N, dtype=float)
     at = np.flatnonzero(np.isfinite(force))
     force = force[at]
     if (found := correlated_cell_noise([force], [at])) is not None:
-        return float(found.rms[0])
-    return max(white_noise(force), MIN_NOISE_SHARE * float(np.max(np.abs(force), initial=0.0)), 1e-12)
+        return float(found.rms[0]), -float(np.median(np.diff(run.motion.t[at])) / np.log(found.correlation))
+    return max(white_noise(force), MIN_NOISE_SHARE * float(np.max(np.abs(force), initial=0.0)), 1e-12), 0.0
 
 
 def correlated_cell_noise(forces: Sequence[Array], frames: Sequence[NDArray[np.intp]]) -> CorrelatedNoise | None:

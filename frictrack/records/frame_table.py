@@ -439,7 +439,7 @@ class Friction(FrameTable):
     signals: ClassVar[tuple[str, ...]] = ("F",)
     t: Array = column("s")
     F: Array = column("N")
-    sigma_F: Array = column("N")
+    sigma_F: Array = column("N")  # without the lag of a slow amplifier, which is not known unless its noise shows it
     free: Mask = column("", kind=np.bool_)
     reason: str = ""  # why the free section begins and ends there
     repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out

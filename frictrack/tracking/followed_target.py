@@ -19,7 +19,7 @@ from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
 from frictrack.tracking.areas import Areas
 from frictrack.tracking.batch_tracker import MAX_MISFIT_RATIO, SEGMENT_FRAMES, Work
-from frictrack.tracking.checks import at_rest, interlacing_note
+from frictrack.tracking.checks import at_rest, interlacing_note, slips
 from frictrack.tracking.correlation import Rectangle, nearest_corner
 from frictrack.tracking.measure import codec_shift, measure_frames, refine_predicted, unexplained_share, with_scatter
 from frictrack.tracking.subpixel_fit import LEAVES, NOT_CONVERGED, UNREAD, RawTrack
@@ -216,7 +216,8 @@ def measure_track(recording: Recording, film: Recording, followed: Followed, nam
     result = _to_track(recording, measured, followed.rectangle, name)
     direction = _path_direction(result)
     result = _with_systematic_error(result, target_model, direction)
-    result = with_scatter(result, direction, codec_shift(film, measured, target_model))
+    counts = ~np.isin(np.arange(len(result)), [s.frame for s in slips(result) if s.doubled])
+    result = with_scatter(result, direction, codec_shift(film, measured, target_model, counts), counts)
     if not target_model.rotation_seen:
         lost = np.where(result.found, 0.0, np.nan)
         result = replace(

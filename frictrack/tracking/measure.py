@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from frictrack.base.distributions import robust_std
 from frictrack.recording import Recording
 from frictrack.records import Array, Mask, Track
-from frictrack.sampling import correct_ticks, noise_of_smooth
-from frictrack.tracking.checks import slips
+from frictrack.sampling import noise_of_smooth
 from frictrack.tracking.correlation import Patch, nearest_corner
 from frictrack.tracking.subpixel_fit import RawTrack, SubpixelFit, refine_positions, template_products
 from frictrack.tracking.template import MAX_SHIFT_PX, TargetModel, Template
@@ -234,9 +233,9 @@ MAX_SCATTER_ERROR = 0.2  # relative standard deviation of a scatter that is beli
 MIN_SCATTER_SIGMAS = 2.0  # standard deviations of the scatter by which it exceeds the stated one
 
 
-def codec_shift(film: Recording, raw_track: RawTrack, target_model: TargetModel) -> Array:
+def codec_shift(film: Recording, raw_track: RawTrack, target_model: TargetModel, counts: Mask) -> Array:
     """Rms shift along x and y (2,) px by which a codec that repeats frames leaves the target displaced; else zeros."""
-    found, template = raw_track.found & _is_whole(raw_track.fit), target_model.template
+    found, template = raw_track.found & counts & _is_whole(raw_track.fit), target_model.template
     first = np.flatnonzero(found[:-LATER_FRAMES] & found[1 : 1 - LATER_FRAMES] & found[LATER_FRAMES:])
     if target_model.rotates or len(first) < MIN_PAIRS:
         return np.zeros(2)
@@ -272,20 +271,17 @@ def _of_pixel_phase(position: Array, residuals: Array) -> Array:
     return np.asarray(columns @ np.linalg.lstsq(columns, residuals, rcond=None)[0])
 
 
-def with_scatter(track: Track, direction: Array, shift: Array) -> Track:
+def with_scatter(track: Track, direction: Array, shift: Array, counts: Mask) -> Track:
     """Raise the stated deviations of a track to the scatter of its positions and the shift (2,) px of a codec.
 
-    What of the shift does not scatter from frame to frame along the path, whose `direction` is a unit vector (2,), is
-    its slow error.
+    Only frames that count (n,) scatter, not those that show the picture before once more. What of the shift does not
+    scatter from frame to frame along the path, whose `direction` is a unit vector (2,), is its slow error.
     """
     columns: dict[str, Any] = {}
-    frames = np.arange(len(track))
-    ticks, kept = correct_ticks(frames, slips(track))  # a frame shown twice is no scatter
-    t = (track.t + (ticks - frames) * float(np.median(np.diff(track.t))))[kept]
     for name, series in (("sigma_px", track.x_px), ("sigma_y_px", track.y_px), ("sigma_angle", track.angle)):
         stated = getattr(track, name)
         usual = float(np.nanmedian(stated))
-        scatter, error = noise_of_smooth(series[kept], t)
+        scatter, error = noise_of_smooth(series[counts], track.t[: np.sum(counts)])
         exceeds = error < MAX_SCATTER_ERROR and scatter * (1 - MIN_SCATTER_SIGMAS * error) > usual
         columns[name] = stated * (scatter / usual) if exceeds else stated
     level = [float(np.nanmedian(columns[name])) for name in ("sigma_px", "sigma_y_px")]

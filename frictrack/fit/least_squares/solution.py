@@ -334,7 +334,12 @@ def white_noise_covariance(solution: Solution, tau: float | None = None) -> tupl
 
     """
     penalty = penalty_jacobian(solution.problem.layout, tau or solution.tau or 0.03, solution.p)
-    return inverse_normal_matrix(np.vstack([solution.few_rows, penalty]))
+    covariance, unseen = inverse_normal_matrix(np.vstack([solution.few_rows, penalty]))
+    levels = solution.problem.layout.levels
+    if levels and not solution.levels_are_random:  # their mean is one exactly, and not only to its weight in a fit
+        mean = covariance[:, levels].sum(axis=1)
+        covariance -= np.outer(mean, mean) / mean[levels].sum()
+    return covariance, unseen
 
 
 def covariance_of(solution: Solution) -> tuple[Array, Array]:

@@ -312,7 +312,7 @@ class Derivatives:
         if self.best is not None:
             return np.asarray(np.hypot(self.best.deviations(), self.values() - self.best.values()))
         best, structure, measured = self._without_forces, self.smoother.structure, self.measured
-        changes: list[tuple[slice, Array]] = []
+        changes: list[tuple[slice, Array, Array]] = []
         if structure is not None and measured is not None and self.smoother.alternatives:
             rest = measured - self._course.displacement(self.smoother.forces)
             rest = np.where(self.w > 0, rest - weighted_cubic(rest, self.w), 0.0) / self.noise
@@ -320,8 +320,8 @@ class Derivatives:
             best = best - self.noise * mean_shift(*average)  # of the best structure alone
             changes = [*added_variances(*average, self.grid.interval)]
         spread = deviations(self.factor, best, self.noise, self.grid.interval)
-        for frames, more in changes:
-            spread[:, frames] = np.sqrt(spread[:, frames] ** 2 + more)
+        for frames, left, more in changes:
+            spread[:, frames] = np.sqrt(spread[:, frames] ** 2 * left + more)
         for error in self.parameter_errors:
             np.hypot(spread, error, out=spread)
         spread *= self.noise

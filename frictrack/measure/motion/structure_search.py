@@ -4,11 +4,11 @@ All parameters maximise the restricted likelihood. One more line, event or set o
 than its parameters would by chance (Schwarz 1978, Ann. Stat. 6).
 
 The signal is averaged over structures that explain the data about as well as the best one does (Bayesian model
-averaging: Hoeting et al. 1999, Stat. Sci. 14). Few frames determine how soft the trend is at the
-ends, and how wide an event is. Near each end and event the structure is therefore changed: by a ramp of the stiffness
-toward the end or event, as large as stiffnesses differ from knot to knot, and by events of other widths, places and
-shapes. Each change is weighted by its likelihood and its prior. It alters only the trend nearby, so that it is
-evaluated in a window, and windows are treated as independent.
+averaging: Hoeting et al. 1999, Stat. Sci. 14). Few frames determine how soft the trend is at the ends, and how wide an
+event is. Near each end and event the structure is therefore changed: by a ramp of the stiffness toward the end or
+event, as large as stiffnesses differ from knot to knot, and by events of other widths, places and shapes. A record may
+begin and end at rest, a cubic, however soft the trend is beside it. Each change is weighted by its likelihood and its
+prior. It alters only the trend nearby, so that it is evaluated in a window, and windows are treated as independent.
 """
 
 from __future__ import annotations
@@ -396,6 +396,7 @@ def _refine_last_line(structure: Structure, search: StructureSearch) -> Structur
 
 RAMP_DEPTHS = np.array([1.0, 2.0, 3.0])  # over the prior standard deviation of the stiffness
 RAMP_LENGTHS = (0.15, 0.4, 1.0)  # over the period of the trend's cut-off
+REST_LENGTHS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0)  # the same, of a rest
 WIDTH_FACTORS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # width of another event over that of the event
 RAMP_WIDTH_FACTORS = (1, 2, 4, 8)  # the same of an event that rises to its end or falls from its beginning
 SHIFTS = (-0.25, 0.0, 0.25)  # of an event, over its width
@@ -452,7 +453,7 @@ def _changes(s: Structure, n: int) -> Iterator[Iterator[StructureChange]]:
 
 
 def _ramps(s: Structure, begin: int, stop: int, rises: int, n: int) -> Iterator[StructureChange]:
-    """Yield ramps of the trend at one end of the differences from begin to stop (exclusive)."""
+    """Yield softer ramps, and rests, at one end of the differences from begin to stop (exclusive)."""
     edge = stop - 1 if rises > 0 else begin
     period = _period(s, edge, n)
     for length in RAMP_LENGTHS:
@@ -461,6 +462,11 @@ def _ramps(s: Structure, begin: int, stop: int, rises: int, n: int) -> Iterator[
         for depth in RAMP_DEPTHS if width > 1 else ():
             ramp = Event(first, first + width - 1, KNOT_SPREAD * depth, rises)
             yield StructureChange(float(np.exp(-0.5 * depth**2)), ramp)
+    is_end = begin == 0 if rises < 0 else stop == n - TREND_ORDER
+    widths = {int(min(round(length * period), (stop - begin) // 2)) for length in REST_LENGTHS if is_end}
+    for width in sorted(widths - {0, 1}):
+        first = stop - width if rises > 0 else begin
+        yield StructureChange(1.0, Event(first, first + width - 1, -KNOT_SPREAD * RAMP_DEPTHS[-1]))
 
 
 def _changed_events(s: Structure, i: int, n: int) -> Iterator[StructureChange]:
@@ -500,12 +506,16 @@ def _weigh_changes(data: SmootherData, s: Structure, changes: Sequence[Structure
         return None
     base = _factor(part, s, window, None).restricted_likelihood()[0]
     gains = np.array([base - _factor(part, s, window, c).restricted_likelihood()[0] for c in changes])
-    prior = np.array([c.weight for c in changes])
+    rests = np.array([c.event.boost < 0 for c in changes])
+    rested = np.max(gains[rests], initial=0.0) > np.log(part.count)  # more than a parameter, the length, by chance
+    prior = np.where(rests == rested, [c.weight for c in changes], 0.0)
     if changes[0].instead < 0:  # the prior of the ramps includes one of no depth
         prior = prior / np.sum(prior)
     posterior = prior * np.exp(0.5 * np.minimum(gains, MAX_GAIN))
-    shares = posterior / (1.0 + np.sum(posterior))
+    shares = posterior / (float(not rested) + np.sum(posterior))
     kept = [i for i in np.argsort(-shares)[:MAX_CHANGES].tolist() if shares[i] > MIN_WEIGHT]
+    if rested:
+        shares /= np.sum(shares[kept])
     return ChangeGroup(*window[:2], tuple(replace(changes[i], weight=float(shares[i])) for i in kept))
 
 
@@ -552,8 +562,8 @@ def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) 
 
 def added_variances(
     data: SmootherData, s: Structure, groups: Sequence[ChangeGroup], interval: float
-) -> Iterator[tuple[slice, Array]]:
-    """Yield the frames of each group, and the variance of x, v and a that the average adds there."""
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield the frames of each group, and by which factor and by what the average changes the variances of x, v, a."""
     for g in groups:
         weights = np.array([c.weight for c in g.changes])
         moves = np.array([stencil_derivatives(move, interval) for move in _signal_changes(data, s, g)])
@@ -563,4 +573,5 @@ def added_variances(
         stencil = stencils(g.stop - g.first, interval)
         found = variances_of([_factor(part, s, window, c) for c in (None, *g.changes)], *stencil)
         within = np.einsum("k,kqn->qn", weights, found[1:] - found[0])
-        yield slice(g.first, g.stop), np.maximum(between, 0.0) + np.maximum(within, 0.0)
+        left = 1.0 + np.minimum(within, 0.0) / found[0]
+        yield slice(g.first, g.stop), left, np.maximum(between, 0.0) + np.maximum(within, 0.0)

@@ -94,6 +94,7 @@ MIN_ROLLING = 1e-3  # friction coefficient of a ball bearing (0.0010 to 0.0015, 
 DRY_FRICTION = Range(0.02, 2.0)  # from ice or PTFE on steel to rubber; most dry pairs lie between 0.1 and 1
 USUAL_FRICTION = 0.3  # most pairs of solids, dry or with boundary lubrication, lie within a decade of it
 USUAL_SPEED = 1.0  # m/s
+MAX_RARITY = 2.0  # decades from a usual slide, friction and speed together, where no dry solid rubs as much
 USUAL_TRAVEL = Range(1e-4, 20.0)  # m: courses in a laboratory
 BLOW_ENERGY = Range(0.0, 300.0)  # J: the largest pendulum hammers in common use (ISO 148-1)
 
@@ -339,6 +340,11 @@ class SlideEstimate:
         return friction_is_possible and self.speed in SPEED and self.travel in USUAL_TRAVEL
 
     @property
+    def is_rare_braking(self) -> bool:
+        """Whether friction is above that of dry solids, and it and the speed as large as a wrong scale makes them."""
+        return self.friction is not None and self.friction > DRY_FRICTION.high and self.rarity > MAX_RARITY
+
+    @property
     def rarity(self) -> float:
         """Decades by which friction and speed differ from typical ones."""
         friction_term = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
@@ -402,7 +408,7 @@ def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | 
     if slide.speed not in SPEED:
         than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if slide.speed > RAIL_SPEED else "than in a laboratory"
         kind, words = "speed", f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
-    elif slide.friction is not None and slide.friction not in FRICTION:
+    elif slide.friction is not None and (slide.friction not in FRICTION or slide.is_rare_braking):
         kind, words = "friction", _friction_text(run, slide)
     elif slide.friction is not None and slide.travel not in TRAVEL:
         kind, words = "scale", f"the mass would slide {slide.travel:.3g} m without a stop"
@@ -482,10 +488,10 @@ def _friction_text(run: Run, slide: SlideEstimate) -> str:
     """Say how large the friction coefficient would be, and what has more or less."""
     assert slide.friction is not None
     out = f"the friction coefficient would be {slide.friction:.3g} (friction slows by {slide.deceleration:.3g} m/s^2)"
-    if slide.friction > FRICTION.high:
+    if slide.friction > DRY_FRICTION.high:
         load = "normal load" if run.normal_load is not None else "weight"
         pressed = "" if run.normal_load is not None else ", unless something presses it on (then give normal_load)"
-        return f"{out}, more than {FRICTION.high:g} times the {load}{pressed}"
+        return f"{out} at {slide.speed:.3g} m/s, where dry solids have at most 1.5 times the {load}{pressed}"
     return f"{out}, less than {'on an air bearing' if slide.friction < FRICTION.low else 'in a ball bearing'}"
 
 

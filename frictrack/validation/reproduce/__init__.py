@@ -9,15 +9,16 @@ Each function that returns a `Section` reproduces one part; notebooks call them 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
 
-from frictrack.base.errors import os_errors_as
+from frictrack.base import __version__
 from frictrack.base.workers import processors, run_parallel
-from frictrack.flow import Progress, no_progress
+from frictrack.flow import Progress, digest, no_progress
 from frictrack.validation.reproduce.identification import (
     equation_4,
     orders,
@@ -28,7 +29,6 @@ from frictrack.validation.reproduce.identification import (
 )
 from frictrack.validation.reproduce.search_trials import eq8_trials, genetic_searches
 from frictrack.validation.reproduce.sections import (
-    ANOTHER_FOLDER,
     FULL,
     QUICK,
     Claim,
@@ -36,6 +36,7 @@ from frictrack.validation.reproduce.sections import (
     Reproduction,
     ResultTable,
     Section,
+    read_sections,
     tables_html,
     write_reproduction,
 )
@@ -53,7 +54,9 @@ SECTIONS: dict[str, tuple[Callable[..., Section], tuple[str, ...], float]] = {
 
 
 def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Progress = no_progress) -> dict[str, Any]:
-    """Reproduce both papers and write page, figures, tables and JSON; of the sections done, where it is interrupted.
+    """Reproduce both papers and write page, figures, tables and JSON after every section.
+
+    Sections that an interrupted call with the same settings and version wrote into the folder are not computed again.
 
     Parameters
     ----------
@@ -77,27 +80,28 @@ def reproduce(folder: Path, *, quick: bool = False, seed: int = 0, progress: Pro
         If the folder cannot be written.
 
     """
-    with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):  # before minutes of work
-        folder.mkdir(parents=True, exist_ok=True)
     known = {"effort": QUICK if quick else FULL, "seed": seed}
-    longest_first = sorted(SECTIONS, key=lambda name: -SECTIONS[name][2])
-    work = {name: partial(_timed, name, {key: known[key] for key in SECTIONS[name][1]}) for name in longest_first}
-    done: dict[str, tuple[Section, float]] = {}
-    progress(0, 0, describe_work(quick=quick))
-    try:
-        for name, found in run_parallel(work, 1 if quick else None):
-            done[name] = found
-            progress(len(done), len(SECTIONS), "reproduce")
-    finally:  # where it is interrupted, what is done is kept
-        found_in_order = {name: done[name] for name in SECTIONS if name in done}
-        parts = tuple(part for part, _ in found_in_order.values())
-        seconds = {name: spent for name, (_, spent) in found_in_order.items()}
-        result = write_reproduction(Reproduction(parts, seed, quick, seconds, len(SECTIONS) - len(done)), folder)
+    arguments = {name: {key: known[key] for key in one[1]} for name, one in SECTIONS.items()}
+    keys = {name: digest([name, __version__, arguments[name]]) for name in SECTIONS}
+    done = read_sections(folder, keys)
+
+    def write() -> dict[str, Any]:
+        parts = tuple(done[name] for name in SECTIONS if name in done)
+        return write_reproduction(Reproduction(parts, seed, quick, len(SECTIONS) - len(parts)), folder)
+
+    result = write()  # before minutes of work
+    missing = sorted(SECTIONS.keys() - done, key=lambda name: -SECTIONS[name][2])  # the longest first
+    progress(0, 0, describe_work(quick=quick, done=done))
+    work = {name: partial(_made, keys, arguments, name) for name in missing}
+    for name, found in run_parallel(work, 1 if quick else None):
+        done[name] = found
+        result = write()
+        progress(len(done), len(SECTIONS), "reproduce")
     return result
 
 
-def describe_work(*, quick: bool = False) -> str:
-    """Say how many sections there are, and how long they take.
+def describe_work(*, quick: bool = False, done: Collection[str] = ()) -> str:
+    """Say how many sections there are, how many of them are done, and how long the others take.
 
     Examples
     --------
@@ -105,14 +109,15 @@ def describe_work(*, quick: bool = False) -> str:
     'reproduce: 8 sections; they take about a minute'
 
     """
-    seconds, n = sum(one[2] for one in SECTIONS.values()), processors()
+    seconds, n = sum(one[2] for name, one in SECTIONS.items() if name not in done), processors()
     workers = "processor" if n == 1 else f"{n} processors in parallel"
     long = f"{max(seconds / 60, 1):.0f} min of processor time, on {workers}"
-    return f"reproduce: {len(SECTIONS)} sections; they take about {'a minute' if quick else long}"
+    sections = f"{len(SECTIONS)} sections; " + (f"{len(done)} are there, the others" if done else "they")
+    return f"reproduce: {sections} take about {'a minute' if quick else long}"
 
 
-def _timed(name: str, arguments: dict[str, Any]) -> tuple[Section, float]:
-    """Run one section; return it with its processor time, s."""
+def _made(keys: dict[str, str], arguments: dict[str, dict[str, Any]], name: str) -> Section:
+    """Compute one section, with its key and its processor time."""
     begin = process_time()
-    part = SECTIONS[name][0](**arguments)
-    return part, process_time() - begin
+    part = SECTIONS[name][0](**arguments[name])
+    return replace(part.with_drawn_figures(), key=keys[name], seconds=process_time() - begin)

@@ -8,7 +8,7 @@ import math
 import tomllib
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -85,9 +85,11 @@ class Section:
     tables
         Tables.
     figures
-        Caption and figure by file name.
+        Caption, and figure or its SVG, by file name.
     claims
         Claims that the section tests.
+    key, seconds
+        Hash of the settings that it was computed with, and the processor time that it took, s.
 
     """
 
@@ -95,8 +97,15 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[ResultTable, ...] = ()
-    figures: dict[str, tuple[str, Figure]] = field(default_factory=dict)
+    figures: Mapping[str, tuple[str, Figure | str]] = field(default_factory=dict)
     claims: tuple[Claim, ...] = ()
+    key: str = ""
+    seconds: float = 0.0
+
+    def with_drawn_figures(self) -> Section:
+        """Return the section with its figures as SVG."""
+        drawn = {n: (text, one if isinstance(one, str) else plots.svg(one)) for n, (text, one) in self.figures.items()}
+        return replace(self, figures=drawn)
 
     def summary(self) -> dict[str, Any]:
         """JSON of the section, with figures by file name."""
@@ -107,7 +116,17 @@ class Section:
             "tables": [vars(t) | {"heads": list(t.heads)} for t in self.tables],
             "figures": list(self.figures),
             "claims": [vars(c) for c in self.claims],
+            "key": self.key,
         }
+
+    @classmethod
+    def read(cls, kept: Mapping[str, Any], seconds: float, folder: Path) -> Section:
+        """Read a section from its JSON and its figures."""
+        texts, place = _texts()["figures"], folder / "figures"
+        figures = {n: (texts[n]["caption"], (place / f"{n}.svg").read_text(encoding="utf-8")) for n in kept["figures"]}
+        tables = tuple(ResultTable(**t | {"heads": tuple(t["heads"])}) for t in kept["tables"])
+        claims = tuple(Claim(**c) for c in kept["claims"])
+        return cls(kept["name"], kept["title"], tuple(kept["text"]), tables, figures, claims, kept["key"], seconds)
 
 
 @dataclass(frozen=True)
@@ -188,15 +207,14 @@ VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All sections of a reproduction, with the seed of its recordings and whether it was quick.
+    """The sections of a reproduction that are done, with the seed of its recordings and whether it was quick.
 
-    `seconds` is the processor time of each section by name, s; `missing` is the number of sections that were not done.
+    `missing` is the number of the other sections.
     """
 
     parts: tuple[Section, ...]
     seed: int
     quick: bool
-    seconds: dict[str, float] = field(default_factory=dict)
     missing: int = 0
 
     @property
@@ -216,7 +234,7 @@ class Reproduction:
             "seed": self.seed,
             "quick": self.quick,
             "counts": self.counts,
-            "seconds": self.seconds,
+            "seconds": {part.name: part.seconds for part in self.parts},
             "parts": [part.summary() for part in self.parts],
         }
 
@@ -245,7 +263,7 @@ def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, An
     with os_errors_as(f"cannot write into {folder}", ANOTHER_FOLDER):
         for sub in ("figures", "tables"):
             (folder / sub).mkdir(parents=True, exist_ok=True)
-        for part in reproduction.parts:
+        for part in (part.with_drawn_figures() for part in reproduction.parts):
             _write_figures_and_tables(part, folder)
         page = folder / "reproduce.html"
         page.write_text(render_page(reproduction), encoding="utf-8")
@@ -254,9 +272,33 @@ def write_reproduction(reproduction: Reproduction, folder: Path) -> dict[str, An
     return result
 
 
+def read_sections(folder: Path, keys: Mapping[str, str]) -> dict[str, Section]:
+    """Read the sections in a folder that were made with the same keys, by name.
+
+    Parameters
+    ----------
+    folder
+        Where `write_reproduction` wrote.
+    keys
+        Key of each section by name.
+
+    Returns
+    -------
+    dict
+        Sections; none if the folder holds no reproduction, or one that was changed.
+
+    """
+    try:
+        kept = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+        mine = [part for part in kept["parts"] if part["key"] == keys.get(part["name"])]
+        return {part["name"]: Section.read(part, kept["seconds"][part["name"]], folder) for part in mine}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
 def _write_figures_and_tables(part: Section, folder: Path) -> None:
-    for name, (_, figure) in part.figures.items():
-        (folder / "figures" / f"{name}.svg").write_text(plots.svg(figure), encoding="utf-8")
+    for name, (_, svg) in part.figures.items():
+        (folder / "figures" / f"{name}.svg").write_text(str(svg), encoding="utf-8")
     for table in part.tables:
         with (folder / "tables" / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows([table.heads, *table.rows])
@@ -264,16 +306,15 @@ def _write_figures_and_tables(part: Section, folder: Path) -> None:
 
 def render_page(reproduction: Reproduction) -> str:
     """Render the page as HTML."""
-    draw = SvgEmbedder()
     return page_template("page.html.j2", "validation/reproduce").render(
-        parts=reproduction.parts,
+        parts=[part.with_drawn_figures() for part in reproduction.parts],
         claims=reproduction.claims,
         counts=reproduction.counts,
         quick=reproduction.quick,
         missing=reproduction.missing,
-        minutes=format_number(sum(reproduction.seconds.values()) / 60, 2),
+        minutes=format_number(sum(part.seconds for part in reproduction.parts) / 60, 2),
         kinds=VERDICT_CLASSES,
-        draw=draw,
+        draw=SvgEmbedder().embed,
         as_text=as_text,
     )
 
