@@ -14,7 +14,8 @@ Adcock, B. & Huybrechs, D. (2019). Frames and numerical approximation. SIAM Revi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import operator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
@@ -248,31 +249,19 @@ class ColumnProducts:
         return np.asarray(self.gram + left @ own.transpose(0, 2, 1))
 
     @classmethod
-    def of_pieces(cls, parts: Iterable[ColumnProducts]) -> ColumnProducts:
-        """Add the products along several pieces, whose columns have the same coefficients, in place of the first."""
-        parts = iter(parts)
-        total, coordinates = next(parts), []
-        coordinates.append(total.coordinates)
-        for p in parts:
-            size = np.where(p.size > total.size, ROOM * p.size, total.size)
-            for q in (total, p):
-                if not np.array_equal(q.size, size):
-                    np.multiply(q.draws, (q.size / size).astype(np.float32)[:, :, None], out=q.draws)
-            np.add(total.draws, p.draws, out=total.draws)
-            total = replace(total, gram=total.gram + p.gram, data=total.data + p.data, size=size)
-            coordinates.append(p.coordinates)
-        return replace(total, coordinates=np.concatenate(coordinates, axis=2))
+    def of_run(cls, parts: Iterable[ColumnProducts]) -> ColumnProducts:
+        """Add the products along the pieces of a run, in place of the first; their coordinates are those in its space.
 
-    def in_space(self, space: Array, outside: Array) -> ColumnProducts:
-        """Return the products with coordinates in the space (L_r, L') of a run instead of its pieces' bases.
-
-        `outside` (L_r, D) are the coordinates of the series outside the space.
+        They count what is inside the space as outside of it, too: it is taken out at the end.
         """
-        inside = self.coordinates @ space
-        across = self.coordinates - inside @ space.T
-        draws = (across / self.size[:, :, None]).astype(np.float32) @ outside[:, 1:].astype(np.float32)
-        gram, data = self.gram + across @ across.transpose(0, 2, 1), self.data + across @ outside[:, 0]
-        return replace(self, gram=gram, data=data, coordinates=inside, draws=self.draws + draws)
+        total = _added(parts, operator.add)
+        inside = total.coordinates
+        return replace(total, gram=total.gram - inside @ inside.transpose(0, 2, 1))
+
+    @classmethod
+    def of_runs(cls, parts: Iterable[ColumnProducts]) -> ColumnProducts:
+        """Add the products along several runs, in place of the first; each has coordinates of its own."""
+        return _added(parts, lambda one, other: np.concatenate([one, other], axis=2))
 
     @classmethod
     def over_points(cls, parts: Sequence[ColumnProducts]) -> ColumnProducts:
@@ -284,19 +273,65 @@ class ColumnProducts:
         return replace(self, draws=self.draws[:, :, :0])
 
 
-def column_products(
-    piece: LinearisedPiece, whitened: Array, k: int, series: ScannedSeries, frames: slice
-) -> ColumnProducts:
+def _added(parts: Iterable[ColumnProducts], joined: Callable[[Array, Array], Array]) -> ColumnProducts:
+    """Sum of products, held in the memory of the first; their coordinates are joined."""
+    parts = iter(parts)
+    total = next(parts)
+    for p in parts:
+        size = np.where(p.size > total.size, ROOM * p.size, total.size)
+        for q in (total, p):
+            if not np.array_equal(q.size, size):
+                np.multiply(q.draws, (q.size / size).astype(np.float32)[:, :, None], out=q.draws)
+        np.add(total.draws, p.draws, out=total.draws)
+        inside = joined(total.coordinates, p.coordinates)
+        total = replace(total, gram=total.gram + p.gram, data=total.data + p.data, coordinates=inside, size=size)
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesOfPiece:
+    """The measured series (n,) and the draws (n, D - 1) along one piece, outside its basis.
+
+    In a run of several pieces, the rows of their coordinates outside the `space` (L, L') of the run follow.
+    """
+
+    measured: Array
+    draws: Float32Array
+    space: Array | None = None
+
+
+def series_of_run(law: LinearisedModel, run: int, series: ScannedSeries) -> list[SeriesOfPiece]:
+    """Return the series along every piece of a run."""
+    rows = [law.rows[i] for i in law.members(run)]
+    parts = [SeriesOfPiece(series.measured[own], series.residuals[own, 1:]) for own in rows]
+    if len(parts) == 1:
+        return parts
+    if ("of run", run) in series.kept:
+        return list(series.kept["of run", run])
+    measured = law.outside_space(run, series.measured[:, None])[:, 0]
+    draws = law.outside_space(run, series.residuals[:, 1:]).astype(np.float32)
+    ends = np.cumsum([law.pieces[i].basis.shape[1] - law.pieces[i].starts for i in law.members(run)])[:-1]
+    cut = zip(*(np.split(whole, ends) for whole in (measured, draws, law.spaces[law.runs.index(run)])), strict=True)
+    made = [
+        SeriesOfPiece(np.append(p.measured, m), np.vstack([p.draws, d]), v)
+        for p, (m, d, v) in zip(parts, cut, strict=True)
+    ]
+    series.kept["of run", run] = made
+    return made
+
+
+def column_products(piece: LinearisedPiece, whitened: Array, k: int, series: SeriesOfPiece) -> ColumnProducts:
     """Compute the products of whitened columns (g k, n) along one piece."""
     left, coordinates = piece.split(whitened)
+    if series.space is not None:
+        left, coordinates = np.hstack([left, coordinates]), coordinates @ series.space
     columns = left.reshape(-1, k, left.shape[1])
     gram = columns @ columns.transpose(0, 2, 1)
     squares = np.einsum("gkk->gk", gram)
     size = np.sqrt(np.where(squares > MIN_COLUMN_SQUARE, squares, 1.0))  # smaller ones gain nothing
-    data, draws = columns @ series.measured[frames], series.residuals[frames, 1:]
-    products = (left / size.reshape(-1, 1)).astype(np.float32) @ draws
+    products = (left / size.reshape(-1, 1)).astype(np.float32) @ series.draws
     shape = *size.shape, -1
-    return ColumnProducts(gram, data, coordinates.reshape(shape), size, products.reshape(shape))
+    return ColumnProducts(gram, columns @ series.measured, coordinates.reshape(shape), size, products.reshape(shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,9 +474,11 @@ class PlainWaves:
 class WaveProducts:
     """Products of the waves of a grid along one piece."""
 
-    def __init__(self, law: LinearisedModel, grid: CandidateGrid, i: int, series: ScannedSeries) -> None:
+    def __init__(
+        self, law: LinearisedModel, grid: CandidateGrid, i: int, series: SeriesOfPiece, kept: dict[Any, Any]
+    ) -> None:
         assert grid.effect.scan_wave is not None
-        self._wave, self._law, self._grid, self._series = grid.effect.scan_wave, law, grid, series
+        self._wave, self._law, self._grid, self._series, self._kept = grid.effect.scan_wave, law, grid, series, kept
         self._i, self._piece = i, law.pieces[i]
         self._q = self._wave.frequency(grid.values[: grid.shape[-1], -1])
         self._line, self._frame, self._envelope = -1, WaveFrame(np.zeros(0)), np.zeros(0)
@@ -474,7 +511,7 @@ class WaveProducts:
         """Plain waves that reach frequencies q and as many of the following ones as there is room for."""
         u, spacing = self._frame.u, self._frame.spacing
         is_shared = bool(np.all(self._envelope == 1.0)) and u is self._piece.path_for(self._grid.effect).t
-        kept, key = self._series.kept, (self._i, self._grid.effect.acts_on)
+        kept, key = self._kept, (self._i, self._grid.effect.acts_on)
         if is_shared and key in kept and kept[key].reach(u, q):
             return kept[key]
         room = min(MAX_PLAIN, MAX_PLAIN_SAMPLES // (2 * len(u))) - 2 * N_NEIGHBOURS
@@ -499,7 +536,7 @@ class WaveProducts:
             rows = self._piece.whitened_rows(columns.reshape(-1, len(u)), self._grid.effect.acts_on == "measurement")
             at = 2 * (first - numbers.start)
             whitened[at : at + len(rows)] = rows
-        return column_products(self._piece, whitened, len(whitened), self._series, frames)
+        return column_products(self._piece, whitened, len(whitened), self._series)
 
 
 def _coordinate(grid: CandidateGrid, piece: LinearisedPiece, g: int) -> Array:

@@ -30,9 +30,11 @@ from frictrack.fit.linearised.columns import (
     MIN_COLUMN_SQUARE,
     CandidateGrid,
     ColumnProducts,
+    SeriesOfPiece,
     WaveProducts,
     are_sums_of_waves,
     column_products,
+    series_of_run,
 )
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
 from frictrack.records import Array
@@ -164,25 +166,20 @@ def _products_of_blocks(
 ) -> list[Callable[[slice], ColumnProducts]]:
     """What computes the products of the columns of every block at some grid points."""
 
-    def of_piece(i: int) -> Callable[[slice], ColumnProducts]:
+    def of_piece(i: int, own: SeriesOfPiece) -> Callable[[slice], ColumnProducts]:
         piece = law.pieces[i]
         if are_sums_of_waves(grid, piece):
-            return WaveProducts(law, grid, i, series)
-        return lambda points: column_products(
-            piece, grid.whitened_columns(piece, grid.values[points]), grid.k, series, law.rows[i]
-        )
+            return WaveProducts(law, grid, i, own, series.kept)
+        return lambda points: column_products(piece, grid.whitened_columns(piece, grid.values[points]), grid.k, own)
 
     def of_run(run: int) -> Callable[[slice], ColumnProducts]:
-        pieces = [of_piece(i) for i in law.members(run)]
-        if len(pieces) == 1:
-            return pieces[0]
-        space, outside = law.spaces[law.runs.index(run)], law.outside_space(run, series.residuals)
-        outside[:, :1] = law.outside_space(run, series.measured[:, None])
-        return lambda points: ColumnProducts.of_pieces(at(points) for at in pieces).in_space(space, outside)
+        pairs = zip(law.members(run), series_of_run(law, run, series), strict=True)
+        pieces = [of_piece(i, own) for i, own in pairs]
+        return pieces[0] if len(pieces) == 1 else lambda points: ColumnProducts.of_run(at(points) for at in pieces)
 
     def together(block: list[int]) -> Callable[[slice], ColumnProducts]:
         runs = [of_run(run) for run in sorted({law.pieces[i].run for i in block})]
-        return lambda points: ColumnProducts.of_pieces(at(points) for at in runs)
+        return lambda points: ColumnProducts.of_runs(at(points) for at in runs)
 
     return [together(block) for block in grid.blocks]
 
