@@ -258,19 +258,25 @@ class Piece:
         path = replace(self.path, t=new, x=still, v=still, s=still + self.path.s[0], **series)
         return replace(self, panels=panels, at=at, per_frame=per_frame, path=path, **moved)
 
-    def with_clock(self, clock: float) -> Piece:
-        """Return the same piece with all times since release multiplied by `clock` relative to the recorded ones."""
-        by = clock / self.clock
+    def with_clock(self, clock: float, ways: dict[tuple[int, float], Array] | None = None) -> Piece:
+        """Return the same piece with all times since release multiplied by `clock` relative to the recorded ones.
+
+        `ways`: of runs, which their pieces share; filled in.
+        """
+        by, ways = clock / self.clock, {} if ways is None else ways
         if by == 1.0:
             return self
-        path, scale = self.path, np.array([[by], [1.0], [1.0 / by]])  # of t, x, v
+        path, key = self.path, (id(self.way), by)
+        if key not in ways:
+            ways[key] = self.way * np.array([[by], [1.0], [1.0 / by]])  # t, x, v
+        way = ways[key]
         path = replace(
             path,
             t=by * path.t,
             v=path.v / by,
             drive_at=None if path.drive_at is None else partial(_at_scaled_time, path.drive_at, by),
             lift=None if path.lift is None else path.lift / by**2,
-            before=None if path.before is None else path.before * scale,
+            before=None if path.before is None else way[:, : path.before.shape[1]],  # of the way, as before
         )
         return replace(
             self,
@@ -279,7 +285,7 @@ class Piece:
             v_hat=self.v_hat / by,
             a_hat=self.a_hat / by**2,
             path=path,
-            way=self.way * scale,
+            way=way,
             gain=self.gain / by,
             clock=clock,
         )

@@ -510,7 +510,8 @@ class LeastSquaresProblem:
         if all(e.clock is None for e in self.model.effects):
             return joined
         clocks = [self.model.clock(self.layout.values(p, piece.run)[0]) for piece in joined.pieces]
-        return JoinedPieces(tuple(q.with_clock(clock) for q, clock in zip(joined.pieces, clocks, strict=True)))
+        ways: dict[tuple[int, float], Array] = {}
+        return JoinedPieces(tuple(q.with_clock(clock, ways) for q, clock in zip(joined.pieces, clocks, strict=True)))
 
     def linearised_response(
         self, piece: Piece, p: Array, about: tuple[CollocationSolution, LinearResponse], x: Array
