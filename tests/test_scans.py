@@ -23,7 +23,7 @@ from frictrack.fit.linearised import (
     scan_candidate,
     scan_candidates,
 )
-from frictrack.fit.linearised.columns import WaveFrame
+from frictrack.fit.linearised.waves import WaveFrame
 
 LAW = ["coulomb", "viscous"]
 SPECS = (Spec(3.0, 1, 0.06), Spec(5.0, 1, 0.08), Spec(4.0, 2, 0.05), Spec(-4.0, 1, 0.06), Spec(3.5, 1, 0.07))

@@ -31,12 +31,11 @@ from frictrack.fit.linearised.columns import (
     CandidateGrid,
     ColumnProducts,
     SeriesOfPiece,
-    WaveProducts,
-    are_sums_of_waves,
     column_products,
     series_of_run,
 )
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, ScannedSeries
+from frictrack.fit.linearised.waves import WaveProducts, are_sums_of_waves
 from frictrack.records import Array
 
 MIN_UNEXPLAINED_SHARE = 1e-10  # smallest share of a column outside the model
