@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from frictrack.records import Array
 
@@ -172,5 +171,9 @@ def linear_interpolation_matrix(axis: Array, knots: Array) -> Array:
     [[0.75, 0.25], [0.0, 1.0]]
 
     """
-    inside = np.clip(axis, knots[0], knots[-1])
-    return np.asarray(BSpline.design_matrix(inside, np.pad(knots, 1, mode="edge"), 1).toarray())
+    place = np.interp(axis, knots, np.arange(float(len(knots))))
+    left, rows = np.minimum(place.astype(int), len(knots) - 2), np.arange(len(axis))
+    out = np.zeros((len(axis), len(knots)))
+    out[rows, left + 1] = place - left
+    out[rows, left] = 1 - out[rows, left + 1]
+    return out

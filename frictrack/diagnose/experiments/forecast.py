@@ -206,7 +206,7 @@ def _free_curve_effect(name: str, axis: Axis, knots: Array, prior_std: float) ->
     """An effect that is any piecewise linear curve over an axis, constant beyond its knots (K,)."""
 
     def columns(path: Path, nonlinear: Nonlinear) -> Array:
-        hats = linear_interpolation_matrix(np.clip(axis.of(path), knots[0], knots[-1]), knots)
+        hats = linear_interpolation_matrix(axis.of(path), knots)
         return np.asarray(axis.times(path)[:, None] * hats)
 
     return Effect(
