@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, Spec, measured, study
 
-from frictrack import effects, samples
+from frictrack import FrictrackError, effects, samples
 from frictrack.effects import models
 from frictrack.fit import add_effect, fit, reference_of, refine
 from frictrack.fit.cutting import pieces_of
@@ -196,6 +196,13 @@ class TestShortfall:
         other = misfit_left_by_other(law, made["texture"], made["patch"])
         assert abs(own) < 1.0
         assert other > 0.5 * (made["patch"].misfit - made["texture"].misfit) > 100
+
+
+def test_a_law_that_leads_away_from_the_measured_motion_is_refused(complete):
+    names = complete.problem.layout.names
+    driving = np.where(np.array(names) == "viscous.F_v", -50.0, complete.p)  # grows by e in 7 ms
+    with pytest.raises(FrictrackError, match="signs of incline"):
+        linearise(replace(complete, p=driving))
 
 
 def test_a_run_that_rested_before_it_was_pushed_begins_with_that_rest():

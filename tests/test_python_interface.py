@@ -133,9 +133,14 @@ def test_a_missing_column_names_those_that_are_there():
 
 @pytest.mark.parametrize(
     ("arguments", "meant"),
-    [(dict(mass=350), '"350 g"'), (dict(t=1e3 * T), "ms"), (dict(x=1e3 * X), "m/s")],
+    [
+        (dict(mass=350), '"350 g"'),
+        (dict(t=1e3 * T), "ms"),
+        (dict(x=1e3 * X), "m/s"),
+        (dict(x=T**2, incline="25 deg"), 'the sign is wrong: give incline = "-25 deg"'),
+    ],
 )
-def test_values_in_another_unit_are_warned_of(arguments, meant):
+def test_values_that_cannot_be_right_are_warned_of(arguments, meant):
     with pytest.warns(UserWarning, match=meant):
         ft.Run.from_arrays(**{"t": T, "x": noisy(), "mass": MASS} | arguments)
 

@@ -290,7 +290,9 @@ class Explanations:
         if centre.names in self._expanded or not centre.is_law or self._budget.stops():
             return
         centre = self._rebased.get(centre.names, centre)
-        law = linearise(centre.law)
+        law = result_or_none(linearise, centre.law)
+        if law is None:
+            return
         library, _ = list_candidates(centre.law, self._own)
         self._propose(centre, law, scan_effects(law, library, measured_series(law)))
 

@@ -24,6 +24,7 @@ from frictrack.measure.plausibility import (
     implausible_entries,
     implausible_slide,
     time_unit,
+    wrong_incline,
 )
 from frictrack.records import Array, Displacement, Mask, Motion, Run
 from frictrack.sampling import noise_level, white_noise
@@ -509,7 +510,7 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     run = Run(displacement, differentiate(low_pass(displacement)), **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
-    for finding in (*entries, *implausible_slide(run, film=False)):
+    for finding in filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run))):
         warnings.warn(str(replace(finding, run=run.name)), stacklevel=5)  # the caller of `Run.from_arrays`
     return run
 

@@ -36,6 +36,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
 from scipy.sparse import diags_array
 
+from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Path
 from frictrack.effects.models import Values
 from frictrack.fit.least_squares import LeastSquaresProblem, PieceResponse, Solution
@@ -47,6 +48,8 @@ from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, Linea
 
 # smoothing parameters; bandwidths from a tenth of the frame rate downwards
 SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
+MAX_MISFIT_RATIO = 1e3  # of residuals about the measured motion to those about the own one; a step of Newton is exact
+# to second order, so that an unstable law alone comes near
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
 Float32Array = NDArray[np.float32]
 
@@ -66,13 +69,23 @@ def linearise_about_measurement(solution: Solution) -> Solution:
     Solution
         The same unknowns; residuals and sensitivities about the measured motion.
 
+    Raises
+    ------
+    FrictrackError
+        If the law leads away from that motion, so that it means nothing there.
+
     """
     problem = solution.problem
     if not is_linearised_about_measurement(problem):
         return solution
-    return replace(
-        solution, responses=[_response_about_measurement(problem, solution.p, r) for r in solution.responses]
-    )
+    about = [_response_about_measurement(problem, solution.p, r) for r in solution.responses]
+    before, after = (np.linalg.norm(np.concatenate([r.r_full for r in own])) for own in (solution.responses, about))
+    if not after < MAX_MISFIT_RATIO * before:
+        raise FrictrackError(
+            f"{' + '.join(problem.model.names)} leads away from the measured motion, along which it is judged; "
+            "check the signs of incline, drive and spring, and the units of mass and scale"
+        )
+    return replace(solution, responses=about)
 
 
 def is_linearised_about_measurement(problem: LeastSquaresProblem) -> bool:

@@ -566,8 +566,10 @@ def remove_effect(solution: Solution, name: str) -> Solution:
     layout = replace(old, model=model_without(solution, name), absent=absent)
     problem = solution.problem.rebuild(layout)
     firsts = [layout.unknowns(old.by_address(solution.p))]
-    if problem.simulates:  # the rest takes over what it can of the effect
-        firsts.append(refine_on_measured_motion(linearise(solution), layout, firsts[0]))
+    if problem.simulates and (law := result_or_none(linearise, solution)) is not None:
+        firsts.append(
+            refine_on_measured_motion(law, layout, firsts[0])
+        )  # the rest takes over what it can of the effect
     found = []
     for p in firsts:
         try:
