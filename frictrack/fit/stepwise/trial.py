@@ -371,7 +371,7 @@ def _best_of_starts(
     found.sort(key=lambda state: state.misfit)
     best = _refined(problem, found[0], below)
     if best.misfit < below:
-        for state in [*found[1:2], *_with_levels_at_one(problem, found[0])]:
+        for state in found[1:2]:
             best = min(best, _refined(problem, state, below=best.misfit), key=lambda state: state.misfit)
     return _trial(effect, problem, best)
 
@@ -411,14 +411,16 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
     near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(best - frames, 0.0)
     near = min(near, misfit - MIN_GAIN_SHARE * (misfit - best))
     trials = [_with_own_events(linearised, t) if t.effect.single and t.misfit < near else t for t in trials]
-    return sorted((_search_again(linearised, t) for t in trials), key=lambda t: t.misfit)
+    return sorted((_search_again(linearised, t, t.misfit < near) for t in trials), key=lambda t: t.misfit)
 
 
-def _search_again(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
-    """A trial with the positions of all quickly scanned effects exchanged."""
+def _search_again(linearised: LinearisedModel, trial: CandidateTrial, is_near: bool) -> CandidateTrial:
+    """A trial with the positions of all quickly scanned effects exchanged; near the best, with levels of one too."""
     problem = _projected_problem(linearised, trial.layout)
-    state = VariableProjection(problem.separable, problem.tau).exchange_positions(problem, problem.at(trial.p), "")
-    return _trial(trial.effect, problem, _refined(problem, state))
+    search, found = VariableProjection(problem.separable, problem.tau), problem.at(trial.p)
+    starts = [found, *(_with_levels_at_one(problem, found) if is_near else [])]
+    ends = [_refined(problem, search.exchange_positions(problem, start, "")) for start in starts]
+    return _trial(trial.effect, problem, min(ends, key=lambda one: one.misfit))
 
 
 def _with_own_events(linearised: LinearisedModel, trial: CandidateTrial) -> CandidateTrial:
