@@ -137,8 +137,7 @@ class FormulaSearch:
     @cached_property
     def least_misfit(self) -> float:
         """Misfit that is left by the best formula of one term, fitted in full; at most that of the model."""
-        fitted = [*self._firsts, *([self._leader] if self._firsts else [])]
-        return min([self.solution.objective, *(one.solution.objective for one in fitted)])
+        return min([self.solution.objective, *(one.solution.objective for one in self._firsts)])
 
     @property
     def leaves_only_noise(self) -> bool:
@@ -177,9 +176,8 @@ class FormulaSearch:
 
     @cached_property
     def _leader(self) -> FittedFormula:
-        """The best of these, with the friction levels that are most likely beside it."""
-        best = max(self._firsts, key=lambda one: one.delta_bic)
-        return self._evaluated(best.terms, law_with_likely_levels(best.solution))
+        """The best of these."""
+        return max(self._firsts, key=lambda one: one.delta_bic)
 
     @cached_property
     def _found(self) -> _Found:
@@ -265,7 +263,7 @@ class FormulaSearch:
         out: list[FittedFormula] = []
         for term in scan.terms[:count]:
             with suppress(FrictrackError):
-                fitted = add_effect(solution, build_effect(name, term))
+                fitted = law_with_likely_levels(add_effect(solution, build_effect(name, term)))
                 is_last = leaves_only_noise(fitted)
                 out.append(self._evaluated((*first, term), fitted if is_last else refine_to_end(fitted)))
                 if is_last:
