@@ -16,6 +16,7 @@ import numpy as np
 from frictrack.base.arguments import checked
 from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError
+from frictrack.base.number_format import format_plain
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
@@ -225,6 +226,7 @@ class Conclusion:
             causes = [t for t in self._named if self._may_be_cause(t)]
             remarks += remarks_on_named(search.start, self._named[-1].law, causes, self.fit.runs)
             plausible = [t.effect.title for t in causes]
+            remarks += _describe_misfit_left(search)
             remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
         found = Diagnosis(
             model=self.fit.model.names,
@@ -234,7 +236,7 @@ class Conclusion:
             noise_um=1e6 * noise if in_um else None,
             noise_N=None if in_um else noise,
             reduced_chi2=misfit,
-            p_lack_of_fit=search.first.p_lack_of_fit,
+            p_lack_of_fit=max(search.first.p_lack_of_fit, search.first.least_p),
             fails_at=[],
             candidates=self._candidates,
             unexplained=None if keeps_unexplained or formulas is None else formulas.summary,
@@ -495,6 +497,14 @@ class Conclusion:
         if formula is not None and len(effects) == 1:  # a formula in place of several effects is no rival of one
             passing, rivals = [*passing, formula], (formula[0], *rivals)
         return plan_for_candidates(first.solution, passing, rivals, notify, self.costs)
+
+
+def _describe_misfit_left(search: FinishedSearch) -> list[str]:
+    """Say that effects leave a misfit which may be chance."""
+    p = search.last.p_lack_of_fit
+    if search.last.leaves_misfit or p >= search.first.level:
+        return []
+    return [f"with these effects a misfit is left that may be chance (p = {format_plain(p, 1)}); more runs tell"]
 
 
 def _describe_excluded(excluded: Mapping[str, str]) -> list[str]:

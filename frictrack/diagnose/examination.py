@@ -48,6 +48,9 @@ N_DRAWS_FEW = 399  # that decide most tests at a level of 0.005
 MIN_DRAWS_BELOW_LEVEL = 2  # p-values that a level must leave below it; a small level takes more draws
 TAU_GRID = np.geomspace(2e-4, 0.32, 13)  # spreads of friction levels at which a draw is estimated
 COMMON_SCALE_QUANTILE = 0.99  # of each candidate's null distribution, subtracted for a common scale
+TAIL_OF_DRAWS = 10  # one in so many draws, the largest, show how the tail falls off
+LEAST_P = 1e-9  # that is stated; so far out no tail is known
+LEFT_LEVEL_RATIO = 0.05  # of the level: a further cause, that no effect names, is that much less likely than chance
 MIN_P_CLEAR = 0.05  # from which few draws show that p is not below a level of 0.005, but for one case in a million
 MIN_CHI2_CLEAR = 10.0  # beyond all draws, from which more of them would not reach it: by chance, one in exp(5) would
 
@@ -161,6 +164,10 @@ class Examination:
     def something_is_missing(self) -> bool:
         """Whether the misfit or the gain of any effect is significant."""
         return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
+
+    def beside_effects(self) -> Examination:
+        """Return the same examination where effects were found, and nothing explains what they leave."""
+        return replace(self, level=LEFT_LEVEL_RATIO * self.level)
 
     @property
     def critical(self) -> float:
@@ -327,11 +334,11 @@ def lack_of_fit(draws: NullEnsemble) -> float:
     Returns
     -------
     float
-        p-value.
+        p-value; beyond all draws, that of an exponential tail through the largest of them.
 
     References
     ----------
-    Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test.
+    Fan (1996), J. Am. Stat. Assoc. 91, 674-688: adaptive Neyman test. Pickands (1975), Ann. Stat. 3, 119-131: tails.
 
     """
     longest = max(rows.stop - rows.start for rows in draws.law.rows)
@@ -342,7 +349,13 @@ def lack_of_fit(draws: NullEnsemble) -> float:
         sums += np.stack([energy[:order].sum(axis=0) for order in orders])
     center, spread = sums[:, 1:].mean(axis=1), sums[:, 1:].std(axis=1)
     statistic = np.max((sums - center[:, None]) / spread[:, None], axis=0)
-    return p_value(statistic[1:], float(statistic[0]))
+    null = np.sort(statistic[1:])
+    if statistic[0] <= null[-1]:
+        return p_value(null, float(statistic[0]))
+    tail = null[-max(len(null) // TAIL_OF_DRAWS, 1) :]
+    share, scale = len(tail) / len(null), max(float(np.mean(tail - tail[0])), 1e-12)
+    beyond = share * np.exp((tail[0] - statistic[0]) / scale)
+    return float(np.clip(beyond, LEAST_P, 1 / (len(null) + 1)))
 
 
 def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[list[Effect], dict[str, str]]:

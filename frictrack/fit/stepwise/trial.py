@@ -186,7 +186,8 @@ def with_levels(
     if not can_choose_levels(linearised.solution):
         return trials
     for trial in sorted(trials, key=lambda t: t.misfit):
-        out.append(with_likely_levels(linearised, trial, _near_best(linearised, out, misfit)))
+        below = _near_best(linearised, out, misfit)
+        out.append(with_likely_levels(linearised, trial, below) if trial.misfit < below else trial)
     return out
 
 
@@ -232,6 +233,7 @@ def _with_other_level(linearised: LinearisedModel, trial: CandidateTrial, below:
         if len(other.slots) == len(p):  # something is left that the levels multiply, as before
             toggled = problem.with_other_level(changed.name)
             state = toggled.refine(toggled.solved_again(start), (), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
+            state = toggled.refine(state, steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)
             rough.append((state, other))
     if not rough:
         return trial
