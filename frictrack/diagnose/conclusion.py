@@ -55,6 +55,7 @@ from frictrack.fit import Fit, GroupFits
 from frictrack.fit.least_squares import Solution, heldout_rms
 from frictrack.fit.observations import Observation, observation_of
 from frictrack.fit.stepwise import refine_to_end
+from frictrack.fit.uncertainty import negative_force_remark
 from frictrack.records import Array
 from frictrack.settings.costs import DEFAULT_COSTS, Costs
 
@@ -227,6 +228,12 @@ class Conclusion:
             remarks += remarks_on_named(search.start, self._named[-1].law, causes, self.fit.runs)
             plausible = [t.effect.title for t in causes]
             remarks += _describe_misfit_left(search)
+            sizes = {
+                f"{t.effect.name}.{name}": (size["value"], size["std"])
+                for t, candidate in zip(self._named, self._candidates, strict=False)
+                for name, size in candidate.parameters.items()
+            }
+            remarks += negative_force_remark(self._named[-1].law, sizes)
             remarks += [UNNAMED.format(name) for name in plausible if named and name not in named and not is_formula]
         found = Diagnosis(
             model=self.fit.model.names,

@@ -42,6 +42,7 @@ from frictrack.fit.uncertainty.profile_likelihood import Profile, profile
 from frictrack.fit.uncertainty.reported import (
     MIN_RATIO,
     describe_level_outliers,
+    negative_force_remark,
     reported_by_address,
     reported_names,
     reported_values_and_jacobian,
