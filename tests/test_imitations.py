@@ -18,15 +18,22 @@ from frictrack.diagnose import MAX_BIC_EQUAL, diagnose
 from frictrack.diagnose.examination import examine
 from frictrack.diagnose.experiments import next_run
 from frictrack.diagnose.experiments.proposals import Question, Weighted, _rival_questions, list_explanations
-from frictrack.diagnose.formulas import _log_prior_odds, _probability, effects_of_terms
+from frictrack.diagnose.formulas import (
+    FormulaSearch,
+    _log_prior_odds,
+    _probability,
+    effects_of_terms,
+    unexplained_force,
+)
 from frictrack.diagnose.power import detection_limits, find_undetermined, mean_friction
 from frictrack.diagnose.search import MAX_PIECES, subsample_pieces
 from frictrack.effects.ranges import Span
 from frictrack.fit import add_effect, cut_into_pieces, fit
 from frictrack.fit.least_squares import fit_with_scatter
+from frictrack.fit.linearised import linearise, measured_series
 from frictrack.fit.penalties import jacobian_basis
 from frictrack.fit.pieces import cycle_of
-from frictrack.fit.stepwise import refine_to_end
+from frictrack.fit.stepwise import deepen_trials, refine_to_end, scan_effects, try_effects, with_likely_levels
 from frictrack.fit.uncertainty import linear_estimates
 from frictrack.settings.costs import Costs
 
@@ -83,6 +90,59 @@ def test_a_cube_of_the_speed_is_found_from_a_stribeck_velocity_that_imitates_it(
         x = solve_ivp(braking, (0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13, max_step=1e-3).y[0]
         runs.append(measured(t, x, sigma=1.5e-6, mass=0.2, rng=rng, name=f"r{k}"))
     assert diagnose(fit("tustin", runs), quick=True).missing == ["power_law_viscosity"]
+
+
+def coast(forces, rows, sigma, t, seed):
+    """Slides under given forces until they stop; rows of masses over the first one, levels, speeds and phases."""
+    rng, runs = np.random.default_rng(seed), []
+    for k, (q, level, speed, phase) in enumerate(rows):
+
+        def motion(t, state, q=q, level=level, phase=phase):
+            return [state[1], -forces(t, *state, q, level, phase) / (MASS_OF_ONE * q)]
+
+        def stops(t, state):
+            return state[1] - 0.025
+
+        stops.terminal = True
+        made = solve_ivp(
+            motion, (0, t[-1]), [0.0, speed], t_eval=t, rtol=1e-10, atol=1e-13, max_step=2e-3, events=stops
+        )
+        x = made.y[0]
+        runs.append(measured(t[: len(x)], x, sigma=sigma, mass=MASS_OF_ONE * q, rng=rng, name=f"r{k}"))
+    return runs
+
+
+MASS_OF_ONE = 0.191
+
+
+def test_the_first_formula_has_the_levels_that_are_likely_beside_it():
+    """A lift that the friction levels do not multiply: with them, a wave of five coefficients explained more."""
+
+    def forces(t, x, v, q, level, phase):
+        return level * 0.324 * q + 0.01 * v - 0.0168 * q * v**2
+
+    rows = [(1.4, 0.9875, 1.25, 0), (1.0, 1.007, 1.9, 0), (1.0, 0.9934, 1.4, 0), (1.0, 1.012, 1.65, 0)]
+    made = fit(["coulomb", "viscous"], coast(forces, rows, 1.4e-6, np.arange(400) / 500, 0))
+    first = unexplained_force(FormulaSearch.of(made.solution)).formulas[0].entry
+    assert first["form"] == "F * L * s * abs(v)^2"
+
+
+def test_levels_that_do_not_multiply_an_effect_are_found_from_those_that_do():
+    """The law takes up the difference first: only a refinement of all its parameters shows which levels are right."""
+
+    def forces(t, x, v, q, level, phase):
+        ripple = 0.00195 * np.sin(2 * np.pi * 135 * t + phase)
+        dry = level * 0.2617 * q * (1 + 0.409 * np.exp(-v / 0.652))
+        return dry + 0.00322 * v + 0.0418 * q * np.exp(-(((x - 0.207) / 0.014) ** 2) / 2) + ripple
+
+    rows = [(0.8, 1.0013, 2.4, 0.3), (1.0, 0.9917, 2.0, -0.6), (1.4, 0.9854, 2.8, 0.5), (1.0, 1.0209, 1.8, 2.0)]
+    law = linearise(fit("tustin", coast(forces, rows, 1.3e-6, np.arange(600) / 2000, 2)).solution)
+    series = measured_series(law)
+    scanned = scan_effects(law, [effects.get("patch")], series)
+    patch = deepen_trials(law, try_effects(law, scanned, series.coordinates[:, 0]))[0]
+    likely = with_likely_levels(law, patch)
+    assert [e.name for e in likely.layout.model.effects if e.level_is_chosen] == ["patch"]
+    assert likely.misfit < patch.misfit - 30
 
 
 @pytest.mark.slow

@@ -48,8 +48,7 @@ from frictrack.simulate.dynamics import CollocationSolution, EdgeResponse, Linea
 
 # smoothing parameters; bandwidths from a tenth of the frame rate downwards
 SMOOTHING_STRENGTHS = np.geomspace(10.0, 1e9, 17)
-MAX_MISFIT_RATIO = 1e3  # of residuals about the measured motion to those about the own one; a step of Newton is exact
-# to second order, so that an unstable law alone comes near
+MAX_MISFIT_RATIO = 1e9  # of residuals about the measured motion to those about the own one: it grows without bound
 MIN_SINGULAR_VALUE = 1e-9  # relative; smaller singular values are not used
 Float32Array = NDArray[np.float32]
 
