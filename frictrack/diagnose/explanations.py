@@ -311,7 +311,8 @@ class Explanations:
     ) -> None:
         """Try scanned effects with a centre along the measured motion, and enter the sets that they make."""
         tried = try_effects(law, scanned, measured_series(law).coordinates[:, 0])
-        tried = deepen_trials(law, tried) if search_again else tried
+        # beside other effects the law imitates little more
+        tried = deepen_trials(law, tried, every=not centre.effects) if search_again else tried
         misfit = baseline_misfit(law)
         trials = with_levels(law, tried, misfit)
         expansion = Expansion(centre, law, misfit, trials)

@@ -512,9 +512,10 @@ def _is_worth_searching(
     if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
         return True
     gain = smooth_forces(compressed, formula_axes(compressed))[0].gain
-    # near the evidence of the effects, the linear approximation does not decide: the fits of the best formulas do
-    is_near = (1 + MAX_GAIN_ERROR) * gain > evidence
-    return gain > evidence or (is_near and search.solution.objective - search.least_misfit > evidence)
+    # near the evidence of the effects, the linear approximation does not decide: the fits of the best formulas do,
+    # and beside these, others may still fit better
+    near = evidence / (1 + MAX_GAIN_ERROR)
+    return gain > evidence or min(gain, search.solution.objective - search.least_misfit) > near
 
 
 def _probability(advantages: Array, shares: Array, prior: float) -> float:

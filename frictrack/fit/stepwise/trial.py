@@ -387,7 +387,9 @@ def _with_levels_at_one(problem: ProjectedProblem, state: SeparableSolution) -> 
     return [problem.refine(problem.at(p), steps=ROUGH_STEPS, enough=ROUGH_MIN_FALL)]
 
 
-def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> list[CandidateTrial]:
+def deepen_trials(
+    linearised: LinearisedModel, trials: list[CandidateTrial], *, every: bool = True
+) -> list[CandidateTrial]:
     """Search trials again with all quick scans repeated, those of the model too.
 
     A model that lacks something imitates it with what it has, such as a Stribeck velocity far from the true one: no
@@ -400,6 +402,8 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
         The fitted model.
     trials : list of CandidateTrial
         First trials.
+    every : bool
+        Whether those far behind the best are searched again, too.
 
     Returns
     -------
@@ -413,7 +417,8 @@ def deepen_trials(linearised: LinearisedModel, trials: list[CandidateTrial]) -> 
     near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(best - frames, 0.0)
     near = min(near, misfit - MIN_GAIN_SHARE * (misfit - best))
     trials = [_with_own_events(linearised, t) if t.effect.single and t.misfit < near else t for t in trials]
-    return sorted((_search_again(linearised, t, t.misfit < near) for t in trials), key=lambda t: t.misfit)
+    again = (_search_again(linearised, t, t.misfit < near) if every or t.misfit < near else t for t in trials)
+    return sorted(again, key=lambda t: t.misfit)
 
 
 def _search_again(linearised: LinearisedModel, trial: CandidateTrial, is_near: bool) -> CandidateTrial:
