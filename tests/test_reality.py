@@ -15,12 +15,12 @@ from test_series import given, swing, tustin_force
 
 from frictrack import effects
 from frictrack.diagnose import diagnose
-from frictrack.diagnose.model_selection import physical_objection
 from frictrack.diagnose.residual_curves import residual_series
 from frictrack.diagnose.search import subsample
 from frictrack.effects import LIBRARY, Span, models
 from frictrack.fit import fit, restore, state
 from frictrack.fit.observations.measured_friction import friction_noise, strokes, weight_by_noise
+from frictrack.fit.stepwise import physical_objection
 from frictrack.measure.friction import join_swings, moving_sections
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.records import Displacement, Run

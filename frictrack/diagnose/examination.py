@@ -165,7 +165,7 @@ class Examination:
         """Whether the misfit or the gain of any effect is significant."""
         return min(self.p_lack_of_fit, *self.p.values(), 1.0) < self.level
 
-    def beside_effects(self) -> Examination:
+    def after_effects(self) -> Examination:
         """Return the same examination where effects were found, and nothing explains what they leave."""
         return replace(self, level=LEFT_LEVEL_RATIO * self.level)
 
@@ -405,7 +405,7 @@ def _freed(solution: Solution) -> list[Effect]:
     That is a place, or the size of friction that friction levels need not multiply: it may scatter by itself.
     """
     several = len(solution.problem.layout.run_names) > 1
-    parts = solution.problem.model.effects if can_choose_levels(solution) else ()
+    parts = solution.problem.model.effects if can_choose_levels(solution.problem.layout, solution.p) else ()
     return [
         *(e.freed(p.name) for e in parts if e.may_follow_level for p in e.linear if p.loaded == e.level_is_chosen),
         *(

@@ -26,7 +26,6 @@ from frictrack.diagnose.model_selection import (
     log_prior_of_effects,
     objection,
     parameter_penalty,
-    physical_objection,
 )
 from frictrack.diagnose.pairs import gains_of_pairs, try_pair
 from frictrack.effects import Effect, laws_in_place_of
@@ -40,6 +39,7 @@ from frictrack.fit.stepwise import (
     deepen_trials,
     misfit_left_by_other,
     most_by_smaller_scatter,
+    physical_objection,
     refine_to_end,
     scan_effects,
     simulate_trial,

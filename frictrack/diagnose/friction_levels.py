@@ -21,7 +21,7 @@ def law_with_likely_levels(solution: Solution) -> Solution:
 
     Only where it leaves noise alone: else what is missing chooses, and each effect is tried with its likeliest levels.
     """
-    if not can_choose_levels(solution):
+    if not can_choose_levels(solution.problem.layout, solution.p):
         return solution
     trial = likely_levels(linearise(solution))
     if trial.layout is solution.problem.layout:

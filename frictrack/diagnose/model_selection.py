@@ -12,7 +12,7 @@ from frictrack.effects import LIBRARY, Effect
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution, inverse_normal_matrix, refine
 from frictrack.fit.parameters import ParameterLayout
 from frictrack.fit.penalties import penalty_jacobian, penalty_residual
-from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty
+from frictrack.fit.stepwise import EVENT_PARAMETERS, bic_penalty, physical_objection
 from frictrack.records import Array
 
 MIN_CHI2_SEPARATED = 10.0  # expected difference below which two causes are indistinguishable
@@ -145,20 +145,6 @@ def objection(solution: Solution, effect: Effect) -> str:
     Empty if there is no objection.
     """
     return physical_objection(solution.problem.layout, solution.p, effect) or _insignificant(solution, effect)
-
-
-def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str:
-    """Return the effect's own objection to its fitted values, if it holds in every run in which it acts."""
-    if effect.plausible is None:
-        return ""
-    found = []
-    for run in range(len(layout.run_names)):
-        values, _ = layout.values(p, run)
-        if effect.name not in values or (effect.name, run) in layout.absent:
-            continue
-        span = layout.spans[run] if any(p.per_run for p in effect.parameters if p.linear) else layout.span
-        found.append(effect.plausible(values[effect.name], span))
-    return found[0] if found and all(found) else ""
 
 
 def _insignificant(solution: Solution, effect: Effect) -> str:

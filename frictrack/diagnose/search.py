@@ -218,7 +218,7 @@ def search_effects(runs: Sequence[Run], start: Solution, settings: SearchSetting
         pair = space.pair_instead(best, last)
         if pair is not best and _is_more(taken := take(pair), (best, last)):
             best, last = taken
-    last = last.beside_effects() if best.effects else last
+    last = last.after_effects() if best.effects else last
     tried, found, rivals = _listed(space, best, first)
     cut = _describe_cut(budget, [one.names for one in space.known.values() if one.is_unrefined], found)
     budget.grant(np.inf)  # what follows from the search takes a bounded number of evaluations

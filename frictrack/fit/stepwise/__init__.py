@@ -22,6 +22,7 @@ from frictrack.fit.stepwise.trial import (
     likely_levels,
     misfit_left_by_other,
     most_by_smaller_scatter,
+    physical_objection,
     refine_on_measured_motion,
     try_effect,
     try_effects,

@@ -20,7 +20,7 @@ from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.fit.separable.model import SeparableModel
 from frictrack.fit.separable.projected import ProjectedProblem, SeparableSolution
 from frictrack.fit.separable.varpro import VariableProjection
-from frictrack.fit.stepwise.starts import EVENT_PARAMETERS, MIN_GAIN_SHARE, StartValues, bic_penalty, starts_of_scans
+from frictrack.fit.stepwise.starts import EVENT_PARAMETERS, StartValues, bic_penalty, starts_of_scans
 from frictrack.fit.uncertainty import describe_level_outliers
 from frictrack.records import Array
 
@@ -83,10 +83,11 @@ def try_effects(
 def _near_best(linearised: LinearisedModel, trials: Sequence[CandidateTrial], misfit: float) -> float:
     """Misfit above which a trial does not come near the best one, which may need more unknowns."""
     # `misfit` is that of the model without any effect
-    if not trials:
+    possible = [t for t in trials if not physical_objection(t.layout, t.p, t.effect)]
+    if not possible:
         return np.inf
     frames = sum(len(b.data) for b in linearised.blocks)
-    best = min(trials, key=lambda t: t.misfit)
+    best = min(possible, key=lambda t: t.misfit)
     more = len(best.layout.slots) - len(linearised.solution.problem.layout.slots)
     excess = max(best.misfit - frames, 0.0)
     near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * excess + bic_penalty(more, frames)
@@ -175,6 +176,20 @@ def try_together(
     return _trial(effects[-1], problem, state)
 
 
+def physical_objection(layout: ParameterLayout, p: Array, effect: Effect) -> str:
+    """Return the effect's own objection to its fitted values, if it holds in every run in which it acts."""
+    if effect.plausible is None:
+        return ""
+    found = []
+    for run in range(len(layout.run_names)):
+        values, _ = layout.values(p, run)
+        if effect.name not in values or (effect.name, run) in layout.absent:
+            continue
+        span = layout.spans[run] if any(p.per_run for p in effect.parameters if p.linear) else layout.span
+        found.append(effect.plausible(values[effect.name], span))
+    return found[0] if found and all(found) else ""
+
+
 def with_levels(
     linearised: LinearisedModel, trials: Sequence[CandidateTrial], misfit: float
 ) -> Sequence[CandidateTrial]:
@@ -183,17 +198,15 @@ def with_levels(
     `misfit` is that of the model without any effect.
     """
     out: list[CandidateTrial] = []
-    if not can_choose_levels(linearised.solution):
-        return trials
     for trial in sorted(trials, key=lambda t: t.misfit):
         below = _near_best(linearised, out, misfit)
         out.append(with_likely_levels(linearised, trial, below) if trial.misfit < below else trial)
     return out
 
 
-def can_choose_levels(solution: Solution) -> bool:
+def can_choose_levels(layout: ParameterLayout, p: Array) -> bool:
     """Return whether enough runs have levels that tell what they multiply; none whose mass or clock may be wrong."""
-    layout, levels = solution.problem.layout, solution.p[solution.problem.layout.levels]
+    levels = p[layout.levels]
     is_off = any(describe_level_outliers(layout.run_names, levels, np.zeros((len(levels), len(levels)))))
     return len(levels) >= MIN_RUNS_OF_LEVELS and not is_off
 
@@ -206,7 +219,7 @@ def with_likely_levels(linearised: LinearisedModel, trial: CandidateTrial, below
     not expected to fall below `below` is not refined.
     """
     best = trial
-    while can_choose_levels(linearised.solution):
+    while can_choose_levels(best.layout, best.p):
         other = _with_other_level(linearised, best, below)
         if other.misfit > best.misfit - MIN_CHI2_OF_LEVELS:
             return best
@@ -411,11 +424,7 @@ def deepen_trials(
         The trials, best first.
 
     """
-    misfit = baseline_misfit(linearised)
-    best = min((t.misfit for t in trials), default=misfit)
-    frames = sum(len(b.data) for b in linearised.blocks)
-    near = frames + MAX_EXCESS_CHI2 + MAX_EXCESS_RATIO * max(best - frames, 0.0)
-    near = min(near, misfit - MIN_GAIN_SHARE * (misfit - best))
+    near = _near_best(linearised, trials, baseline_misfit(linearised))
     trials = [_with_own_events(linearised, t) if t.effect.single and t.misfit < near else t for t in trials]
     again = (_search_again(linearised, t, t.misfit < near) if every or t.misfit < near else t for t in trials)
     return sorted(again, key=lambda t: t.misfit)
