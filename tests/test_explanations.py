@@ -142,6 +142,18 @@ def test_the_gain_of_a_pair_is_what_a_fit_of_both_gains(specs: tuple[Spec, ...])
     assert gains_of_pairs(law, [drag, spring]) == {("drag", "spring"): pytest.approx(gain, rel=0.05)}
 
 
+def test_a_special_case_of_the_best_is_simulated_whatever_it_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Along the measured motion a law with one parameter more may make up for what this leaves out."""
+    use_few_effects(monkeypatch, (*LAW, "drag", "power_law_viscosity"))
+    start = fit(LAW, runs_with(drag={"c": 0.1})).solution
+    tested, space = examine(start, (), np.random.default_rng(0), LEVEL), Explanations(start)
+    space.begin(tested, tested.scanned)
+    drag = frozenset({"drag"})
+    space.known[drag] = replace(space.known[drag], criterion=space.known[drag].criterion + 150, excess=0.0)
+    space.grow(1)
+    assert space.laws(1)[0].names == drag
+
+
 def test_what_is_not_simulated_explains_less_than_the_best(begun: Begun, cancelling: Fit) -> None:
     space, _, empty = begun
     space.grow(1)

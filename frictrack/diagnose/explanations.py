@@ -409,6 +409,9 @@ class Explanations:
                 self.known |= {one.names: replace(one, is_unrefined=True) for one in waiting}
                 break
             self.known[waiting[0].names] = self._refined(waiting[0])
+        for best in self.laws(size)[:1]:  # whatever a special case of it promises, it has fewer parameters
+            for one in [one for one in self.of_size(size) if _special_case(one, best)]:
+                self._simulated(one)
         for one in self.laws(size):
             self.known[one.names] = self._restarted(one)
 
@@ -463,18 +466,24 @@ class Explanations:
         The larger effect may have found a better minimum. Where that is one of the smaller effect too, this one wins.
         """
         for other in self.laws(len(one.effects)):
-            mine, its = one.names - other.names, other.names - one.names
-            if len(mine) != 1 or other.criterion >= one.criterion:
+            pair = _special_case(one, other)
+            if pair is None or other.criterion >= one.criterion:
                 continue
-            small = next(e for e in one.effects if e.title in mine)
-            large = next(e for e in other.effects if e.title in its)
-            if small.kind in large.special_cases:
-                try:
-                    again = self._with_solution(one, _refined_from(one.law, small, other.law, large))
-                except FrictrackError:  # the larger effect is followed there, but not this one
-                    continue
-                one = again if again.criterion < one.criterion else one
+            small, large = pair
+            try:
+                again = self._with_solution(one, _refined_from(one.law, small, other.law, large))
+            except FrictrackError:  # the larger effect is followed there, but not this one
+                continue
+            one = again if again.criterion < one.criterion else one
         return one
+
+
+def _special_case(one: Explanation, other: Explanation) -> tuple[Effect, Effect] | None:
+    """The only effects in which two sets differ, if the first one's is a special case of the other one's."""
+    small, large = ([e for e in a.effects if e.title not in b.names] for a, b in ((one, other), (other, one)))
+    if len(small) != 1 or len(large) != 1 or small[0].kind not in large[0].special_cases:
+        return None
+    return small[0], large[0]
 
 
 def _misfit_of_priors(layout: ParameterLayout, p: Array) -> float:
