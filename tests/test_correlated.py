@@ -14,6 +14,7 @@ from frictrack.diagnose import diagnose
 from frictrack.fit import fit
 from frictrack.fit.pieces import Whitening
 from frictrack.measure.motion import NoiseStretch, correlated_noise
+from frictrack.records import Run
 
 FPS = 4000.0
 RMS = 1e-5  # m
@@ -188,3 +189,15 @@ def test_the_noise_of_a_run_is_searched_once_and_again_where_the_run_differs(rng
 def test_a_stated_noise_is_taken_at_its_word(rng):
     runs = [replace(run, noise=RMS) for run in runs_with(0.8, rng)]
     assert all(not p.correlated for p in fit("coulomb, viscous", runs).solution.problem.pieces)
+
+
+def test_uneven_rows_are_no_correlated_noise(rng):
+    """Their differences hold the motion: a chi-squared of 1e-5 and deviations ten times too large came of it."""
+    runs = []
+    for k, speed in enumerate((4.0, 4.5, 3.5, 4.2)):
+        kept = np.sort(rng.choice(500, 200, replace=False))
+        t, x = kept / FPS, slid(500, speed)[kept]
+        runs.append(Run.from_arrays(t, x + 1e-6 * rng.standard_normal(200), mass=MASS, name=f"r{k}"))
+    made = fit("coulomb, viscous", runs)
+    assert made.reduced_chi2 == pytest.approx(1.0, abs=0.2)
+    assert not made.solution.problem.pieces[0].correlated

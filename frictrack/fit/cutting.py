@@ -51,7 +51,7 @@ from frictrack.measure.friction import (
 )
 from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import GRAVITY, Array, Mask, Run
-from frictrack.sampling import noise_level
+from frictrack.sampling import noise_level, unusual_steps
 from frictrack.simulate.dynamics import Panels
 
 MIN_NOISE_OF_TRAVEL = 1e-9  # motions are solved to 1e-13 m, and singular values of 1e-8 are the last that count
@@ -372,8 +372,9 @@ def _noise_stretch(run: Run, positions: Array) -> NoiseStretch:
 
 
 def _longest_gapless(pieces: Sequence[Piece]) -> Array:
-    """Measured positions of the longest part of a run without a missing frame."""
-    parts = [part for p in pieces for part in np.split(p.y, np.flatnonzero(np.diff(p.frames) != 1) + 1)]
+    """Measured positions of the longest part of a run without a missing frame, or another interval."""
+    gaps = [(np.diff(p.frames) != 1) | unusual_steps(p.t) for p in pieces]
+    parts = [part for p, gap in zip(pieces, gaps, strict=True) for part in np.split(p.y, np.flatnonzero(gap) + 1)]
     return max(parts, key=len)
 
 

@@ -27,6 +27,7 @@ from frictrack.sampling.difference_noise import (
     difference_variance,
     noise_level,
     noise_of_smooth,
+    unusual_steps,
     white_noise,
 )
 from frictrack.sampling.screen import (

@@ -26,8 +26,20 @@ MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from 
 
 def _is_uneven(t: Array) -> bool:
     """Whether many intervals differ from the usual one, so that few rows in a row are evenly spaced."""
-    steps = np.diff(t) / np.median(np.diff(t)) if len(t) > 1 else np.ones(1)
-    return bool(np.mean(np.abs(steps - 1.0) > MAX_UNEVENNESS) > MAX_GAP_SHARE)
+    return len(t) > 1 and bool(np.mean(unusual_steps(t)) > MAX_GAP_SHARE)
+
+
+def unusual_steps(t: Array) -> Mask:
+    """Return which steps (n - 1,) of times (n,) differ from the usual one.
+
+    Examples
+    --------
+    >>> unusual_steps(np.array([0.0, 1.0, 2.0, 4.0])).tolist()
+    [False, False, True]
+
+    """
+    steps = np.diff(t)
+    return np.asarray(np.abs(steps / np.median(steps) - 1.0) > MAX_UNEVENNESS)
 
 
 def difference_variance(order: int) -> float:
