@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
+from scipy.fft import idct
 from scipy.interpolate import CubicSpline
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
@@ -152,7 +152,7 @@ def _block(piece: Piece, chain: AccelerationChain, noise: float) -> DataBlock:
     # the force enters by its cosine components within the passband of the chain, so that the map is one small matrix
     t = piece.t
     k = min(len(t), int(2 * (t[-1] - t[0]) * PASSBAND_FACTOR * chain.cutoff) + 8)
-    cosines = dct(np.eye(len(t)), norm="ortho", axis=0)[:k].T
+    cosines = idct(np.eye(len(t), k), norm="ortho", axis=0)
     known = np.interp(t, piece.panels.t, piece.known)
     twice = CubicSpline(t, np.column_stack([cosines, known])).antiderivative(2)(t)
     basis, response = np.linalg.qr(chain.apply(twice[:, :k] / piece.mass) / noise)
