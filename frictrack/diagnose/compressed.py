@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded, qr
+from scipy.sparse import csr_array
 
 from frictrack.effects import Path
 from frictrack.fit.least_squares import PieceResponse, Solution
@@ -40,6 +41,7 @@ MAX_COMPONENTS = 800  # over all pieces, approximately
 MIN_COMPONENTS_PER_PIECE = 4
 POINTS_PER_SPLINE = 3  # points per spline at which a force is read
 SPLINE_DEGREE = 3
+SPLINES_AT_ONCE = 64  # of whose responses several copies are held
 MIN_PIVOT = 1e-3  # of the splines at the points where a force is read; less are too few points
 MIN_COMPONENT_SHARE = 1e-7  # of the largest one
 MIN_REDUCED_CHI2_FAR = 100.0  # above which a model is far from the data, whatever it explains
@@ -200,9 +202,10 @@ def _compress_piece(response: PieceResponse, max_components: int) -> tuple[Array
     piece = response.piece
     count = max(min(len(piece.t) // 3, max_components), MIN_COMPONENTS_PER_PIECE)
     knots = _knots(piece.t[0], piece.t[-1], count)
-    nodes = _splines(piece.panels.t, knots)
-    edges = response.linear.edge_states(-nodes / piece.mass, np.zeros((2, count)))
-    moved = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
+    moved, nodes = np.empty((len(piece.t), count)), _sparse_splines(piece.panels.t, knots).tocsc()
+    for part in (slice(k, k + SPLINES_AT_ONCE) for k in range(0, count, SPLINES_AT_ONCE)):
+        edges = response.linear.edge_states(-nodes[:, part].toarray() / piece.mass)
+        moved[:, part] = piece.whitened((1 + response.shift_slope)[:, None] * edges[piece.at, 0])
     moved -= response.q @ (response.q.T @ moved)
     scale = np.linalg.norm(moved, axis=0)
     q, upper, order = qr(moved / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
@@ -231,7 +234,11 @@ def _knots(low: float, high: float, count: int = N_SPLINES) -> Array:
 
 def _splines(u: Array, knots: Array) -> Array:
     """Values (n, m) of the splines at u (n,), constant beyond their ends."""
-    return np.asarray(BSpline.design_matrix(np.clip(u, knots[0], knots[-1]), knots, SPLINE_DEGREE).toarray())
+    return np.asarray(_sparse_splines(u, knots).toarray())
+
+
+def _sparse_splines(u: Array, knots: Array) -> csr_array:
+    return BSpline.design_matrix(np.clip(u, knots[0], knots[-1]), knots, SPLINE_DEGREE)
 
 
 def _path_at(solution: Solution, response: PieceResponse, rows: Rows, unit_level: bool) -> Path:
