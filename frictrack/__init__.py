@@ -22,7 +22,7 @@ from importlib import import_module
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.lazy import imports_of
+from frictrack.base import imports_of
 
 if TYPE_CHECKING:
     from frictrack import effects, samples, search, simulate

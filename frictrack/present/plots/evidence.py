@@ -17,8 +17,7 @@ from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnySummary, as_summary
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Mask
-from frictrack.results.candidates import STANDINGS, CandidateRow, candidate_rows
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES, STANDINGS, CandidateRow, candidate_rows
 
 MAX_CANDIDATES = 12  # drawn; the table of the report has all
 LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
