@@ -10,8 +10,8 @@ changed since is not computed again.
     frictrack_batch.html             the page
     .frictrack/frictrack_batch.jsonl the journal of finished studies
 
-Trends follow the order in which the user named the studies. A value y_i with standard deviation s_i varies from study to
-study by more than s_i:
+Trends follow the order in which the user named the studies. A value y_i with standard deviation s_i varies from study
+to study by more than s_i:
 
     y_i = a + b i + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
 

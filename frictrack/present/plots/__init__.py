@@ -45,7 +45,7 @@ from frictrack.present.plots.model import (
     residuals,
     routes,
 )
-from frictrack.present.plots.plan import next_experiments, pair_separation, remaining_pairs, trends
+from frictrack.present.plots.plan import next_experiments, pair_separation, trends
 from frictrack.present.plots.style import file_content, html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import numbered_name, passes, plain_name

@@ -1,4 +1,4 @@
-"""Draw plans of runs (pairs of effects that remain indistinguishable, expected evidence) and series of studies."""
+"""Draw plans of runs (the evidence between pairs of effects, the next experiments) and series of studies."""
 
 from __future__ import annotations
 
@@ -20,39 +20,6 @@ SEPARATION_LEVELS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
 # browns: not separated; greens: separated
 SEPARATION_COLOURS = ("#e3e5e7", "#8c2d04", "#fe9929", "#d9f0d3", "#7fbf7b", "#1b7837")
 SEPARATION_LABELS = ("not detectable", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
-
-
-@styled
-def remaining_pairs(plan: Mapping[str, Any]) -> Figure:
-    """Draw the number of indistinguishable pairs of effects after each planned run.
-
-    Parameters
-    ----------
-    plan : mapping
-        The JSON of a plan.
-
-    """
-    runs, total = plan["runs"], plan["pairs_before"]
-    figure = new_figure(0.42 * len(runs) + 1.5, _plan_title(plan))
-    ax = figure.subplots()
-    left = [total, *(run["pairs_left"] for run in runs)]
-    names = ["nothing more filmed", *(f"{k}. {run['what']}" for k, run in enumerate(runs, 1))]
-    ax.barh(range(len(left)), left, height=0.62, color=style.SKY, edgecolor=style.MEASURED_COLOUR, lw=0.6)
-    for i, n in enumerate(left):
-        gone = "" if i == 0 else f"   ({left[i - 1] - n} fewer)"
-        style.note(ax, f"{n}{gone}", (n, i), (5, 0), va="center")
-    style.name_rows(ax, names)
-    ax.set_xlim(0, 1.15 * max(total, 1))
-    ax.set_xlabel("pairs of effects that cannot be distinguished")
-    return figure
-
-
-def _plan_title(plan: Mapping[str, Any]) -> str:
-    runs = plan["runs"]
-    if not runs:
-        return f"{plan['pairs_before']} of {plan['pairs']} pairs are open, and no run of the menu separates any"
-    after = runs[-1]["pairs_left"]
-    return f"{len(runs)} runs separate {plan['pairs_before'] - after} of {plan['pairs_before']} pairs"
 
 
 @styled

@@ -238,11 +238,5 @@ def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
         If the folder cannot be written.
 
     """
-    draw = SvgEmbedder()
-    html = page_template("plan.html.j2").render(
-        plan=plan,
-        written=now(),
-        remaining=draw(plots.remaining_pairs(plan)),
-        separation=draw(plots.pair_separation(plan)),
-    )
-    return replace_text(path, html)
+    separation = SvgEmbedder()(plots.pair_separation(plan))
+    return replace_text(path, page_template("plan.html.j2").render(plan=plan, written=now(), separation=separation))

@@ -6,8 +6,8 @@
 
 A study is drawn at random and a hidden effect is scaled to a size that an ideal detector can just see
 (`truth_sampling`, `ideal_detector`), its tables or films are written, and each diagnosis becomes an
-`Outcome`. Effects that fit as well as the hidden one (`equivalent_effects`) count as correct within a group. The study file does not
-reveal the truth.
+`Outcome`. Effects that fit as well as the hidden one (`equivalent_effects`) count as correct within a group.
+The study file does not reveal the truth.
 """
 
 from __future__ import annotations
