@@ -27,9 +27,9 @@ from frictrack.records import CutoffTradeOff
 from frictrack.results import RunResults, to_builtins
 from frictrack.results.candidates import joined_name, numbered_name
 from frictrack.results.verdicts import CHECK_FIRST, describe_lost, describe_tests
-from frictrack.settings.filters import FILTER_WORDS, FILTERS, STRUCTURAL
+from frictrack.settings.filters import FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
-from frictrack.study import RunTable, Study
+from frictrack.study import RunTable, Study, writing
 from frictrack.workbench.summaries.models import (
     candidate_curves,
     current_model,
@@ -189,6 +189,7 @@ def state_of(snapshot: Snapshot) -> dict[str, Any]:
             "name": snapshot.study.name if snapshot.study else snapshot.path.resolve().parent.name,
             "error": snapshot.error,
             "recordings": list_recordings(snapshot),
+            "suffixes": [*writing.FILMS, ".cih", ".cihx", *writing.TABLES],
             "fields": study_fields(snapshot),
             "keys": _study_keys(snapshot.study),
             "ready": readiness(snapshot, runs),
@@ -319,7 +320,7 @@ def _motion(run: RunResults) -> dict[str, Any]:
         free = {"from_ms": begin, "to_ms": end, "reason": friction.reason}
     return {
         "smoothed_by": run.filtered.reason,
-        "filters": {name: {"words": FILTER_WORDS[name], "takes": takes} for name, takes in FILTERS.items()},
+        "filters": {name: {"words": words, "takes": takes} for name, (words, takes) in FILTERS.items()},
         "filter": {"filter": STRUCTURAL} | {k: run.settings[k] for k in FILTER_SETTINGS if k in run.settings},
         "free": free,
         "cutoff": _cutoff(run, run.cutoff) if run.cutoff else None,
