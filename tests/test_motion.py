@@ -409,8 +409,6 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
 # -- what a mean is worth --------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("repeats", few_or_many(8, 30))
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_every_text_that_lists_the_filters_names_each(method):
     root = Path(frictrack.__file__).parent
@@ -419,6 +417,8 @@ def test_every_text_that_lists_the_filters_names_each(method):
     assert all(f'"{method}"' in text for text in (MotionTable.__doc__, low_pass.__doc__, *others))
 
 
+@pytest.mark.few(1)
+@pytest.mark.parametrize("repeats", few_or_many(8, 30))
 @pytest.mark.parametrize("method", METHOD_NAMES)
 def test_covariance_covers_the_error_of_a_mean(method, repeats):
     """Smoothing colours the noise: the mean of many accelerations is far better known than each of them alone says."""
