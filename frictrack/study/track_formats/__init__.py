@@ -64,6 +64,13 @@ FORMATS = (
 
 
 def find_track_format(path: Path) -> TrackFormat | None:
-    """Return the format of a file or folder; None if it holds no tracks of another program."""
+    """Return the format of a file or folder; None if it holds no tracks of another program.
+
+    Examples
+    --------
+    >>> find_track_format(Path("slide.TRK")).programs
+    'Tracker'
+
+    """
     suffix = FOLDER if path.is_dir() else path.suffix.lower()
     return next((one for one in FORMATS if suffix in one.suffixes and one.is_one(path)), None)
