@@ -11,13 +11,15 @@ from frictrack.present.plots.evidence import (
     has_scan,
     limits,
     missing_force,
+    next_experiments,
+    pair_separation,
     parameter_unit,
     scan,
     unexplained,
 )
 from frictrack.present.plots.figure_list import study_figures
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs, plotted_data
-from frictrack.present.plots.law import convergence, has_law, law, law_title, loops, profiles
+from frictrack.present.plots.law import convergence, has_law, law, law_title, loops, profiles, trends
 from frictrack.present.plots.measured import (
     budget,
     budgets,
@@ -45,7 +47,6 @@ from frictrack.present.plots.model import (
     residuals,
     routes,
 )
-from frictrack.present.plots.plan import next_experiments, pair_separation, trends
 from frictrack.present.plots.style import file_content, html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
 from frictrack.results.candidates import numbered_name, passes, plain_name

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from frictrack.present.plots import evidence, law, measured, verdict
 from frictrack.present.plots import model as of_models
-from frictrack.present.plots.plan import next_experiments
 from frictrack.present.plots.style import run_styles
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import candidate_rows
@@ -96,7 +95,7 @@ def _of_current_model(model: ModelResults, results: Results, *, of_points: bool)
         if evidence.has_limits(diagnosis, results.figures):
             yield "limits", partial(evidence.limits, diagnosis, results.figures)
         if steps:
-            yield "next experiments", partial(next_experiments, steps)
+            yield "next experiments", partial(evidence.next_experiments, steps)
     if papers := results.papers:
         both = {c.run for c in papers.curves} & {c.run for c in model.curves}
         run = next((one for one in results.runs if one.name in both and one.friction is not None), None)

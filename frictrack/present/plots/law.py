@@ -1,4 +1,4 @@
-"""Draw the fitted friction law over the speed, how its parameters were found, and how well they are known."""
+"""Draw the friction law over the speed; how its parameters were found, are known, and change over many studies."""
 
 from __future__ import annotations
 
@@ -363,3 +363,65 @@ def _smooth(values: Array, rise: Array, best: float) -> tuple[Array, Array]:
     x = np.unique(np.concatenate([np.linspace(at[0], at[-1], N_CURVE_POINTS), at]))
     curve = np.asarray(PchipInterpolator(at, root)(x)) ** 2
     return (np.exp(x) if logarithmic else x), curve
+
+
+PANEL_COLUMNS = 2
+MAX_ERROR_BARS = 300  # points; the bars of more points would overlap to a grey area
+MAX_POINTS = 3000  # points drawn one by one; more points are summarised by quantiles
+N_STRETCHES = 150  # equal parts of the series, each with its own quantiles
+
+
+@styled
+def trends(found: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw every quantity over the series, with a line where its trend is significant.
+
+    Parameters
+    ----------
+    found : sequence of mappings
+        Each has `name` and `unit` of the quantity, `along` (label of the x axis), `at`, `value` and `std` (n,),
+        `slope` per unit of `at`, `scatter` between studies, `p`, and `holds` where the trend is significant.
+
+    """
+    rows = -(-len(found) // PANEL_COLUMNS)
+    figure = new_figure(2.3 * rows + 0.4, "Over the series")
+    panels = figure.subplots(rows, PANEL_COLUMNS, squeeze=False).ravel()
+    for ax, trend in zip(panels, found, strict=False):
+        _draw_trend(ax, trend)
+    for ax in panels[len(found) :]:
+        ax.set_visible(False)
+    return figure
+
+
+def _draw_trend(ax: Axes, trend: Mapping[str, Any]) -> None:
+    at, value, std = (np.asarray(trend[key], dtype=float) for key in ("at", "value", "std"))
+    if len(at) <= MAX_ERROR_BARS and np.any(np.isfinite(std)):
+        ax.errorbar(
+            at, value, style.BAND_SIGMAS * np.nan_to_num(std), fmt="none", ecolor=style.SKY, elinewidth=1.0, zorder=1
+        )
+    if len(at) <= MAX_POINTS:
+        ax.plot(at, value, "o", ms=3.5 if len(at) <= MAX_ERROR_BARS else 1.5, color=style.MEASURED_COLOUR, zorder=2)
+    else:
+        _stretches(ax, at, value)
+    if trend["holds"]:
+        weight = 1.0 / (np.nan_to_num(std) ** 2 + trend["scatter"] ** 2 + 1e-300)
+        middle = np.average(value - trend["slope"] * at, weights=weight)
+        ends = np.array([at[0], at[-1]])
+        ax.plot(ends, middle + trend["slope"] * ends, color=style.MODEL_COLOUR, lw=2.0, zorder=3)
+    ax.set_title(trend["name"])
+    ax.set_ylabel(format_unit(trend["unit"]) or "relative")
+    ax.set_xlabel(trend["along"])
+    low, high = value.min(), value.max()
+    longest = style.BAND_SIGMAS * np.nan_to_num(std).max() if len(at) <= MAX_ERROR_BARS else 0.0
+    spread = high - low or abs(high) or 1.0
+    reach = min(max(longest, 0.08 * (high - low)), 2.0 * spread)  # one very uncertain study must not flatten the others
+    ax.set_ylim(low - reach, high + reach)
+
+
+def _stretches(ax: Axes, at: Array, value: Array) -> None:
+    """Summarise many points: median, quartiles and extremes of each part of the series."""
+    parts = np.array_split(np.arange(len(at)), N_STRETCHES)
+    low, lower, middle, upper, high = np.transpose([np.quantile(value[k], [0.0, 0.25, 0.5, 0.75, 1.0]) for k in parts])
+    place = np.array([np.mean(at[k]) for k in parts])
+    ax.fill_between(place, low, high, color=style.SKY, alpha=0.3, lw=0.0)
+    ax.fill_between(place, lower, upper, color=style.SKY, lw=0.0)
+    ax.plot(place, middle, color=style.MEASURED_COLOUR, lw=1.2, zorder=2)
