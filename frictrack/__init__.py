@@ -17,12 +17,11 @@ Names are imported when they are first used, so that `frictrack --help` starts q
 from __future__ import annotations
 
 import sys
-import warnings
 from importlib import import_module
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
-from frictrack.base.lazy import imports_of
+from frictrack.base import imports_of
 
 if TYPE_CHECKING:
     from frictrack import effects, samples, search, simulate
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from frictrack.tracking import align_track, contact_sheet, learn_target, track
 
 _MODULE_OF = imports_of(__name__)
-_RENAMED = {"aligned": "align_track", "happenings": "find_events", "trade": "cutoff_tradeoff"}  # in version 0.2
 _ALIASES = {  # the names of modules that users know, and the room in which each stands
     "costs": "settings.costs",
     "crate": "flow.crate",
@@ -123,9 +121,6 @@ class _Package(ModuleType):
                 value.__module__ = "frictrack"  # where pickle finds it
             setattr(self, name, value)
             return value
-        if name in _RENAMED:
-            warnings.warn(f"frictrack.{name} is now called {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
-            return getattr(self, _RENAMED[name])
         raise AttributeError(f"module 'frictrack' has no attribute {name!r}")
 
     def __dir__(self) -> list[str]:

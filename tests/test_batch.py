@@ -27,8 +27,7 @@ from frictrack.base import workers
 from frictrack.base.errors import FrictrackError, raise_faults
 from frictrack.cli.common import BatchPrinter, ProgressBars
 from frictrack.flow import Session
-from frictrack.flow.batch import BatchState, batch, find_studies, tasks
-from frictrack.flow.batch.driver import Journal, find_trends, fit_slope, write_table
+from frictrack.flow.batch import BatchState, Journal, batch, find_studies, find_trends, fit_slope, tasks, write_table
 from frictrack.flow.batch.tasks import Scheduler, StudyOutcome
 
 NUMBERS = ["coulomb.F_c", "coulomb.F_c std", "level", "noise_um", "rms_displacement_um"]  # columns of the table
@@ -81,7 +80,7 @@ def inline(quick: None, monkeypatch: pytest.MonkeyPatch) -> Inline:
     def here(workers: int | None = None) -> Iterator[Inline]:
         yield one
 
-    monkeypatch.setattr("frictrack.flow.batch.driver.local_workers", here)
+    monkeypatch.setattr("frictrack.flow.batch.local_workers", here)
     return one
 
 

@@ -19,9 +19,9 @@ from frictrack.fit import remove_effect
 from frictrack.flow import Session, open_study
 from frictrack.records import Array
 from frictrack.simulate import simulate
-from frictrack.validation.blind import benchmark, make, score
+from frictrack.validation import blind as benchmark
+from frictrack.validation.blind import SEAL_FILE, make, open_seal, run_table, score, write_study
 from frictrack.validation.blind import truth_sampling as drawing
-from frictrack.validation.blind.benchmark import SEAL_FILE, open_seal, run_table, write_study
 from frictrack.validation.blind.ideal_detector import (
     IdealDetector,
     degrees_of_freedom,

@@ -7,8 +7,7 @@ import pytest
 
 import frictrack as ft
 from frictrack.base.errors import FrictrackError
-from frictrack.flow.batch import batch
-from frictrack.flow.batch.driver import condition_trends, read_condition
+from frictrack.flow.batch import batch, condition_trends, read_condition
 from frictrack.flow.batch.tasks import StudyOutcome
 from frictrack.study import load
 

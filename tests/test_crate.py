@@ -27,10 +27,9 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.files import CACHE_VARIABLE
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, store, stored_values
-from frictrack.flow.crate import CrateOptions, payload, reproduce_crate, write_crate
+from frictrack.flow.crate import CrateOptions, payload, read_authorship, reproduce_crate, ucum, write_crate
 from frictrack.flow.crate.payload import safe_place, unpack
 from frictrack.flow.crate.reproducing import Crate, CrateFile, compare_files, find_inputs, read_crate, tolerance_of
-from frictrack.flow.crate.writing import read_authorship, ucum
 from frictrack.flow.store import GroupContent
 from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Friction

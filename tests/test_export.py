@@ -21,8 +21,14 @@ from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study, read_results
 from frictrack.present import export
 from frictrack.present.export import FORMATS, ExportedFiles, export_results
-from frictrack.present.export.data_files import sheet_names
-from frictrack.present.export.tables import all_columns, describe, motion_columns, own_motion, track_columns
+from frictrack.present.export.tables import (
+    all_columns,
+    describe,
+    motion_columns,
+    own_motion,
+    sheet_names,
+    track_columns,
+)
 from frictrack.present.export.tracker_project import PIXEL_CENTRE, tracker_axes
 from frictrack.records import Displacement, Track
 from frictrack.results import Results

@@ -29,7 +29,7 @@ from frictrack.diagnose.formulas import (
     form_probabilities,
     log_prior,
 )
-from frictrack.flow.study_edits import choose_formula, formula_number
+from frictrack.flow.opening import choose_formula, formula_number
 
 FORMULA = {
     "formula": "2 N exp(-|v|/3 m/s)",

@@ -9,7 +9,7 @@ from frictrack import effects
 from frictrack.base.glossary import find_terms, hover_pattern, meaning_of, near_words, symbols_in, terms
 from frictrack.cli import main
 from frictrack.effects import models
-from frictrack.present.report.markup import explain_words
+from frictrack.present.report.tables import explain_words
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Low-pass, noise level and derivatives against closed forms, dense algebra, scipy.signal and solve_ivp."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from repeats import few_or_many
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfiltfilt
 
+import frictrack
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.motion import (
     METHOD_NAMES,
@@ -24,6 +26,7 @@ from frictrack.measure.motion.smoother import FactoredSmoother, Structure
 from frictrack.measure.motion.structure_search import StructureSearch
 from frictrack.records import Displacement
 from frictrack.sampling import noise_level
+from frictrack.study.schema import MotionTable
 
 FPS = 4000.0
 NOISE = 10e-6
@@ -404,6 +407,14 @@ def test_two_lines_are_never_one_line_with_amplitudes_that_cancel(rng):
 
 
 # -- what a mean is worth --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_every_text_that_lists_the_filters_names_each(method):
+    root = Path(frictrack.__file__).parent
+    files = (root / "study" / "optional_keys.toml", root.parent / "docs" / "explanation" / "how_it_works.md")
+    others = [path.read_text() for path in files if method != "structural"]  # the default, which they need not name
+    assert all(f'"{method}"' in text for text in (MotionTable.__doc__, low_pass.__doc__, *others))
 
 
 @pytest.mark.few(1)

@@ -94,7 +94,7 @@ def test_files_without_marks_stay_current_and_are_marked_when_written(
     shutil.rmtree(tmp_path / "study_results")
     with monkeypatch.context() as before:  # as an earlier version wrote them
         before.setattr("frictrack.flow.store.encoding.mark_data", lambda group, kind: None)
-        before.setattr("frictrack.flow.store.hdf5_io.mark_default", lambda file: None)
+        before.setattr("frictrack.flow.store.mark_default", lambda file: None)
         Session(open_study(tmp_path / "study.toml")).bring_up_to("motion")
     path = tmp_path / "study_results" / "slow.h5"
     old = path.read_bytes()

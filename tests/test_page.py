@@ -183,7 +183,9 @@ def test_the_sample_study_is_one_click_away(tmp_path: Path, tab: Open, serve: Se
 def test_films_are_dropped_on_the_page(tmp_path: Path, tab: Open, serve: Serve) -> None:
     server = serve(tmp_path)
     page = tab().open(server)
-    page.page.locator("input[type=file]").first.set_input_files(SAMPLES / "fast.avi")
+    chooser = page.page.locator("input[type=file]").first
+    assert {".avi", ".mraw", ".cihx", ".csv", ".tdms", ".mat"} <= set(str(chooser.get_attribute("accept")).split(","))
+    chooser.set_input_files(SAMPLES / "fast.avi")
     film_shown(page)
     assert (tmp_path / "fast.avi").read_bytes() == (SAMPLES / "fast.avi").read_bytes()
 

@@ -31,8 +31,8 @@ from frictrack.workbench.summaries import (
     new_study,
     refuse_implausible,
     state_of,
+    suspect_frames,
 )
-from frictrack.workbench.summaries.state import suspect_frames
 
 LAW = ["coulomb", "viscous"]
 

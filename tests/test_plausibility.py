@@ -43,7 +43,7 @@ from frictrack.measure.plausibility import (
 from frictrack.measure.tables import displacement_of_table
 from frictrack.records import GRAVITY, Array, Displacement, Motion, Run, Track
 from frictrack.study import TableData, unnamed_force
-from frictrack.validation.blind.benchmark import write_study
+from frictrack.validation.blind import write_study
 from frictrack.validation.blind.truth_sampling import draw_truth
 from frictrack.workbench.summaries import SnapshotReader, check_fields, refuse_implausible, state_of
 

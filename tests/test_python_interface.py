@@ -321,11 +321,6 @@ def test_seed_is_the_older_name_of_rng():
         ft.bootstrap(fitted, 20, rng=3, seed=3)
 
 
-def test_renamed_functions_answer_to_their_older_names():
-    with pytest.warns(DeprecationWarning, match="frictrack.happenings is now called find_events"):
-        assert ft.happenings is ft.find_events
-
-
 @pytest.fixture(scope="module")
 def one_fit():
     return ft.fit("coulomb", [ft.Run.from_arrays(T, noisy(), mass=MASS)])

@@ -14,6 +14,7 @@ from camera_films import write_cine, write_photron
 from frictrack.base.errors import FrictrackError
 from frictrack.recording import FORMATS, open_recording, random_access
 from frictrack.recording.timebase import AuditRow
+from frictrack.study.writing import FILMS
 
 N, H, W = 12, 32, 48
 
@@ -130,6 +131,7 @@ def test_every_suffix_belongs_to_one_format():
     suffixes = [s for kind in FORMATS for s in kind.suffixes]
     assert len(suffixes) == len(set(suffixes))
     assert all(s == s.lower() and s.startswith(".") for s in suffixes)
+    assert set(suffixes) - {".cih", ".cihx"} == set(FILMS)  # which command line and page look for
 
 
 # ---- frame rate

@@ -20,9 +20,9 @@ from frictrack.base.number_format import upper_first
 from frictrack.cli import output
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present import report
-from frictrack.present.report import markup, tables, texts
+from frictrack.present.report import tables, texts
 from frictrack.present.report.texts import next_steps
-from frictrack.workbench.summaries.state import _measured_part
+from frictrack.workbench.summaries import _measured_part
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -288,7 +288,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path, quick, mon
 
 
 def test_formulas_are_set():
-    text = markup.mark_equation("F = (F_s - F_c) L s exp(-(|v|/v_s)^delta) + a sin(2 pi f t) <b>")
+    text = tables.mark_equation("F = (F_s - F_c) L s exp(-(|v|/v_s)^delta) + a sin(2 pi f t) <b>")
     assert "F<sub>s</sub> − F<sub>c</sub>" in text
     assert "exp(−(|v|/v<sub>s</sub>)<sup>δ</sup>)" in text
     assert "2 π f" in text
@@ -296,7 +296,7 @@ def test_formulas_are_set():
 
 
 def test_commands_in_words_are_set_as_code():
-    assert markup.mark_code("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
+    assert tables.mark_code("give it as `reference` <now>") == "give it as <code>reference</code> &lt;now&gt;"
 
 
 # ---- how well the films were measured

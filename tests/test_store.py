@@ -177,7 +177,7 @@ def test_a_later_schema_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     path = tmp_path / "v3.h5"
     with monkeypatch.context() as later:
         later.setattr("frictrack.flow.store.integrity.SCHEMA", 99)
-        later.setattr("frictrack.flow.store.hdf5_io.__version__", "7.1.0")
+        later.setattr("frictrack.flow.store.__version__", "7.1.0")
         store.write(path, {"a": GroupContent({"n": 1})})
     before = path.read_bytes()
     words = rf"expected .*v3\.h5 of schema {store.SCHEMA} at most but it has 99 and was written by frictrack 7\.1\.0"

@@ -294,7 +294,7 @@ def after_fit(fit: Mapping[str, Any], study: Any) -> str:
 
 def after_edit(result: Mapping[str, Any], study: Any) -> str:
     """Return what an added or removed effect makes of the held-out error."""
-    from frictrack.results.rows import describe_held_out  # noqa: PLC0415 - `--help` does without it
+    from frictrack.results.candidates import describe_held_out  # noqa: PLC0415 - `--help` does without it
 
     change, study = describe_held_out(result["error_before"], result["error_after"]), shlex.quote(str(study))
     return f"{change}. frictrack diagnose {study} names what is missing, if anything is"

@@ -17,14 +17,16 @@ from rich.text import Text
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_p_value, format_plain, format_plus_minus
 from frictrack.results import verdicts
-from frictrack.results.candidates import MAIN_KINDS, candidate_rows, not_passing
-from frictrack.results.rows import (
+from frictrack.results.candidates import (
     FAILING_HEADS,
+    MAIN_KINDS,
     MEASUREMENT_HEADS,
+    candidate_rows,
     describe_held_out,
     error_rows,
     failing_rows,
     measurement_cells,
+    not_passing,
     numbered_name,
     parameter_row,
 )

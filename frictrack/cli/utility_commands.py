@@ -13,9 +13,11 @@ import typer
 
 from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError, needs_package
+from frictrack.base.files import read_small_text
 from frictrack.cli.common import BatchPrinter, Json, Seed, Workers, app, command, look_at, print_result, progress_bars
 
 TOKEN_VARIABLE = "FRICTRACK_TOKEN"  # environment: password of the page
+MAX_TOKEN_BYTES = 10_000
 
 
 @command()
@@ -104,12 +106,11 @@ def render(
 
 
 @command("app")
-def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
+def workbench(
     study: Annotated[Path, typer.Argument(metavar="[STUDY]", help="study file, or the folder of a new one")] = Path(),
     host: str = "127.0.0.1",
     port: int = 5006,
     token_file: Path | None = None,
-    token: Annotated[str | None, typer.Option(hidden=True)] = None,  # of earlier versions
     name: list[str] | None = None,
     browser: bool = True,
 ) -> None:
@@ -134,21 +135,14 @@ def workbench(  # noqa: PLR0913, PLR0917 - one argument per option
     """
     with needs_package("the workbench", "frictrack[app]"):
         server = import_module("frictrack.workbench.server")  # by name: the two edges know nothing of each other
-    token = _page_token(token, token_file)
-    server.serve(study, host=host, port=port, token=token, names=name or (), show=browser)
+    server.serve(study, host=host, port=port, token=_page_token(token_file), names=name or (), show=browser)
 
 
-def _page_token(written: str | None, file: Path | None) -> str | None:
+def _page_token(file: Path | None) -> str | None:
     """Password of the page: of a file or the environment, because every user can read a command line."""
-    if written is not None:
-        sys.stderr.write(f"--token can be read by every user of this machine; use --token-file or {TOKEN_VARIABLE}\n")
-        return written
     if file is None:
         return os.environ.get(TOKEN_VARIABLE)
-    try:
-        found = file.read_text(encoding="utf-8").strip()
-    except (OSError, ValueError) as e:
-        raise UsageError(f"expected a file with a password but cannot read {file} ({e})") from e
+    found = read_small_text(file, MAX_TOKEN_BYTES, "a file with the password of the page").strip()
     if not found:
         raise UsageError(f"expected the password of the page in {file} but it is empty; write one")
     return found

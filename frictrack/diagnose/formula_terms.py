@@ -24,7 +24,7 @@ from frictrack.diagnose.compressed import MIN_LOAD_RATIO, Axis, CompressedResidu
 from frictrack.effects import CONSTANTS, FUNCTIONS, OPERATORS, Effect, Path
 from frictrack.fit.least_squares import Solution
 from frictrack.records import Array, Mask
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 WIDTH_RATIOS = (0.3, 0.1, 0.04, 0.015)  # of the axis, for bumps and steps
 MAX_PERIODS = 45.0  # on an axis

@@ -64,7 +64,7 @@ from frictrack.fit.linearised import LinearisedModel, linearise
 from frictrack.fit.observations import keep_compared_frames
 from frictrack.fit.stepwise import add_effect, entry_order, refine_on_measured_motion, refine_to_end, remove_effect
 from frictrack.records import Array
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 N_FIRST_FITTED, N_SECOND_FITTED = 3, 2  # first and second terms fitted in full, unless one leaves only noise
 N_REFINED_FIRST, N_REFINED = 16, 300  # forms refined for the bare model, and for the model with a formula

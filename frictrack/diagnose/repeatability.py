@@ -28,7 +28,7 @@ from frictrack.effects import LIBRARY, Path
 from frictrack.fit.linearised import CandidateGrid, LinearisedModel, candidate_grids, measured_series, scan_candidate
 from frictrack.fit.pieces import Rows
 from frictrack.records import Array
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 N_DRAWS = 199
 MIN_SINGULAR_VALUE = 1e-6  # of a direction of the model in one run; smaller ones are rounding

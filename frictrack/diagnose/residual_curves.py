@@ -38,7 +38,7 @@ from frictrack.fit.least_squares import PieceResponse, Solution, position_and_ve
 from frictrack.fit.linearised import linearise
 from frictrack.fit.observations import MeasuredFrictionPiece, keep_compared_frames
 from frictrack.records import Array
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 ALPHA = 0.01  # significance level of a wave
 N_REWEIGHTED = 40  # steps of iteratively reweighted least squares

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frictrack.base import imported
 from frictrack.base.arguments import checked
 from frictrack.base.distributions import as_seed, normal_ppf
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.base.lazy import imported
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.effects.models import Model
 from frictrack.fit.cutting import noise_free_remark

@@ -20,7 +20,7 @@ from frictrack.base.errors import FrictrackError, UsageError, suggest
 from frictrack.base.files import lock_work
 from frictrack.base.workers import WorkerPool
 from frictrack.effects import models
-from frictrack.flow import sensor_stage, store, stored_results, study_edits
+from frictrack.flow import opening, sensor_stage, store, stored_results
 from frictrack.flow.command_history import CommandHistory, Predictions, SignificanceBudget, alpha_spent, plan_test
 from frictrack.flow.opening import MeasuredRuns, open_study
 from frictrack.flow.pipeline import Progress, RunPipeline, digest, hash_path, no_progress
@@ -28,7 +28,7 @@ from frictrack.flow.plausibility_checks import find_duplicate_runs, why_unsearch
 from frictrack.flow.store import Provenance
 from frictrack.flow.tried_models import FitRequest, TriedModels, configured_effects, user_effects
 from frictrack.results import Results, to_builtins
-from frictrack.results.rows import plain_name
+from frictrack.results.candidates import plain_name
 from frictrack.results.verdicts import describe_no_run, describe_tests, describe_verdict
 from frictrack.search import METHODS, read_settings
 from frictrack.settings.costs import DEFAULT_COSTS
@@ -121,7 +121,7 @@ class Session:
         command
             One of `MODEL_EDITS` or `STUDY_EDITS`.
         **arguments
-            Those of the method, or of the function in `frictrack.flow.study_edits`.
+            Those of the method, or of the function in `frictrack.flow.opening`.
 
         Raises
         ------
@@ -131,16 +131,16 @@ class Session:
         """
         self.commands.check_revision()
         models: dict[str, Callable[..., Any]] = {"fit": self.fit, "add": self.add, "remove": self.remove}
-        if command in study_edits.EDITS:
+        if command in opening.EDITS:
             return self._edit_study(command, **arguments)
         if command not in models:
-            hint = suggest(command, (*models, *study_edits.EDITS))
+            hint = suggest(command, (*models, *opening.EDITS))
             raise UsageError(f"expected a command but got {command!r}; {hint}")
         return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        opened = study_edits.OpenStudy(self.study, self.commands, self.models)
-        result = study_edits.EDITS[command](opened, **arguments)
+        opened = opening.OpenStudy(self.study, self.commands, self.models)
+        result = opening.EDITS[command](opened, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 
@@ -463,13 +463,13 @@ class Session:
 
     def _defined(self, effect: str) -> str:
         """Return the name of an effect; that of a formula is written into the study file first."""
-        number = study_edits.formula_number(effect)
+        number = opening.formula_number(effect)
         if number is None:
             return effect
         group, request = self.models.current()
         found = self.models.stored_summary(f"models/{group}/diagnosis")
         taken = [table.effect for table in self.study.effects]
-        keys = study_edits.choose_formula(number, found, taken, request.model(self.study.effects).names)
+        keys = opening.choose_formula(number, found, taken, request.model(self.study.effects).names)
         self._edit_study("define", effect=keys)
         return str(keys["effect"])
 

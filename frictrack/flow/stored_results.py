@@ -32,7 +32,7 @@ from frictrack.flow.track_quality import residual_shake, track_quality
 from frictrack.flow.tried_models import TriedModels, model_results, stored_models
 from frictrack.records import Array, CutoffTradeOff, Displacement, Friction, Motion, RunEvents
 from frictrack.results import ModelResults, OutdatedPart, Results, RunResults, to_builtins
-from frictrack.results.rows import plain_name
+from frictrack.results.candidates import plain_name
 from frictrack.settings.filters import STRUCTURAL, FilterChoice
 from frictrack.study import Study
 

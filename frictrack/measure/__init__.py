@@ -14,7 +14,7 @@ plausibility  numbers that cannot be right
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names
+from frictrack.base import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.measure import (

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base import imported
 from frictrack.base.errors import needs_package, raise_faults
-from frictrack.base.lazy import imported
 
 if TYPE_CHECKING:
     import pandas as pd

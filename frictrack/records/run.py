@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from frictrack.base import imported
 from frictrack.base.arguments import checked
 from frictrack.base.errors import FrictrackError, raise_faults
-from frictrack.base.lazy import imported
 from frictrack.base.units import parse_quantity
 from frictrack.records.frame_table import Array, Displacement, Motion, NotebookView, scalar
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from frictrack.base.number_format import format_change, format_plain, format_share, join_words
-from frictrack.results.rows import AXES, joined_name
+from frictrack.results.candidates import AXES, joined_name
 
 VERDICTS = {  # the words of every verdict, for all that people read
     "complete": "{model} is complete: no further effect is detectable in these runs",

@@ -10,21 +10,13 @@ from typing import Annotated
 from frictrack.base.arguments import checked
 
 STRUCTURAL, KALMAN, PAPERS = "structural", "kalman", "papers"
-FILTERS = {
-    STRUCTURAL: ("cutoff",),
-    KALMAN: (),
-    "butterworth": ("cutoff", "order", "causal"),
-    "savitzky-golay": ("order", "window"),
-    "gaussian-process": (),
-    PAPERS: ("cutoff", "order", "causal"),
-}  # the settings that each takes
-FILTER_WORDS = {
-    STRUCTURAL: "trend, vibrations and events separated",
-    KALMAN: "Kalman smoother of one stiffness",
-    "butterworth": "Butterworth",
-    "savitzky-golay": "Savitzky-Golay",
-    "gaussian-process": "Gaussian process",
-    PAPERS: "as in the papers: Butterworth, two differences",
+FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {  # what each is, and the settings that it takes
+    STRUCTURAL: ("trend, vibrations and events separated", ("cutoff",)),
+    KALMAN: ("Kalman smoother of one stiffness", ()),
+    "butterworth": ("Butterworth", ("cutoff", "order", "causal")),
+    "savitzky-golay": ("Savitzky-Golay", ("order", "window")),
+    "gaussian-process": ("Gaussian process", ()),
+    PAPERS: ("as in the papers: Butterworth, two differences", ("cutoff", "order", "causal")),
 }
 METHOD_NAMES = tuple(FILTERS)
 ORDERS = {"butterworth": (1, 10), "savitzky-golay": (2, 7), PAPERS: (1, 10)}
@@ -86,7 +78,7 @@ class FilterChoice:
             hint = f'; did you mean "{near[0]}"?' if near else ""
             yield f'expected filter as one of {", ".join(FILTERS)} but got "{self.method}"{hint}'
             return
-        takes = FILTERS[self.method]
+        _, takes = FILTERS[self.method]
         for name in ("cutoff", "order", "window", "causal"):
             if name not in takes and getattr(self, name) not in (None, False):
                 what = f"takes {', '.join(takes)}" if takes else "finds its settings itself"

@@ -15,7 +15,7 @@ A study file (TOML) says what was filmed, what is known of it, and which model i
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names
+from frictrack.base import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.study import writing

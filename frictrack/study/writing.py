@@ -19,11 +19,12 @@ from frictrack.base.files import replace_text
 from frictrack.study.column_names import REQUIRED, guess_columns, is_named_speed
 from frictrack.study.loading import ARRAY_TABLES, name_of_table
 from frictrack.study.schema import COLUMNS
+from frictrack.study.track_formats import FOLDER, FORMATS, PICKLES, find_track_format
 
-SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv")
-TRACKS = (".trk", ".trz", ".kva", ".lvm", ".tdms")  # of other programs
-MAYBE_TABLES = (".txt", ".log", ".dat", ".xml", ".h5", ".hdf5", ".nc", ".npy", ".npz", ".mat")
-TABLES = (*SURE_TABLES, *TRACKS, *MAYBE_TABLES)
+# those of which every file is a record; others are opened to see whether they are
+SURE_TABLES = (".csv", ".xlsx", ".xls", ".tsv", *(end for one in FORMATS if one.certain for end in one.suffixes))
+OTHERS = (end for one in FORMATS for end in one.suffixes if end not in (FOLDER, *PICKLES))
+TABLES = tuple(dict.fromkeys((*SURE_TABLES, ".txt", ".log", ".dat", ".xml", *OTHERS)))
 FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".tif", ".tiff", ".mraw", ".cine")  # .cih(x) only head an .mraw
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".bmp")
 
@@ -78,8 +79,6 @@ def is_table(path: Path) -> bool:
     """Return whether a path is that of a table, by its name, or a folder of tracks that another program wrote."""
     if not path.is_dir():
         return path.suffix.lower() in TABLES
-    from frictrack.study.track_formats import find_track_format  # noqa: PLC0415 - only for folders
-
     return not is_picture_folder(path) and find_track_format(path) is not None
 
 
@@ -170,9 +169,9 @@ def _is_recording(path: Path) -> bool:
         return is_picture_folder(path) or is_table(path)
     if path.name.startswith(".") or path.suffix.lower() not in (*FILMS, *TABLES):
         return False
-    if path.suffix.lower() in MAYBE_TABLES:
-        return _holds_times_and_positions(path)
-    return path.suffix.lower() not in (".tif", ".tiff") or _many_pages(path)
+    if path.suffix.lower() in (".tif", ".tiff"):
+        return _many_pages(path)
+    return path.suffix.lower() in (*FILMS, *SURE_TABLES) or _holds_times_and_positions(path)
 
 
 def _holds_times_and_positions(path: Path) -> bool:

@@ -16,7 +16,7 @@ checks              self-checks of a track
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names
+from frictrack.base import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.tracking import checks, detection

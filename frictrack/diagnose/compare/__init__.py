@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from frictrack.base import imported
 from frictrack.base.errors import FrictrackError
-from frictrack.base.lazy import imported
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.compare.groups import ParameterByGroup, compare_groups
 from frictrack.diagnose.compare.local_forces import LocalForces, continue_search, find_local_forces, start_search

@@ -60,7 +60,7 @@ from frictrack.fit.penalties import penalty_residual
 from frictrack.fit.smooth_functions import linear_interpolation_matrix
 from frictrack.fit.stepwise import add_effect, bic_penalty, is_unconstrained, refine_on_measured_motion
 from frictrack.records import Array
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 SIZE_ROLES = ("amplitude", "depth")
 MAX_CHI2_UNDETERMINED = 10.0  # rise below which the runs do not determine a size

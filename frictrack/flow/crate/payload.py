@@ -81,6 +81,8 @@ def _check_size(crate: Path, total: int, folder: Path) -> None:
 
 
 MAX_INCLUDED_BYTES = 10_000_000  # of one recording, all its files together, that is included without being asked for
+METADATA = "ro-crate-metadata.json"
+MOVED = "path in the study file"  # `propertyID` of where the crate has what the study file names otherwise
 OUTSIDE = "inputs"  # folder in the crate of what lies outside the folder of the study
 RESULTS = "results"  # the same of the results
 

@@ -22,8 +22,16 @@ from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
-from frictrack.flow.crate.payload import FRICTRACK, MACHINE, platform_versions, safe_place, texts_in, unpack
-from frictrack.flow.crate.writing import METADATA, MOVED
+from frictrack.flow.crate.payload import (
+    FRICTRACK,
+    MACHINE,
+    METADATA,
+    MOVED,
+    platform_versions,
+    safe_place,
+    texts_in,
+    unpack,
+)
 from frictrack.flow.pipeline import hash_path
 from frictrack.flow.verification import EXCLUDED, Values, stored_values
 from frictrack.flow.workflows import recorded_models, repeat_models

@@ -7,7 +7,7 @@ Every kind of scale yields a `PlaneMap` from the picture to the plane of the cou
 
 from typing import TYPE_CHECKING
 
-from frictrack.base.lazy import lazy_names
+from frictrack.base import lazy_names
 
 if TYPE_CHECKING:
     from frictrack.measure.calibration.displacement import MIN_ROTATION, calibrate, plane_map

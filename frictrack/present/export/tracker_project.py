@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from frictrack.base.errors import UsageError
 from frictrack.base.files import make_subfolder, replace_text
-from frictrack.present.export.formats import ExportedFiles
+from frictrack.present.export import ExportedFiles
 from frictrack.records import Array, Displacement, Track
 from frictrack.results import BACKWARD, RecordingInfo, Results, RunResults
 

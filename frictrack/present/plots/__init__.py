@@ -4,7 +4,6 @@ plots.motion(run).savefig("v3.pdf")
 """
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.present.plots.drawn_data import plotted_data
 from frictrack.present.plots.evidence import (
     candidates,
     correlated_signal,
@@ -12,15 +11,30 @@ from frictrack.present.plots.evidence import (
     has_scan,
     limits,
     missing_force,
+    next_experiments,
+    pair_separation,
     parameter_unit,
     scan,
     unexplained,
 )
 from frictrack.present.plots.figure_list import study_figures
-from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs
-from frictrack.present.plots.law import has_law, law, law_title, loops
-from frictrack.present.plots.measured import film, friction, friction_title, motion, motions, motions_title, table
-from frictrack.present.plots.measurement_errors import budget, budgets, budgets_title, cutoff, cutoffs, filters
+from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_runs, plotted_data
+from frictrack.present.plots.law import convergence, has_law, law, law_title, loops, profiles, trends
+from frictrack.present.plots.measured import (
+    budget,
+    budgets,
+    budgets_title,
+    cutoff,
+    cutoffs,
+    film,
+    filters,
+    friction,
+    friction_title,
+    motion,
+    motions,
+    motions_title,
+    table,
+)
 from frictrack.present.plots.model import (
     error_words,
     failing,
@@ -33,9 +47,6 @@ from frictrack.present.plots.model import (
     residuals,
     routes,
 )
-from frictrack.present.plots.parameters import convergence, profiles
-from frictrack.present.plots.plan import next_experiments, pair_separation, remaining_pairs, trends
 from frictrack.present.plots.style import file_content, html, pdf, png, svg, svg_file
 from frictrack.present.plots.verdict import failed_model, is_rejected, verdict
-from frictrack.results.candidates import passes
-from frictrack.results.rows import numbered_name, plain_name
+from frictrack.results.candidates import numbered_name, passes, plain_name

@@ -1,4 +1,4 @@
-"""Draw the evidence of a diagnosis: candidates, scans, detection limits, and the force that the model misses."""
+"""Draw the evidence of a diagnosis: candidates, scans, detection limits, missing force; and that of runs to come."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -17,8 +18,7 @@ from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnySummary, as_summary
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
 from frictrack.records import Array, Mask
-from frictrack.results.candidates import STANDINGS, CandidateRow, candidate_rows
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES, STANDINGS, CandidateRow, candidate_rows
 
 MAX_CANDIDATES = 12  # drawn; the table of the report has all
 LOG_AXIS_RATIO = 30.0  # largest over smallest evidence, from which the axis is logarithmic
@@ -442,4 +442,89 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
     ax.plot(curve["t"], factor * curve["told"], color=style.BLUE, lw=1.6, label=f"predicted by {source}")
     ax.set(xlabel=style.motion_label("t"), ylabel=axis_label("displacement", unit))
     ax.margins(x=0)
+    return figure
+
+
+UNSEEN = -1.0  # value of a pair of which one effect is not detectable
+SEPARATION_LEVELS = (-2.0, 0.0, 1.0, 10.0, 100.0, 1e3, 1e12)
+# browns: not separated; greens: separated
+SEPARATION_COLOURS = ("#e3e5e7", "#8c2d04", "#fe9929", "#d9f0d3", "#7fbf7b", "#1b7837")
+SEPARATION_LABELS = ("not detectable", "below 1", "1 to 10", "10 to 100", "100 to 1000", "above 1000")
+
+
+@styled
+def pair_separation(plan: Mapping[str, Any]) -> Figure:
+    """Draw the expected difference of chi-squared between any two effects with all planned runs.
+
+    Parameters
+    ----------
+    plan : mapping
+        The JSON of a plan.
+
+    """
+    names = plan["evidence"]["effects"]
+    table = np.array([[np.nan if e is None else e for e in row] for row in plan["evidence"]["table"]])
+    hidden = np.isin(names, [one["effect"] for one in plan["unseen"]])
+    table[hidden | hidden[:, None]] = UNSEEN
+    table[np.triu_indices(len(names))] = np.nan
+    figure = new_figure(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs")
+    ax = figure.subplots()
+    picture = ax.imshow(
+        table[1:, :-1],
+        cmap=ListedColormap(list(SEPARATION_COLOURS)),
+        norm=BoundaryNorm(SEPARATION_LEVELS, len(SEPARATION_COLOURS)),
+    )
+    ax.set_xticks(range(len(names) - 1), names[:-1], rotation=55, ha="right", rotation_mode="anchor")
+    ax.set_yticks(range(len(names) - 1), names[1:])
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    _draw_cell_borders(ax, len(names) - 1)
+    bar = figure.colorbar(picture, ax=ax, shrink=0.5, ticks=[], pad=0.02)
+    bar.outline.set_visible(False)
+    for k, words in enumerate(SEPARATION_LABELS):
+        bar.ax.text(1.4, (k + 0.5) / len(SEPARATION_LABELS), words, transform=bar.ax.transAxes, va="center", fontsize=9)
+    bar.ax.set_title("expected chi²", fontsize=9, fontweight="normal", loc="left")
+    return figure
+
+
+def _draw_cell_borders(ax: Axes, n: int) -> None:
+    """White lines between the cells."""
+    ax.set_xticks(np.arange(n + 1) - 0.5, minor=True)
+    ax.set_yticks(np.arange(n + 1) - 0.5, minor=True)
+    ax.grid(which="minor", color="white", lw=1.5)
+    ax.tick_params(which="minor", length=0)
+
+
+MIN_DELTA_BIC = 10.0  # expected difference of BIC from which two effects are distinguished
+MARKERS = ("o", "s", "^", "D", "v", "P")
+MIN_SHOWN_BIC = 2.0  # where the axis begins
+
+
+@styled
+def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw one row per experiment and one marker per effect: the evidence for that effect if it is the true one.
+
+    Parameters
+    ----------
+    steps : sequence of mappings
+        Proposed experiments, best first: `key`, and `expected_if_true`, the expected difference of BIC by effect.
+
+    """
+    figure = new_figure(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
+    ax = figure.subplots()
+    names = list(dict.fromkeys(name for step in steps for name in step["expected_if_true"]))
+    for row, step in enumerate(steps):
+        ends = [max(e, MIN_SHOWN_BIC) for e in step["expected_if_true"].values()]
+        ax.plot([min(ends), max(ends)], [row, row], color="#999999", lw=1.0, zorder=1)
+    for k, name in enumerate(names):
+        rows = [row for row, step in enumerate(steps) if name in step["expected_if_true"]]
+        evidence = [max(steps[row]["expected_if_true"][name], MIN_SHOWN_BIC) for row in rows]
+        color, marker = style.RUN_STYLES[k % len(style.RUN_STYLES)]["color"], MARKERS[k % len(MARKERS)]
+        ax.plot(evidence, rows, ls="none", marker=marker, color=color, ms=8, label=f"if {name} is true")
+    ax.axvline(MIN_DELTA_BIC, color=style.MEASURED_COLOUR, lw=1.0, linestyle="--")
+    style.note(ax, "distinguished", (MIN_DELTA_BIC, -0.62), (4, 0), va="center")
+    ax.set_xscale("log")
+    style.name_rows(ax, [f"{k}. {step['key']}" for k, step in enumerate(steps, 1)], top=-0.85)
+    ax.set_xlabel("expected difference of BIC from the nearest of the others")
+    figure.legend(loc="outside right upper")
     return figure

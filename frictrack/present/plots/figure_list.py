@@ -7,9 +7,8 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from frictrack.present.plots import evidence, law, measured, measurement_errors, parameters, verdict
+from frictrack.present.plots import evidence, law, measured, verdict
 from frictrack.present.plots import model as of_models
-from frictrack.present.plots.plan import next_experiments
 from frictrack.present.plots.style import run_styles
 from frictrack.results import ModelResults, Results, RunResults
 from frictrack.results.candidates import candidate_rows
@@ -39,9 +38,9 @@ def study_figures(results: Results) -> Iterator[NamedFigure]:
     if any(run.friction is not None for run in results.runs):
         yield "friction", partial(measured.friction, results.runs)
     if smoothed:
-        yield "cutoffs", partial(measurement_errors.cutoffs, smoothed)
+        yield "cutoffs", partial(measured.cutoffs, smoothed)
     if budget:
-        yield "budgets", partial(measurement_errors.budgets, budget)
+        yield "budgets", partial(measured.budgets, budget)
     if results.current is not None:
         yield from _of_current_model(results.current, results, of_points=of_points)
 
@@ -51,8 +50,8 @@ def _of_run(run: RunResults) -> Iterator[NamedFigure]:
     if run.film is not None:
         yield f"film {run.name}", partial(measured.film, run)
     if run.cutoff is not None:
-        yield f"cutoff {run.name}", partial(measurement_errors.cutoff, run.name, run.cutoff, run.mass)
-    yield f"filters {run.name}", partial(measurement_errors.filters, run)
+        yield f"cutoff {run.name}", partial(measured.cutoff, run.name, run.cutoff, run.mass)
+    yield f"filters {run.name}", partial(measured.filters, run)
 
 
 def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
@@ -60,7 +59,7 @@ def _of_model(model: ModelResults, results: Results) -> Iterator[NamedFigure]:
     if law.has_law(model):
         yield f"law {model.name}", partial(law.law, model, results.runs)
     if model.convergence:
-        yield f"convergence {model.name}", partial(parameters.convergence, model)
+        yield f"convergence {model.name}", partial(law.convergence, model)
     found, curves = model.diagnosis, model.figures
     if not found:
         return
@@ -90,17 +89,17 @@ def _of_current_model(model: ModelResults, results: Results, *, of_points: bool)
     if model.summary["errors"].get("rms_N") is not None and not of_points:
         yield "loops", partial(law.loops, model, results.runs)
     if model.summary.get("profiles"):
-        yield "profiles", partial(parameters.profiles, model.summary)
+        yield "profiles", partial(law.profiles, model.summary)
     if diagnosis := results.diagnosis:
         steps = [step for step in diagnosis.get("next_experiment") or [] if step.get("expected_if_true")]
         if evidence.has_limits(diagnosis, results.figures):
             yield "limits", partial(evidence.limits, diagnosis, results.figures)
         if steps:
-            yield "next experiments", partial(next_experiments, steps)
+            yield "next experiments", partial(evidence.next_experiments, steps)
     if papers := results.papers:
         both = {c.run for c in papers.curves} & {c.run for c in model.curves}
         run = next((one for one in results.runs if one.name in both and one.friction is not None), None)
         if papers.convergence:
-            yield "convergence papers", partial(parameters.convergence, papers)
+            yield "convergence papers", partial(law.convergence, papers)
         if run is not None:
             yield "routes", partial(of_models.routes, model, papers, run)

@@ -22,7 +22,7 @@ from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, a
 from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
-from frictrack.results.rows import plain_name
+from frictrack.results.candidates import plain_name
 
 MIN_LABEL_DISTANCE = 0.12  # of a panel's width; closer labels would touch
 MAX_PANELS = 8  # runs drawn; of more runs, those that fit worst

@@ -27,7 +27,7 @@ from frictrack.present.plots.model import (
 from frictrack.present.plots.style import axis_label, motion_label, new_figure, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results
-from frictrack.results.rows import joined_name, plain_name
+from frictrack.results.candidates import joined_name, plain_name
 from frictrack.results.verdicts import describe_verdict
 
 DRAWN_AXES = ("x", "v", "t")

@@ -19,13 +19,12 @@ from frictrack.base import glossary
 from frictrack.base.errors import FrictrackError
 from frictrack.base.files import atomic_write, replace_text
 from frictrack.present import plots
-from frictrack.present.report import markup, tables, texts
-from frictrack.present.report.markup import SvgEmbedder, explain_words, now, page_template
-from frictrack.results import ModelResults, Results, RunResults, candidates, rows, verdicts
+from frictrack.present.report import tables, texts
+from frictrack.present.report.tables import SvgEmbedder, explain_words, now, page_template
+from frictrack.results import ModelResults, Results, RunResults, candidates, verdicts
 
 MODULES = {  # whose functions the template calls
-    module.__name__.rpartition(".")[2]: module
-    for module in (glossary, plots, markup, tables, texts, candidates, verdicts)
+    module.__name__.rpartition(".")[2]: module for module in (glossary, plots, tables, texts, candidates, verdicts)
 }
 MAX_FILMS = 4  # films of which the first frame is shown
 
@@ -82,7 +81,6 @@ def render(results: Results, key: str = "") -> str:
     filmed = [run for run in results.runs if run.film is not None and run.track is not None]
     html = page_template("page.html.j2").render(
         **MODULES,
-        result_rows=rows,
         results=results,
         model=results.current,
         key=key,
@@ -240,11 +238,5 @@ def write_plan(plan: Mapping[str, Any], path: Path) -> Path:
         If the folder cannot be written.
 
     """
-    draw = SvgEmbedder()
-    html = page_template("plan.html.j2").render(
-        plan=plan,
-        written=now(),
-        remaining=draw(plots.remaining_pairs(plan)),
-        separation=draw(plots.pair_separation(plan)),
-    )
-    return replace_text(path, html)
+    separation = SvgEmbedder()(plots.pair_separation(plan))
+    return replace_text(path, page_template("plan.html.j2").render(plan=plan, written=now(), separation=separation))

@@ -16,11 +16,9 @@ from markupsafe import Markup, escape
 from frictrack.base.number_format import format_number, format_quantity, join_words
 from frictrack.fit.penalties import SCATTER_BOUNDS
 from frictrack.present.plots import noise_um
-from frictrack.present.report.markup import describe_evidence, mark_code, sentences
-from frictrack.present.report.tables import Cell, TextTable, make_table
+from frictrack.present.report.tables import Cell, TextTable, describe_evidence, make_table, mark_code, sentences
 from frictrack.results import ModelResults, Results, RunResults, verdicts
-from frictrack.results.candidates import candidate_rows
-from frictrack.results.rows import AXES, describe_held_out, plain_name
+from frictrack.results.candidates import AXES, candidate_rows, describe_held_out, plain_name
 
 EFFECT_NAMES = {"coulomb": "Coulomb friction", "stribeck": "Stribeck friction", "viscous": "viscous friction"}
 

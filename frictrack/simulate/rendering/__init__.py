@@ -2,6 +2,5 @@
 
 # ruff: noqa: F401 - the imports are the interface
 
-from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, Side
-from frictrack.simulate.rendering.film_writer import write_film
+from frictrack.simulate.rendering.camera import Camera, Highlight, Oscillation, Rod, Side, write_film
 from frictrack.simulate.rendering.renderer import Surface, Target, render, render_clean

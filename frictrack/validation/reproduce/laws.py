@@ -10,11 +10,6 @@ from frictrack.effects import models
 from frictrack.effects.models import Model, Values
 from frictrack.records import Array
 
-PAPERS = {
-    "first": "Research on parameter identification of nonlinear friction on cantilever beam",
-    "second": "Research on friction parameter identification under the influence of vibration and collision",
-}
-
 
 @dataclass(frozen=True)
 class PrintedLaw:

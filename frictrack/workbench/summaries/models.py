@@ -15,8 +15,7 @@ from frictrack.present import plots
 from frictrack.present.plots import has_law, residual_unit
 from frictrack.present.report import mark_code, study_verdict
 from frictrack.results import ModelResults, Results, to_builtins, verdicts
-from frictrack.results.candidates import CandidateRow, candidate_rows
-from frictrack.results.rows import held_out_error, numbered_name, parameter_row
+from frictrack.results.candidates import CandidateRow, candidate_rows, held_out_error, numbered_name, parameter_row
 from frictrack.search import METHODS
 from frictrack.study import EffectTable, Study
 from frictrack.workbench.plot_data import RESIDUAL_TITLES, PlotData, candidate_columns

@@ -9,7 +9,7 @@ import numpy as np
 import frictrack as ft
 from frictrack.effects import LIBRARY
 from frictrack.records import Displacement, Run
-from frictrack.validation.blind.benchmark import run_table
+from frictrack.validation.blind import run_table
 from frictrack.validation.blind.ideal_detector import IdealDetector, unit_values
 from frictrack.validation.blind.truth import RunTruth, Truth, effect_named
 

@@ -15,7 +15,7 @@ from typing import Any
 from frictrack.base.errors import FrictrackError
 from frictrack.flow import Session, open_study
 from frictrack.flow.pipeline import RunPipeline
-from frictrack.validation.blind.benchmark import write_study
+from frictrack.validation.blind import write_study
 from frictrack.validation.blind.outcome import equivalent_effects, parameter_deviations
 from frictrack.validation.blind.truth import effect_named
 from reality.faults import Fault, noted, read_fault

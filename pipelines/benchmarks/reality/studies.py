@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from frictrack.records import GRAVITY
 from frictrack.simulate import Conditions
 from frictrack.simulate.rendering import Camera, Rod, Target, render, write_film
-from frictrack.validation.blind.benchmark import (
+from frictrack.validation.blind import (
     BLOCK_SIZE_PX,
     FULL_WELL_E,
     READ_NOISE_E,
@@ -21,7 +21,7 @@ from frictrack.validation.blind.benchmark import (
     run_table,
     study_lines,
 )
-from frictrack.validation.blind.benchmark import FILM_WIDTH_PX as FILM_WIDTH
+from frictrack.validation.blind import FILM_WIDTH_PX as FILM_WIDTH
 from frictrack.validation.blind.truth import RunTruth, Truth
 from frictrack.validation.blind.truth_sampling import MAX_DURATION_S, draw_truth
 from reality.faults import FILMED, KINDS, NONE, Fault, draw_fault

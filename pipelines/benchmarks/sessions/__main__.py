@@ -29,7 +29,7 @@ from machine import described  # noqa: E402
 
 from frictrack.base.errors import FrictrackError  # noqa: E402
 from frictrack.flow import Session, open_study  # noqa: E402
-from frictrack.validation.blind.benchmark import write_study  # noqa: E402
+from frictrack.validation.blind import write_study  # noqa: E402
 from frictrack.validation.blind.outcome import equivalent_effects  # noqa: E402
 from frictrack.validation.blind.truth import Truth  # noqa: E402
 from frictrack.validation.blind.truth_sampling import candidates, draw_truth  # noqa: E402

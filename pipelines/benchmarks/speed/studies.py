@@ -10,7 +10,7 @@ from diagnosis.studies import BARE, recorded
 
 from frictrack.base.errors import FrictrackError
 from frictrack.records import Run
-from frictrack.validation.blind.benchmark import write_study
+from frictrack.validation.blind import write_study
 from frictrack.validation.blind.truth import Truth
 from frictrack.validation.blind.truth_sampling import LAWS, candidates, draw_truth
 

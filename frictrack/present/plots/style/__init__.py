@@ -34,7 +34,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from frictrack.base.number_format import format_unit
 from frictrack.present.plots.style.tick_rows import ticks_in_rows
 from frictrack.records import Array, Friction, Mask, Motion, away_from_ends
-from frictrack.results.rows import AXES
+from frictrack.results.candidates import AXES
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"

@@ -7,11 +7,9 @@ import { count } from "./format.js";
 import { Icon } from "./icons.js";
 import { useStore } from "./store.js";
 
-const KINDS = ".avi,.mp4,.mov,.mkv,.m4v,.mpg,.mpeg,.webm,.tif,.tiff,.cine,.csv,.txt,.tsv,.xlsx,.npz,.h5,.hdf5,.trk,.trz,.kva,.nc,.npy";
-
 /** An area on which files can be dropped; it is also a button that opens a file dialog. */
 export function DropZone({ compact }) {
-  const input = useRef();
+  const input = useRef(), kinds = useStore((s) => (s.study?.suffixes || []).join());
   const [over, setOver] = useState(false), busy = useStore((s) => s.busy.has("upload"));
   const drop = (event) => {
     event.preventDefault();
@@ -24,7 +22,7 @@ export function DropZone({ compact }) {
       ${!compact && html`<${Icon} name="film" /><p class="ui-drop-title">Drop films here</p>`}
       <${Button} icon="add" busy=${busy} small=${compact} label=${compact ? "Add recordings" : "Choose recordings"} onClick=${() => input.current.click()} />
       ${!compact && html`<p class="ui-note">High-speed films of a sliding mass, or tables of time and position. They are stored beside the study.</p>`}
-      <input ref=${input} class="ui-hidden" type="file" multiple accept=${KINDS} tabindex="-1" aria-hidden="true"
+      <input ref=${input} class="ui-hidden" type="file" multiple accept=${kinds} tabindex="-1" aria-hidden="true"
         onChange=${(e) => (e.target.files.length && upload([...e.target.files]), (e.target.value = ""))} />
     </div>`;
 }
