@@ -41,8 +41,8 @@ def smoother(name, n=N):
 
 def solved(made, part, monkeypatch):
     """Number of parts, and all that is computed of a smoother in parts of so many frames."""
-    monkeypatch.setattr(equations, "PART_FRAMES", part)
     fresh = FactoredSmoother(made.data, made.lam, made.lines)
+    monkeypatch.setattr(equations, "PART_UNKNOWNS", part * fresh._layout(equations.END_FRAMES).group)
     loss, variance, unknowns = fresh.restricted_likelihood()
     columns = np.stack([made.data.y, made.data.y[::-1]], axis=1)
     found = fresh.signal(unknowns), fresh.smooth(columns), fresh.posterior_covariance_times(columns)
@@ -83,7 +83,7 @@ def test_a_row_takes_little_memory():
         made.restricted_likelihood()
         made.smooth(made.data.y)
 
-    assert memory_of_a_row(36_000, 60_000, work) < 120  # both of more parts than those whose factors are kept
+    assert memory_of_a_row(100_000, 130_000, work) < 120  # both of more parts than those whose factors are kept
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ def found(film):
     except FrictrackError as e:
         boxes = re.findall(r"target = \[(\d+), (\d+), (\d+), (\d+)\](?: with template = (\d+))?", str(e))
         on = [_on(film.body, [float(q) for q in b[:4]], int(b[4] or 0)) for b in boxes]
-        return "choices" if len(on) == 2 and any(on) else str(e)
+        return "choices" if len(on) in (2, 3) and any(on) else str(e)
     return "body" if _on(film.body, box, frame) else f"{box} in frame {frame}"
 
 

@@ -45,6 +45,7 @@ FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of po
 MIN_STAMP_ERROR = 1e-6  # of the interval; below are the digits of the numbers themselves
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
+FPS_REMEDY = "the frame rate as fps in [camera], if no rows are missing, or "
 MAX_DRIFT_INTERVALS, DRIFT_PARTS = 0.5, 8  # of stamps about counted rows, in means of so many parts
 NEAR_SHARE = 0.5  # of the usual interval, below which a row is at nearly the time of the one before
 MIN_ROWS = 16  # rows needed to find a fault of the clock
@@ -242,7 +243,7 @@ def _with_rounded_clock(data: TableData, rounding: float, fps: float | None) -> 
     if sampling.is_even(data.t):
         raise FrictrackError(
             f"time: expected stamps of an even clock but they are rounded to {rounding:.4g} s and the motion "
-            "contradicts the gaps they leave; give the frame rate as fps in [camera], or stamps with more digits"
+            f"contradicts the gaps they leave; give {'' if fps else FPS_REMEDY}stamps with more digits"
         )
     return None
 

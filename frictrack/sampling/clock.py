@@ -179,6 +179,8 @@ def fourth_differences(x: Array, frames: Array | Ticks) -> tuple[Array, Mask]:
 MAX_UNEVENNESS = 0.01  # of the interval; even stamps may be off by this much
 MAX_ROUNDING_STEPS = 1.15  # steps of rounded stamps between the rows that are earliest and latest for an even clock
 MIN_ROUNDING_RMS = 0.1  # of a step: a few wrong stamps or rows are no rounding, whose error is 0.29 rms
+HALF_STEP_TIE = 1e-4  # steps by which stamps may miss their rounding: halves are rounded either way
+SLOPE_BLOCKS = 16  # of stamps, taken to be off an even clock independently
 ROUNDINGS_PER_SPAN = 16  # steps of rounding in the span from whose length an interval is first estimated
 MIN_SHORT_SHARE = 0.1  # of intervals that are as short as the smallest, where the rate changes
 MIN_SHORTEST = 0.3  # of the median interval
@@ -397,20 +399,26 @@ def _interval_of_rounded(t: Array, ticks: Ticks, rounding: float) -> tuple[float
     slope, start = np.polyfit(ticks, t, 1)
     off, span, place = t - start - slope * ticks, float(ticks[-1]), (ticks - 0.5 * ticks[-1]) / ticks[-1]
 
-    def width(turn: float) -> float:
-        return float(np.ptp(off - turn * place)) - rounding  # `turn`: of the line over the record, s
+    def width(turn: float) -> float:  # `turn`: of the line over the record, in steps of the rounding
+        return float(np.ptp(off / rounding - turn * place)) - 1.0 - HALF_STEP_TIE
 
-    best = scipy.optimize.minimize_scalar(width, bounds=(-2 * rounding, 2 * rounding), method="bounded").x
+    settings = {"xatol": 0.1 * HALF_STEP_TIE}
+    best = scipy.optimize.minimize_scalar(width, bounds=(-2.0, 2.0), method="bounded", options=settings).x
     if width(best) >= 0:  # the stamps jitter, too
         return float(slope), _slope_error(t, off)
-    low, high = (scipy.optimize.brentq(width, best, best + side * 4 * rounding) for side in (-1, 1))
-    found = float(slope) + 0.5 * (low + high) / span
-    return found, rounding_noise(high - low) / span / found
+    low, high = (scipy.optimize.brentq(width, best, best + side * 4.0) for side in (-1, 1))
+    found = float(slope) + 0.5 * (low + high) * rounding / span
+    return found, rounding_noise((high - low) * rounding) / span / found
 
 
 def _slope_error(t: Array, off: Array) -> float:
-    """Relative standard deviation of the slope of a line through stamps t (n,) that are `off` it, (n,)."""
-    return float(np.std(off) * np.sqrt(12.0 / len(t))) / float(t[-1] - t[0])
+    """Relative standard deviation of the slope of a line through stamps t (n,) that are `off` it, (n,).
+
+    Sums over blocks hold that neighbours are off alike, as stamps are whose rounding beats with the interval.
+    """
+    moments = off * np.linspace(-0.5, 0.5, len(t))
+    blocks = [float(np.sum(part)) ** 2 for part in np.array_split(moments, min(SLOPE_BLOCKS, len(t)))]
+    return 12.0 * float(np.sqrt(max(sum(blocks), np.sum(moments**2)))) / len(t) / float(t[-1] - t[0])
 
 
 def jittered_clock(t: Array, ticks: Ticks, x: Array, rounding: float = 0.0) -> EvenClock | None:

@@ -25,6 +25,7 @@ from frictrack.tracking.learning_rounds import learn_target_model
 from frictrack.tracking.measure import residual_images, systematic_covariance
 from frictrack.tracking.pose import RotatableTemplate
 from frictrack.tracking.pose_tracker import (
+    PoseTrack,
     has_marks,
     is_disc,
     min_frames_if_rotating,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 
 MIN_CONTRAST = 3  # grey values
+MIN_OUTLINE_SHARE = 0.95  # of the frames, in which a disc is found by its outline, or its marks are followed
 MAX_STRAIGHT_ANGLE = 0.05  # rad, of a track up to which its target does not rotate
 MIN_SHARED_SCORE = 0.9  # of the known target's picture in the other film
 SEARCH_SHARE = 0.5  # of the target's sides, around the place where a moving body was found
@@ -280,8 +282,7 @@ def _learn_and_track(film: Recording, drawn: Areas, template: int, work: Work, *
     pose_track = None
     if is_round and has_marks(cut):
         assert mask is not None
-        raw_track = _follow_outline(film, (cut, mask), blocked, (start, template), work)
-        pose_track = track_disc(film, rotatable, raw_track, template)
+        raw_track, pose_track = _follow_disc(film, (cut, mask), rotatable, (start, template), work, learn=True)
     else:
         obstacles = with_obstacles(None, blocked)
         raw_track = follow_film(BatchTracker(film, first_template, obstacles), start, template, work)
@@ -302,8 +303,8 @@ def _follow_known(
     """Follow a target with a known model from its corner `start` (2,) px in frame `template`."""
     mask, rotatable = known.template.mask, RotatableTemplate(known.template, blocked)
     if known.rotates and mask is not None and is_disc(mask):
-        upright = _follow_outline(film, (known.template.image, mask), blocked, (start, template), work)
-        return track_disc(film, rotatable, upright, template, learn=False).to_raw_track()
+        disc = known.template.image, mask
+        return _follow_disc(film, disc, rotatable, (start, template), work, learn=False)[1].to_raw_track()
     if known.rotates:
         found = track_rotating(film, rotatable, start, template, progress=work.progress)
         assert found is not None
@@ -311,14 +312,30 @@ def _follow_known(
     return follow_film(BatchTracker(film, known.template, with_obstacles(None, blocked)), start, template, work)
 
 
-def _follow_outline(
-    film: Recording, disc: tuple[Patch, Mask], blocked: Mask | None, where: tuple[Array, int], work: Work
-) -> RawTrack:
-    """Follow a disc, given by its picture and mask, by its outline alone, from a corner (2,) px in a frame."""
+def _follow_disc(
+    film: Recording,
+    disc: tuple[Patch, Mask],
+    rotatable: RotatableTemplate,
+    where: tuple[Array, int],
+    work: Work,
+    *,
+    learn: bool,
+) -> tuple[RawTrack, PoseTrack]:
+    """Follow a disc, given by its picture and mask, from a corner (2,) px in a frame by its outline, then by its marks.
+
+    Where the outline is too faint and is lost, the marks lead from frame to frame.
+    """
     outline = outline_template(*disc)
-    shown = outline.weight > 0
+    shown, (start, template) = outline.weight > 0, where
     score = float(np.corrcoef(outline.image[shown], disc[0][shown])[0, 1])
-    return follow_film(BatchTracker(film, outline, with_obstacles(None, blocked), score), *where, work)
+    tracker = BatchTracker(film, outline, with_obstacles(None, rotatable.blocked), score)
+    raw_track = follow_film(tracker, start, template, work)
+    track = track_disc(film, rotatable, raw_track, template, learn=learn)
+    if track.count < MIN_OUTLINE_SHARE * film.n_frames:
+        least = track.count + 1.0 if learn else None
+        more = track_rotating(film, rotatable, start, template, least, work.progress)
+        track = max(more or track, track, key=lambda found: found.count)
+    return raw_track, track
 
 
 def track_frames(

@@ -255,8 +255,7 @@ class EquationLayout:
         rows, columns = np.meshgrid(np.arange(n_components), np.arange(n_components), indexing="ij")
         self._of_weights = self._place(np.array(self.components)[rows], np.array(self.components)[columns])
         self._of_terms = [self._places_of_term(*term) for term in zip(self.terms, self.multiplier, strict=True)]
-        self._constant = np.zeros(((3 * self.band + 1) * self.size,))
-        self._constant[self._place(m := np.concatenate(self.multiplier), m)] = -1.0
+        self._of_multipliers = self._place(m := np.concatenate(self.multiplier), m)
 
     def _place(self, row: Index, column: Index) -> Index:
         """Positions of matrix elements in band storage, column after column."""
@@ -277,7 +276,8 @@ class EquationLayout:
     def equations(self, data: SmootherData, w: Array, lam: Array, lines: LineParameters) -> Array:
         """Equations in LAPACK band storage (3 band + 1, size) for weights w (n,); the top rows are for fill-in."""
         colour = data.colour
-        flat = self._constant.copy()
+        flat = np.zeros((3 * self.band + 1) * self.size)
+        flat[self._of_multipliers] = -1.0
         flat[self._of_weights] = w
         if colour:
             first = self.components[-1][:1]
@@ -391,7 +391,7 @@ def reversed_part(part: EquationPart) -> EquationPart:
     return replace(part, bands=bands, before=part.after.T[::-1, ::-1], after=part.before.T[::-1, ::-1])
 
 
-PAIRS_AT_ONCE = 256  # pairs of blocks solved in one call
+PAIRS_AT_ONCE = 64  # pairs of blocks solved in one call
 
 
 class BlockEquations:

@@ -46,9 +46,9 @@ from frictrack.measure.motion.banded_equations import (
 )
 from frictrack.records import Array
 
-PART_FRAMES = 4000  # frames of a part
+PART_UNKNOWNS = 8000  # unknowns of a part: 4000 frames of a trend alone, 800 with four lines
 END_FRAMES, MIN_END_MEASURED = 100, 12  # last frames of a part, and how many of them are measured
-MAX_KEPT_PARTS = 8  # whose factors are kept
+MAX_KEPT_PARTS = 24  # whose factors are kept
 REACH = 8  # frames of a combination at most
 PARTS_AT_ONCE = 4  # of which variances are computed together
 LOG_PENALTY_STEP = 0.01  # of the log of all penalties, for the derivative that separates noise from lost signal
@@ -120,7 +120,8 @@ class FactoredSmoother:
     def cuts(self) -> list[int]:
         """First frames of all parts, and n; no part ends in a gap, beyond which rounding errors would grow."""
         w = self.data.w
-        cuts = range(PART_FRAMES, self.n - PART_FRAMES + 1, PART_FRAMES)
+        frames = PART_UNKNOWNS // self._layout(END_FRAMES).group
+        cuts = range(frames, self.n - frames + 1, frames)
         return [0, *(i for i in cuts if np.count_nonzero(w[i - END_FRAMES : i]) >= MIN_END_MEASURED), self.n]
 
     def _layout(self, n: int) -> EquationLayout:
@@ -154,6 +155,7 @@ class FactoredSmoother:
         """Corrections of the first equations of each part but the first, by eliminating all earlier frames."""
         for i in range(len(self._logdets), len(self.cuts) - 1):
             self._factored(i)
+            self._kept.clear()  # no solution was asked for
         return self._corners
 
     def _solutions(self, right: Callable[[FactoredPart], Array]) -> Iterator[tuple[FactoredPart, Array]]:

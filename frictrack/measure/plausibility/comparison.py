@@ -98,7 +98,7 @@ def wrong_incline(run: Run) -> Finding | None:
         return None
     pull, both = _gravity_pull(strokes)
     if both:
-        return _check_both_directions(run, pull)
+        return _check_both_directions(run, pull, strokes)
     return _check_one_direction(run, pull, max(strokes, key=lambda stroke: stroke.distance), slows_down=slows_down)
 
 
@@ -211,12 +211,17 @@ def _check_one_direction(run: Run, pull: float, longest: Stroke, *, slows_down: 
     return _finding(words, "", run.name)
 
 
-def _check_both_directions(run: Run, pull: float) -> Finding | None:
-    """Check a stated incline against motion in both directions."""
+def _check_both_directions(run: Run, pull: float, strokes: tuple[Stroke, ...]) -> Finding | None:
+    """Check a stated incline against motion in both directions: friction must not push the mass in either."""
     stated = run.pull
     if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
         return _sign_error(run.incline, _acceleration_text(pull), run.name)
-    if abs(pull) >= GRAVITY or 1 / MAX_PULL_RATIO < pull / stated < MAX_PULL_RATIO:
+    pushes = []
+    for way in (1.0, -1.0):
+        same = tuple(stroke for stroke in strokes if stroke.direction == way)
+        sigma = sum(stroke.sigma_a**-2.0 for stroke in same) ** -0.5 + GRAVITY * run.sigma_incline
+        pushes.append(way * (mean_acceleration(same) - stated) > max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * sigma))
+    if abs(pull) >= GRAVITY or not any(pushes):
         return None
     line = _incline_line(pull)
     words = (

@@ -33,6 +33,7 @@ CUT_OFF_MERIT = 0.2  # factor for a body that the picture's edge always cuts off
 # A second body makes the target ambiguous when its sides (px) and its merit as a share of the first one's reach these,
 # and both are seen in this share of the frames ...
 MIN_RIVAL_SIDE_PX, MIN_RIVAL_MERIT, MIN_RIVAL_FRAMES = 12, 0.1, 0.3
+MAX_CHOICES = 3  # bodies that are named
 MIN_RELATIVE_TRAVEL = 0.3  # ... and moves relative to it by this share; shadows, reflections and attached rods do not
 MAX_ELSEWHERE, MAX_ASTRAY = 0.25, 0.1  # of the samples that tell by regions and by silhouettes where the target is
 LOST_WEIGHT = 0.5  # of samples in which the target is hidden or away: they are known to be missing
@@ -211,17 +212,29 @@ def _is_cut_off(scene: SampledScene, row: int, box: Rectangle, corner: Array) ->
 
 
 def rival_question(scene: SampledScene, first: Body) -> str:
-    """Ask which of two bodies is the target, where another moves before the scene without the first; else empty."""
+    """Ask which body is the target, where another moves before the scene without the first; else empty.
+
+    Where one does, all others that move are named, too: which of them is meant is not known.
+    """
     rest = scene_without(scene, first.box, first.corner)
-    second = next((body for body in moving_bodies(rest) if _is_rival(rest, first, body)), None)
+    others = moving_bodies(rest)
+    second = next((body for body in others if _is_rival(rest, first, body)), None)
     if second is None:
         return ""
-    lines = []
-    for body in sorted((first, second), key=lambda body: float(np.nanmin(body.corner[:, 0]))):
-        (x, y, w, h), frame = body_outline(rest, body)
-        line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
-        lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
-    return "expected one moving target but two move; give " + " or ".join(lines)
+    shown: list[tuple[Body, Rectangle, int]] = []
+    for body in (first, second, *others):
+        rectangle, frame = body_outline(rest, body)
+        counts = body.merit > MIN_RIVAL_MERIT * second.merit and min(rectangle[2:]) >= MIN_RIVAL_SIDE_PX
+        if len(shown) < MAX_CHOICES and (len(shown) < 2 or counts and all(_are_apart(body, one) for one, *_ in shown)):
+            shown.append((body, rectangle, frame))
+    lines = [
+        f"target = {[*rectangle]}"
+        + (f" with template = {frame}" if frame else "")
+        + f" (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)"
+        for body, rectangle, frame in sorted(shown, key=lambda one: float(np.nanmin(one[0].corner[:, 0])))
+    ]
+    count = "two" if len(lines) == 2 else "three"
+    return f"expected one moving target but {count} move; give {' or '.join(lines)}"
 
 
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
@@ -229,12 +242,24 @@ def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
     size, both = np.array([first.box[2:], second.box[2:]]), first.seen & second.seen
     rows = np.flatnonzero(second.seen).tolist()
     few = both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
-    small = second.merit < MIN_RIVAL_MERIT * first.merit or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
-    if few or small or np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in rows]) > 0.5:
+    extent = [q.seen.sum() * _travel_distance(q.corner[q.seen]) * np.sqrt(q.box[2] * q.box[3]) for q in (first, second)]
+    small = extent[1] < MIN_RIVAL_MERIT * extent[0] or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
+    if few or small:
         return False
+    if np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in rows]) > 0.5:
+        (x, y, w, h), _ = body_outline(scene, second)  # a shadow may reach the edge, where the body does not
+        height, width = scene.frames[0].shape
+        if min(x, y, width - x - w, height - y - h) <= scene.factor:
+            return False
     a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
-    separate = np.any(np.abs(a - b) > 0.35 * size.sum(axis=0), axis=1)
-    return bool(separate.mean() >= 0.5 and _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2)
+    return _are_apart(first, second) and _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2
+
+
+def _are_apart(first: Body, second: Body) -> bool:
+    """Whether two bodies are at different places in most frames that show both."""
+    size, both = np.array([first.box[2:], second.box[2:]]), first.seen & second.seen
+    away = np.abs(first.corner[both] + size[0] / 2 - second.corner[both] - size[1] / 2)
+    return bool(np.mean(np.any(away > 0.35 * size.sum(axis=0), axis=1)) >= 0.5) if both.any() else True
 
 
 def _span(at: Array) -> float:
@@ -280,9 +305,11 @@ def target_fault(recording: Recording, track: Track) -> str:
     elsewhere = ~here & np.array([len(o) > 0 for o in others]) | unknown
     # samples that tell where the target is, those that contradict the track, and how many of them may
     silhouettes = _silhouettes(rest, corner, size, np.nan_to_num(track.angle[scene.index]))
+    middle = np.nanmedian(corner, axis=0) if seen.any() else np.zeros(2)
+    followed = int(np.sum(np.any(np.abs(corner - middle) > MAX_ASTRAY_PX, axis=1)))  # samples of it in motion
     for tells, wrong, most in ((here | elsewhere | (not moves), elsewhere, MAX_ELSEWHERE), (*silhouettes, MAX_ASTRAY)):
         weight = np.where(seen | unknown, 1.0, LOST_WEIGHT) @ wrong
-        if weight >= MIN_SAMPLES and weight > most * tells.sum():
+        if weight >= MIN_SAMPLES and (weight > most * tells.sum() or wrong.sum() > followed):
             row = int(np.argmax(wrong * np.array([1 + (o[0].area if o else 0) for o in others])))
             where = f" at {[round(v * scene.factor) for v in others[row][0].box]}" if others[row] else ""
             return (
