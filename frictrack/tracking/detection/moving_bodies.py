@@ -225,7 +225,9 @@ def rival_question(scene: SampledScene, first: Body) -> str:
     for body in (first, second, *others):
         rectangle, frame = body_outline(rest, body)
         counts = body.merit > MIN_RIVAL_MERIT * second.merit and min(rectangle[2:]) >= MIN_RIVAL_SIDE_PX
-        if len(shown) < MAX_CHOICES and (len(shown) < 2 or counts and all(_are_apart(body, one) for one, *_ in shown)):
+        if len(shown) < MAX_CHOICES and (
+            len(shown) < 2 or (counts and all(_are_apart(body, one) for one, *_ in shown))
+        ):
             shown.append((body, rectangle, frame))
     lines = [
         f"target = {[*rectangle]}"
