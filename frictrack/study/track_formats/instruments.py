@@ -91,11 +91,10 @@ def _segment(said: Mapping[str, list[str]], body: str, separator: str) -> Channe
 
 def read_tdms(path: Path) -> TableFile:
     """Read a LabVIEW binary file with npTDMS; the interval of a waveform gives its times."""
-    from nptdms import TdmsFile  # noqa: PLC0415 - optional
-    from nptdms.log import log_manager  # noqa: PLC0415
+    import nptdms  # noqa: PLC0415 - optional
 
-    log_manager.set_level(logging.ERROR)  # what is damaged fails below, or is complete all the same
-    groups = TdmsFile.read(path).groups()
+    nptdms.log.log_manager.set_level(logging.ERROR)  # what is damaged fails below, or is complete all the same
+    groups = nptdms.TdmsFile.read(path).groups()
     return _table("LabVIEW", {group.name: _waveforms(group.channels()) for group in groups})
 
 
