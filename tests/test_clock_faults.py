@@ -131,3 +131,20 @@ def test_date_times_across_full_seconds_and_midnight(tmp_path: Path, form: str) 
     (tmp_path / "t.csv").write_text(f"time,pos\n{rows}\n")
     found = read_table(tmp_path / "t.csv", {"t": "time", "x": "pos (m)"})
     np.testing.assert_allclose(np.diff(found.t), 0.005, atol=1e-9)
+
+
+def test_halves_that_are_rounded_either_way_leave_the_interval_exact() -> None:
+    """Six digits of a clock of 20 kHz: from 10 s on, every other stamp is half a step off."""
+    t, x = record(20_000, 1e-9, "none", 2.0, 0)
+    stamps = np.array([float(f"{9.9 + one:.6g}") for one in t])
+    read = displacement_of_table(TableData(stamps, x))
+    assert np.mean(np.diff(read.t)) == pytest.approx(5e-5, rel=1e-6)
+    assert read.clock_error < 1e-6
+
+
+def test_a_counter_of_24_bits_at_10_mhz_is_unwrapped() -> None:
+    t = np.arange(800) / 1250
+    counts = (np.round(t * 1e7) + 2**24 - 3_000_000) % 2**24
+    out, notes = unrolled_clock(counts / 1e7, position(2.0, t))
+    assert np.diff(out) == pytest.approx(np.diff(t), abs=1e-9)
+    assert "1.6777216 s" in notes[0]

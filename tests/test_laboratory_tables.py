@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, propose_study
+from frictrack.study.column_names import runs_of_columns
 
 MASS, F_C, F_V = 0.42, 1.1, 0.35
 SPEEDS = {"a": 2.4, "b": 1.3, "c": -1.8}
@@ -189,6 +190,11 @@ def test_sheets_of_a_workbook_and_columns_beside_one_clock_are_runs(tmp_path: Pa
     found = law(tmp_path / "beside")
     assert len(found["per_run"]) == 3
     assert_law(found)
+
+
+def test_a_label_of_the_run_may_stand_first() -> None:
+    headers = [f"Run {k} {name}" for k in (1, 2, 3) for name in ("t (s)", "x (m)")]
+    assert [run["x"] for run in runs_of_columns(headers)] == headers[1::2]
 
 
 def test_records_below_one_another_are_runs(tmp_path: Path) -> None:

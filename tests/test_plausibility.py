@@ -775,3 +775,33 @@ def test_the_centre_of_a_swing_scatters_as_its_deviation_says():
         centre, sigma = swing_centre(np.concatenate(ways))
         z.append(centre / sigma)
     assert 0.8 < np.std(z) < 1.4
+
+
+@pytest.mark.parametrize(("stated", "wrong"), [(-3.6, True), (-1.9, False)])
+def test_an_incline_is_contradicted_where_friction_would_push(stated: float, wrong: bool) -> None:
+    """A cart goes up and down 1.9 degrees with a friction coefficient of 0.0025."""
+    t, pull, brake = np.arange(0, 1.9, 0.005), 9.80665 * np.sin(radians(1.9)), 0.0245
+    turn = 0.35 / (pull + brake)
+    x = np.where(
+        t < turn,
+        -0.35 * t + (pull + brake) * t**2 / 2,
+        -0.35 * turn / 2 + (pull - brake) * (t - turn) ** 2 / 2,
+    )
+    x = x + 1e-4 * np.random.default_rng(0).standard_normal(len(t))
+    run = Run.from_arrays(t, x, mass=0.25, incline=radians(stated))
+    finding = wrong_incline(run)
+    assert (finding is not None) == wrong
+    assert finding is None or finding.correction == 'incline = "-1.9 deg"'
+
+
+def test_a_path_that_is_an_arc_is_said() -> None:
+    t = np.arange(0, 0.5, 0.002)
+    turn = 4.0 * t - 3.0 * t**2
+    for bend, named in ((turn, True), (0 * turn, False)):
+        noise = 1e-5 * np.random.default_rng(0).standard_normal((2, len(t)))
+        run = Run.from_arrays(t, 0.4 * (np.sin(turn) if named else turn) + noise[0], mass=0.3)
+        y = 0.4 * (1 - np.cos(bend)) + noise[1]
+        run = replace(run, displacement=replace(run.displacement, y=y))
+        found = [one for one in implausible_slide(run, film=False) if one.kind == "axis"]
+        assert bool(found) == named
+        assert not named or "radius 0.4 m" in found[0].words

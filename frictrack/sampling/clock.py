@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -402,8 +403,8 @@ def _interval_of_rounded(t: Array, ticks: Ticks, rounding: float) -> tuple[float
     def width(turn: float) -> float:  # `turn`: of the line over the record, in steps of the rounding
         return float(np.ptp(off / rounding - turn * place)) - 1.0 - HALF_STEP_TIE
 
-    settings = {"xatol": 0.1 * HALF_STEP_TIE}
-    best = scipy.optimize.minimize_scalar(width, bounds=(-2.0, 2.0), method="bounded", options=settings).x
+    exact: Any = {"xatol": 0.1 * HALF_STEP_TIE}
+    best = scipy.optimize.minimize_scalar(width, bounds=(-2.0, 2.0), method="bounded", options=exact).x
     if width(best) >= 0:  # the stamps jitter, too
         return float(slope), _slope_error(t, off)
     low, high = (scipy.optimize.brentq(width, best, best + side * 4.0) for side in (-1, 1))

@@ -21,7 +21,7 @@ UNIT = re.compile(
 _LAST_WORD_UNIT = re.compile(r"(?<=\w)\s*(?:_|/|\s(?:in|en)\s)\s*(m?s|[µu]s|[mcµun]?m|[mk]?N|px)$")
 """Unit without brackets: "Weg / mm", "time in ms", "force_N"."""
 # What tells one of several runs in a table: "Data Set 1: Time (s)", "Time (s) Run #1", and a repeated "Time (s).1".
-_RUN_LABEL = re.compile(rf"^.*:|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGNORECASE)
+_RUN_LABEL = re.compile(rf"^.*:|^{_LABEL}(?=[\s,;_-])|\b{_LABEL}$|\s*#?\d+$|\.\d+$|[ _][a-h]$", re.IGNORECASE)
 _COUNT = re.compile(
     r"\s*/?\s*\b(counts?|cts?|inc(rements?)?|inkremente?|pulses?|imp(ulse)?|ticks?|digits?|lsb|steps?)\b", re.I
 )

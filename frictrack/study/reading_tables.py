@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 MAX_VALUE = 1e12  # in SI units, far beyond any measurement of sliding
 MIN_INTERVAL_S = 1e-9  # between rows
-# Ranges of clocks, s: of 8 to 32 bits of a decimal step down to 1 ns; of a second, a minute, an hour, half a day and a day.
+# Ranges of clocks, s: of 8 to 32 bits of a decimal step down to 1 ns; of a second, a minute, an hour, 12 and 24 hours.
 COUNTER_RANGES = (
     *(2.0**bits * 10.0**-digits for bits in range(8, 33) for digits in range(10)),
     *(1.0, 60.0, 3600.0, 43200.0, 86400.0),

@@ -116,6 +116,7 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
         raise FrictrackError(f"{path.name}: reading it needs {e.name}; pip install frictrack[{extra}]") from e
     except Exception as e:  # damaged parts make the readers fail in many ways
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
+        reason = "it holds no text in any known encoding" if isinstance(e, UnicodeError) else reason
         raise FrictrackError(f"{path.name}: expected {expected} but cannot read it ({reason})") from e
 
 

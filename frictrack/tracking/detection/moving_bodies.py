@@ -221,18 +221,16 @@ def rival_question(scene: SampledScene, first: Body) -> str:
     second = next((body for body in others if _is_rival(rest, first, body)), None)
     if second is None:
         return ""
-    shown: list[tuple[Body, Rectangle, int]] = []
-    for body in (first, second, *others):
-        rectangle, frame = body_outline(rest, body)
-        counts = body.merit > MIN_RIVAL_MERIT * second.merit and min(rectangle[2:]) >= MIN_RIVAL_SIDE_PX
-        if len(shown) < MAX_CHOICES and (len(shown) < 2 or counts and all(_are_apart(body, one) for one, *_ in shown)):
-            shown.append((body, rectangle, frame))
-    lines = [
-        f"target = {[*rectangle]}"
-        + (f" with template = {frame}" if frame else "")
-        + f" (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)"
-        for body, rectangle, frame in sorted(shown, key=lambda one: float(np.nanmin(one[0].corner[:, 0])))
-    ]
+    chosen = [first, second]
+    for body in others:
+        strong = body.merit > MIN_RIVAL_MERIT * second.merit and all(_are_apart(body, one) for one in chosen)
+        if strong and min(body_outline(rest, body)[0][2:]) >= MIN_RIVAL_SIDE_PX:
+            chosen.append(body)
+    lines = []
+    for body in sorted(chosen[:MAX_CHOICES], key=lambda body: float(np.nanmin(body.corner[:, 0]))):
+        (x, y, w, h), frame = body_outline(rest, body)
+        line = f"target = [{x}, {y}, {w}, {h}]" + (f" with template = {frame}" if frame else "")
+        lines.append(f"{line} (moves {_span(body.corner[body.seen]) * scene.factor:.0f} px)")
     count = "two" if len(lines) == 2 else "three"
     return f"expected one moving target but {count} move; give {' or '.join(lines)}"
 
