@@ -120,6 +120,7 @@ def _secret() -> bytes:
     return b""
 
 
+START_TIMEOUT_S = 60.0  # for the process to start, beside whatever else the machine does
 MIN_TIMEOUT_S = 5.0  # for one file, and one second more for every `BYTES_PER_EXTRA_SECOND`
 BYTES_PER_EXTRA_SECOND = 2e6
 MAX_MEMORY_BYTES = 2 << 30  # of the separate process
@@ -229,7 +230,7 @@ def _other_keys(path: Path) -> Iterator[tuple[Path, tuple[int, int, int]]]:
 def _run_check_process(paths: Sequence[Path]) -> list[Any]:
     """Return what is wrong in files in their order, in those before the first one that the process fails on."""
     asked = "".join(f"{json.dumps(str(path.absolute()))}\n" for path in paths).encode()
-    call, timeout = [sys.executable, "-P", "-c", _CHILD], sum(map(_timeout, paths))
+    call, timeout = [sys.executable, "-P", "-c", _CHILD], START_TIMEOUT_S + sum(map(_timeout, paths))
     try:
         said = subprocess.run(call, input=asked, timeout=timeout, check=False, capture_output=True).stdout
     except subprocess.TimeoutExpired as e:
