@@ -788,7 +788,7 @@ def test_an_incline_is_contradicted_where_friction_would_push(stated: float, wro
         -0.35 * turn / 2 + (pull - brake) * (t - turn) ** 2 / 2,
     )
     x = x + 1e-4 * np.random.default_rng(0).standard_normal(len(t))
-    run = Run.from_arrays(t, x, mass=0.25, incline=radians(stated))
+    run = replace(Run.from_arrays(t, x, mass=0.25), incline=radians(stated), has_incline=True)
     finding = wrong_incline(run)
     assert (finding is not None) == wrong
     assert finding is None or finding.correction == 'incline = "-1.9 deg"'

@@ -50,6 +50,6 @@ if TYPE_CHECKING:
     )
     from frictrack.study.table_files import open_table
     from frictrack.study.table_layout import TableFile, stated
-    from frictrack.study.writing import find_recordings, is_table, list_files, with_key, write_study
+    from frictrack.study.writing import FILMS, TABLES, find_recordings, is_table, list_files, with_key, write_study
 
 __getattr__, __all__ = lazy_names(__name__)

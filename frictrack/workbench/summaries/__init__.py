@@ -29,7 +29,7 @@ from frictrack.results.candidates import joined_name, numbered_name
 from frictrack.results.verdicts import CHECK_FIRST, describe_lost, describe_tests
 from frictrack.settings.filters import FILTERS, STRUCTURAL
 from frictrack.settings.filters import SETTINGS as FILTER_SETTINGS
-from frictrack.study import RunTable, Study, writing
+from frictrack.study import FILMS, TABLES, RunTable, Study
 from frictrack.workbench.summaries.models import (
     candidate_curves,
     current_model,
@@ -189,7 +189,7 @@ def state_of(snapshot: Snapshot) -> dict[str, Any]:
             "name": snapshot.study.name if snapshot.study else snapshot.path.resolve().parent.name,
             "error": snapshot.error,
             "recordings": list_recordings(snapshot),
-            "suffixes": [*writing.FILMS, ".cih", ".cihx", *writing.TABLES],
+            "suffixes": [*FILMS, ".cih", ".cihx", *TABLES],
             "fields": study_fields(snapshot),
             "keys": _study_keys(snapshot.study),
             "ready": readiness(snapshot, runs),
