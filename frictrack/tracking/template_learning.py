@@ -505,7 +505,8 @@ def _parabolas(frames: NDArray[np.int64], at: Array) -> Array:
     if 2 * half >= min(MAX_STRETCH_FRAMES, len(even)):
         return np.full((len(at), series.shape[1]), np.nan)
     smooth = savgol_filter(series, 2 * half + 1, 2, axis=0)
-    rough = np.sqrt(uniform_filter1d((even - smooth[:, 0]) ** 2, 2 * half + 1))
+    squares = uniform_filter1d((even - smooth[:, 0]) ** 2, 2 * half + 1)
+    rough = np.sqrt(np.maximum(squares, 0.0))  # a running sum may come out below zero
     travelled = np.cumsum(steps)
     known = np.pad(travelled[2 * half :] - travelled[: -2 * half] > STRETCH_PX / 2, half)
     known &= rough < MAX_ROUGHNESS_RATIO * np.median(rough)
