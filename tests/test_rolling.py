@@ -43,6 +43,12 @@ def test_a_disc_that_is_not_said_to_roll_is_suspected():
     assert not any("rolling" in line for line in told.summary()["remarks"])
 
 
+@pytest.mark.parametrize(("shape", "inertia"), [("disc", 0.5), ("ball", 0.4), ("ring", 1.0)])
+def test_a_body_with_resistance_that_is_not_said_to_roll_is_suspected(shape, inertia):
+    fit = ft.fit(["coulomb"], [rolls_down(inertia, 0.002 * MASS * GRAVITY * np.cos(ANGLE))])
+    assert any(f'rolling = "{shape}"' in line for line in fit.summary()["remarks"])
+
+
 def test_an_unknown_shape_is_refused():
     with pytest.raises(ft.FrictrackError, match=r"expected rolling to be disc, ball, .* but got 'cube'"):
         rolls_down(0.5, rolling="cube")

@@ -138,7 +138,8 @@ OF_SCALE = {
     "brake": ("z/(1 + (z)^2)", "v"),
     "fall": ("1/(1 + (z)^2)", "tv"),
 }
-OF_PLACE = {"bump": "exp(-z^2/2)", "step": "tanh(z)", "peak": "1/(1 + z^2)", "pair": "z/(1 + z^2)^2"}
+OF_PLACE = {"bump": "exp(-z^2/2)", "step": "tanh(z)", "peak": "1/(1 + z^2)", "pair": "z/(1 + z^2)^2",
+            "pull": "z*exp(-z^2/2)"}  # fmt: skip
 POWERS = {"linear": ("u", "xtv"), "constant": ("1", "xtv"), "square": ("u^2", "xtv"), "root": ("sqrt(u)", "tv"),
           "cube": ("u^3", "xtv")}  # fmt: skip
 WAVE = ("sin(2*pi*f*u)", "cos(2*pi*f*u)")

@@ -98,7 +98,7 @@ class ParameterByGroup:
         means = ", ".join(f"{name} {format_plus_minus(g.value, g.std)}" for name, g in self.groups.items())
         out = [f"{self.parameter}: {means}{unit}"]
         for name, d in self.differences.items():
-            ends = " to ".join(format_plain(end, 3) for end in d.interval)
+            ends = " to ".join(format_plus_minus(end, d.std).split(" ")[0] for end in d.interval)
             assert d.p is not None
             p = f"p {'below 1e-4' if d.p < MIN_P_SHOWN else format_plain(d.p, 2)}"
             out.append(f"{name}: {format_plus_minus(d.value, d.std)}{unit}, 95 % interval {ends}, {p}")

@@ -35,7 +35,8 @@ MIN_OTHER_RUNS = 2  # that agree with each other
 MIN_RATIO = 1.3  # of friction levels; smaller differences are usual between repeats of a run
 ALPHA_GROUPS = 0.01  # significance level of a difference between groups of runs
 MIN_SPREADS = 5.0  # of the other runs, and standard deviations of the difference
-MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction from that of a shape
+MAX_ROLLING_DEVIATION = 0.03  # relative, of the apparent friction below that of a shape
+MAX_ROLLING_RESISTANCE = 0.005  # of a hard wheel
 MIN_ROLLING_FRAMES, MIN_ROLLING_TURN = 16, 0.5  # frames, and rad, from which a turn is judged
 MIN_ROLLING_R2 = 0.98  # of the angle against the way
 
@@ -320,7 +321,10 @@ def describe_level_outliers(names: Sequence[str], levels: Array, covariance: Arr
 
 
 def rolling_remarks(fitted: FittedRuns) -> Iterator[str]:
-    """Yield where friction may be the inertia of a body that rolls, which takes k/(1 + k) of the pull of gravity."""
+    """Yield where friction may be the inertia of a body that rolls, which takes k/(1 + k) of the pull of gravity.
+
+    Its rolling resistance c takes c/((1 + k) tan(incline)) more.
+    """
     level = fitted.solution.problem.layout.reported_values(fitted.solution.p).get("coulomb.F_c")
     for run in fitted.runs:
         if run.drive is not None or run.rolling or not run.mass:
@@ -328,12 +332,15 @@ def rolling_remarks(fitted: FittedRuns) -> Iterator[str]:
         if turned := _turns_with_its_way(run):
             yield f"{run.name}: {turned}"
         share = (level or 0.0) / (run.mass * abs(GRAVITY * np.sin(run.incline)) or np.inf)
-        shape, k = min(ROLLING.items(), key=lambda one: abs(share - one[1] / (1 + one[1])))
-        if not turned and abs(share * (1 + k) / k - 1) < MAX_ROLLING_DEVIATION:
-            yield (
-                f"{run.name}: dry friction takes {format_number(share)} of the pull of gravity, as the inertia of a "
-                f'{shape} that rolls down without friction; if it rolls, give rolling = "{shape}"'
-            )
+        steepness = max(abs(np.tan(run.incline)), 1e-12)
+        for shape, k in sorted(ROLLING.items(), key=lambda one: -one[1]):
+            left = share * (1 + k) - k  # of the resistance, over tan(incline)
+            if not turned and -MAX_ROLLING_DEVIATION * k < left < MAX_ROLLING_RESISTANCE / steepness:
+                yield (
+                    f"{run.name}: dry friction takes {format_number(share)} of the pull of gravity, as the inertia of "
+                    f'a {shape} that rolls down nearly without friction; if it rolls, give rolling = "{shape}"'
+                )
+                break
 
 
 def _turns_with_its_way(run: Run) -> str:
