@@ -16,7 +16,7 @@ def describe(effect: EffectInStudy) -> str:
     """Incline that would make the force, and the stated one."""
     stated, lean = effect.stated_incline, effect.value("F") / effect.reference_weight
     angle = np.arcsin(np.clip(np.sin(stated) + lean, -1.0, 1.0))
-    digits = max(2 - int(np.floor(np.log10(max(abs(np.rad2deg(angle - stated)), 1e-9)))), 1)  # that show the difference
+    digits = max(1 - int(np.floor(np.log10(max(abs(np.rad2deg(angle - stated)), 1e-9)))), 1)  # that show the difference
     was, found = (f"{np.rad2deg(one):.{digits}f}".rstrip("0").rstrip(".") for one in (stated, angle))
     return (
         f"the incline is {found} degrees, not {was}: the course rises toward +x by {format_number(1e3 * lean)} mm in a "
