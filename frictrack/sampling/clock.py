@@ -349,9 +349,8 @@ def count_intervals(t: Array, rounding: float, interval: float | None = None) ->
     """
     span = min(max(round(ROUNDINGS_PER_SPAN * rounding * (len(t) - 1) / float(t[-1] - t[0])), 8), len(t) // 2)
     spans = t[span:] - t[:-span]
-    complete = (
-        np.abs(spans - np.sort(spans)[len(spans) // 2]) < MAX_ROUNDING_STEPS * rounding
-    )  # no row is missing in it
+    usual = np.sort(spans)[len(spans) // 2]
+    complete = np.abs(spans - usual) < MAX_ROUNDING_STEPS * rounding  # no row is missing in it
     found = interval or float(np.mean(spans[complete])) / span
     ticks = _count_rows(t, found, 0.49)
     slope, start = np.polyfit(ticks, t, 1)

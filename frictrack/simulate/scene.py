@@ -363,16 +363,15 @@ def true_trajectory(scene: Scene, run: SceneRun, camera: Camera, level: float, e
         incline=run.incline,
         drive=push_force(mass, run.v, run.push) if run.push else None,
         lift=scene.lift and scene.lift.second_derivative(),
-        angle=target.rotation
-        and replace(target.rotation, amplitude=-target.rotation.amplitude),  # the picture's y points down
+        # the picture's y points down
+        angle=target.rotation and replace(target.rotation, amplitude=-target.rotation.amplitude),
         clamp_x=scene.clamp_x,
         beam_length=scene.beam_length,
         earlier=earlier,
     )
     edge = MARGIN_PX + target.width / 2
-    start = camera.scale * (
-        edge if run.v > 0 else camera.width - 1 - edge
-    )  # x counts from the left edge of the picture
+    # x counts from the left edge of the picture
+    start = camera.scale * (edge if run.v > 0 else camera.width - 1 - edge)
     return simulate(scene.model, _effect_values(scene), conditions, t, (start, 0.0 if run.push else run.v))
 
 

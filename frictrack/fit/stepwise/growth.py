@@ -567,9 +567,8 @@ def remove_effect(solution: Solution, name: str) -> Solution:
     problem = solution.problem.rebuild(layout)
     firsts = [layout.unknowns(old.by_address(solution.p))]
     if problem.simulates and (law := result_or_none(linearise, solution)) is not None:
-        firsts.append(
-            refine_on_measured_motion(law, layout, firsts[0])
-        )  # the rest takes over what it can of the effect
+        # the rest takes over what it can of the effect
+        firsts.append(refine_on_measured_motion(law, layout, firsts[0]))
     found = []
     for p in firsts:
         try:
