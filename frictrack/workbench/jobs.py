@@ -390,11 +390,11 @@ class WarmLauncher:
             launch_process(folder)
 
     def close(self) -> None:
-        """End the process that waits."""
+        """End the input of the process that waits, and so the process."""
         with self._lock:
             spare, self._spare, self._closed = self._spare, None, True
-        if spare is not None:
-            spare.terminate()
+        if spare is not None and spare.stdin is not None:
+            spare.stdin.close()
 
 
 def _write_line(process: subprocess.Popen[bytes], line: str) -> bool:
