@@ -374,7 +374,7 @@ def test_an_effect_of_single_runs_without_a_grid_is_removed_and_placed_again():
 def test_products_of_a_table_with_rows_of_any_size_are_finite_and_right(size):
     rng = np.random.default_rng(1)
     columns, rows = rng.standard_normal((4, 2, 500)).astype(np.float32), size * rng.standard_normal((3, 500))
-    table = ScanTable([columns], [np.array([0, 1])], np.zeros((4, 2, 2)), size)
+    table = ScanTable([columns], [np.full((4, 2), size)], [np.array([0, 1])], np.zeros((4, 2, 2)))
     exact = size * np.einsum("km,gcm->kgc", rows, columns.astype(float))
     assert table.products([slice(0, 500)], rows) == pytest.approx(exact, rel=1e-3, abs=1e-4 * size**2)
 

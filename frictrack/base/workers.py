@@ -344,6 +344,7 @@ def _worker_environment() -> Iterator[None]:
             os.environ.pop(name, None) if value is None else os.environ.update({name: value})
 
 
+SAMPLES_AT_ONCE = 60_000  # of rows that are evaluated together, so that they fit into the cache of the processor
 MAX_THREADS = 2  # of Python that large matrix products keep busy; more only wait for the interpreter
 
 One = TypeVar("One")
@@ -362,6 +363,18 @@ def one_thread() -> Iterator[None]:
     """
     with threadpool_limits(1, user_api="blas"):
         yield
+
+
+def rows_at_once(samples: int) -> int:
+    """Return how many rows of a number of samples suit the cache.
+
+    Examples
+    --------
+    >>> rows_at_once(1000), rows_at_once(10**6)
+    (60, 1)
+
+    """
+    return max(1, SAMPLES_AT_ONCE // samples)
 
 
 def map_in_threads(of: Callable[[One], Made], items: Sequence[One]) -> list[Made]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from frictrack.base.workers import rows_at_once
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.least_squares import LeastSquaresProblem, Solution
 from frictrack.fit.observations.acceleration import fit_starts, linearise_accelerations, through_chains
@@ -41,7 +42,6 @@ from frictrack.records import Array, Run
 from frictrack.search import SearchMethod, minimise, search_method
 
 MAX_AT_ONCE = 40  # individuals evaluated at once, a whole generation of the genetic searches
-MAX_VALUES_AT_ONCE = 2**18  # individuals times data, so that an array stays in the cache of the processor
 Callback = Callable[[int, Mapping[str, float], float], "bool | None"]
 MAX_EVALUATIONS = 36 * 1000  # of every start: the first paper's 1000 generations of 40 individuals, generation gap 0.9
 FORCE_RANGE_FACTOR = 1.5  # upper bound of a force over the largest measured friction
@@ -82,7 +82,7 @@ class PopulationMisfit:
 
     def __call__(self, points: Array) -> Array:
         """Compute the misfits (Q,) of points (Q, d)."""
-        at_once = min(MAX_AT_ONCE, max(1, MAX_VALUES_AT_ONCE // self.separable.size))
+        at_once = min(MAX_AT_ONCE, rows_at_once(self.separable.size))
         parts = np.array_split(points, max(1, -(-len(points) // at_once)))
         return np.concatenate([self.evaluate(part)[0] for part in parts])
 

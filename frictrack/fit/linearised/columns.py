@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
+from frictrack.base.workers import rows_at_once
 from frictrack.effects import Effect, Span, Tie
 from frictrack.fit.linearised.model import Float32Array, LinearisedModel, LinearisedPiece, ScannedSeries
 from frictrack.records import Array
@@ -88,8 +89,10 @@ class CandidateGrid:
 
     def whitened_columns(self, piece: LinearisedPiece, points: Array) -> Array:
         """Compute whitened columns (Q k, n) at points (Q, d) along one piece."""
-        raw = self.raw_columns(piece, points)
-        return piece.whitened_rows(raw.reshape(-1, raw.shape[-1]), self.effect.acts_on == "measurement")
+        parts = np.array_split(points, -(-len(points) // rows_at_once(len(piece.path_for(self.effect).t))))
+        raw = (self.raw_columns(piece, part) for part in parts)
+        is_measurement = self.effect.acts_on == "measurement"
+        return np.concatenate([piece.whitened_rows(own.reshape(-1, own.shape[-1]), is_measurement) for own in raw])
 
 
 def candidate_grids(law: LinearisedModel, effect: Effect) -> list[CandidateGrid]:

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.workers import map_in_threads
+from frictrack.base.workers import map_in_threads, rows_at_once
 from frictrack.fit.linearised.columns import (
     MIN_COLUMN_SQUARE,
     CandidateGrid,
@@ -43,7 +43,6 @@ MAX_NEGLECTED_SHARE = 1e-4  # of a gain, as in sums of plain waves, by a column 
 MAX_ABSORBED_LEFT = 10 * MAX_NEGLECTED_SHARE  # of a shared direction that is absorbed but for what was neglected
 MIN_SHARED_SHARE = 1e-11  # of a unit column; what several runs share and is smaller is rounding
 MAX_COLUMNS_EVERY_SCATTER = 200  # of a grid that is evaluated at every scatter of the levels
-SAMPLES_AT_ONCE = 60_000  # of columns, so that they fit into the cache
 MIN_POINTS_AT_ONCE = 16  # from which products with many series are not limited by the memory
 WAVES_AT_ONCE = 48
 
@@ -152,7 +151,7 @@ def scan_candidate(law: LinearisedModel, grid: CandidateGrid, series: ScannedSer
 def _parts(law: LinearisedModel, grid: CandidateGrid) -> Iterator[slice]:
     """Divide a grid into points that are evaluated together; waves of one envelope, or as many as suit the cache."""
     line, size = len(grid.values), max(len(law.pieces[i].path_for(grid.effect).t) for i in grid.members)
-    at_once = max(MIN_POINTS_AT_ONCE, SAMPLES_AT_ONCE // size)
+    at_once = max(MIN_POINTS_AT_ONCE, rows_at_once(size))
     if any(are_sums_of_waves(grid, law.pieces[i]) for i in grid.members):
         line, at_once = grid.shape[-1], WAVES_AT_ONCE
     for first in range(0, len(grid.values), line):

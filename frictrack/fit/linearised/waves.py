@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.workers import rows_at_once
 from frictrack.fit.linearised.columns import CandidateGrid, ColumnProducts, SeriesOfPiece, column_products
 from frictrack.fit.linearised.model import LinearisedModel, LinearisedPiece
 from frictrack.records import Array
@@ -36,7 +37,6 @@ MAX_PLAIN_RATIO = 1.2  # plain waves per frequency of the grid
 MAX_PLAIN = 400  # whose Gram matrix is held
 MAX_PLAIN_SAMPLES = 1_500_000  # of plain waves held at once
 MAX_PRODUCTS_KEPT = 10_000_000  # of plain waves with the draws, over all pieces
-SAMPLES_AT_ONCE = 60_000  # that fit into the cache
 ComplexArray = NDArray[np.complex128]
 
 
@@ -179,7 +179,7 @@ class WaveProducts:
         """Products of all sines and cosines, one after the other, with the envelope."""
         u, spacing, frames = self._frame.u, self._frame.spacing, self._law.rows[self._i]
         whitened = np.empty((2 * (numbers.stop - numbers.start), frames.stop - frames.start))
-        step, at_once = np.exp(2j * np.pi * spacing * u), max(1, SAMPLES_AT_ONCE // (2 * len(u)))
+        step, at_once = np.exp(2j * np.pi * spacing * u), rows_at_once(2 * len(u))
         for first in range(numbers.start, numbers.stop, at_once):
             columns = np.empty((min(at_once, numbers.stop - first), 2, len(u)))
             wave = self._envelope * np.exp(2j * np.pi * spacing * first * u)

@@ -29,13 +29,13 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from frictrack.base.workers import rows_at_once
 from frictrack.effects import Effect, Parameter
 from frictrack.fit.separable.model import Indices, SeparableModel
 from frictrack.fit.separable.projected import RIDGE, ProjectedProblem, SeparableSolution
 from frictrack.records import Array
 
 MAX_SCAN_AXES = 3  # parameters of one effect that are scanned together
-MAX_AT_ONCE = 64  # grid points evaluated at once
 MIN_UNEXPLAINED_SHARE = 1e-6  # smallest share of a column outside the model
 MAX_PLACES = 3  # grid points of one scan that are refined
 ROUGH_STEPS = 3  # steps while effects are still missing
@@ -201,20 +201,20 @@ class ScanTable:
     Attributes
     ----------
     columns : list of array of shape (G, c_b, m_b)
-        Data per unit coefficient in every block b, over `scale`.
+        Data per unit coefficient in every block b, over their sizes: others could leave the range of single precision.
+    sizes : list of array of shape (G, c_b)
+        The largest datum of each column.
     at : list of array of int
         Which of the C coefficients the columns of a block belong to.
     gram : array of shape (G, C, C)
         Gram matrices.
-    scale : float
-        The largest datum: products of larger ones could leave the range of single precision.
 
     """
 
     columns: list[NDArray[np.float32]]
+    sizes: list[Array]
     at: list[Indices]
     gram: Array
-    scale: float
 
     @classmethod
     def of(cls, separable: SeparableModel, item: ScanItem, nonlinear_values: Array) -> ScanTable:
@@ -223,32 +223,37 @@ class ScanTable:
         vectors = np.tile(nonlinear_values, (len(grid.values), 1))
         for slots, values in zip(item.slots, grid.values.T, strict=True):
             vectors[:, slots] = values[:, None]
-        chunks = np.array_split(vectors, -(-len(vectors) // MAX_AT_ONCE))
-        columns, at, gram = [], [], np.zeros((len(vectors), len(mine), len(mine)))
+        at_once = rows_at_once(max(len(block.path.t) for block in separable.blocks))
+        parts = [slice(first, first + at_once) for first in range(0, len(vectors), at_once)]
+        columns, sizes, at, gram = [], [], [], np.zeros((len(vectors), len(mine), len(mine)))
         for b, block in enumerate(separable.blocks):
             place = separable.column_positions[item.g][block.run]
             kept = np.flatnonzero(np.isin(place, mine) & (item.run in (None, block.run)))
-            own = np.zeros((len(vectors), 0, len(block.data)))
-            if len(kept):
-                own = np.concatenate([separable.rows(item.g, b, part)[:, kept] for part in chunks])
+            size, squares = np.ones((len(vectors), len(kept))), np.zeros((len(vectors), len(kept), len(kept)))
+            single = np.empty((*size.shape, len(block.data)), np.float32)
+            for part in parts if len(kept) else ():
+                own = separable.rows(item.g, b, vectors[part])[:, kept]
+                squares[part] = own @ own.transpose(0, 2, 1)
+                size[part] = np.maximum(np.abs(own).max(axis=2), 1e-300)
+                single[part] = own / size[part][:, :, None]
             at.append(np.searchsorted(mine, place[kept]))
-            gram[np.ix_(np.arange(len(gram)), at[-1], at[-1])] += own @ own.transpose(0, 2, 1)
-            columns.append(own)
-        scale = max(1e-300, *(float(np.abs(own).max(initial=0.0)) for own in columns))
-        return cls([(own / scale).astype(np.float32) for own in columns], at, gram, scale)
+            gram[np.ix_(np.arange(len(gram)), at[-1], at[-1])] += squares
+            columns.append(single)
+            sizes.append(size)
+        return cls(columns, sizes, at, gram)
 
     def products(self, slices: Sequence[slice], rows: Array) -> Array:
         """Compute inner products (k, G, C) of the columns with rows (k, M)."""
         out = np.zeros((len(rows), *self.gram.shape[:2]))
         size = np.maximum(np.abs(rows).max(axis=1, initial=0.0), 1e-300)
         single = (rows / size[:, None]).astype(np.float32)
-        for columns, at, cut in zip(self.columns, self.at, slices, strict=True):
+        for columns, sizes, at, cut in zip(self.columns, self.sizes, self.at, slices, strict=True):
             if len(at):
                 shown = np.flatnonzero(single[:, cut].any(axis=1))  # most rows belong to one run
                 flat = columns.reshape(-1, columns.shape[2])
                 own = (single[shown, cut] @ flat.T).reshape(len(shown), *columns.shape[:2])
-                out[np.ix_(shown, np.arange(out.shape[1]), at)] += own
-        out *= (self.scale * size)[:, None, None]
+                out[np.ix_(shown, np.arange(out.shape[1]), at)] += own * sizes
+        out *= size[:, None, None]
         return out
 
 
