@@ -66,7 +66,7 @@ SCALING = {
     **{"coulomb": "L", "stribeck": "L", "viscous": "-", "drag": "-", "vibration": "-", "texture": "L", "patch": "L"},
     **{"spring": "--", "collision": "-", "asymmetry": "L-", "slope": "M", "lens": "-", "peak_locking": "-"},
     **{"camera_shake": "-", "atm2:1": "LL-", "atm2:2": "LL-", "decaying_vibration": "-", "thermal": "L", "drift": "L"},
-    **{"drive_error": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
+    **{"drive_error": "D", "drive_delay": "D", "dropped_frame": "-", "timebase": "-", "target_rotation": "--"},
     **{"flash_weakening": "L", "log_velocity": "L", "power_law_viscosity": "-", "eddy_brake": "-"},
     **{"hydrodynamic_hump": "L"},
     **{"adhesion": "-", "rolling_shutter": "-", "out_of_plane": "-", "run_in": "L", "heating": "L"},

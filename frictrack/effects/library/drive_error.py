@@ -11,11 +11,15 @@ MAX_ERROR = 0.5  # of the drive: more is another drive
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
     """-D(t - tau), shape (n, 1): N per unit of e; e > 0 means that the true drive is larger."""
-    t = path.t - nonlinear["tau"]
+    return -delayed_drive(path, nonlinear["tau"])[:, None]
+
+
+def delayed_drive(path: Path, tau: float | Array) -> Array:
+    """D(t - tau), shape (n,), N."""
     if path.drive_at is not None:
-        return -path.drive_at(t)[:, None]
+        return path.drive_at(path.t - tau)
     assert path.drive is not None
-    return -np.interp(t, path.t, path.drive)[:, None]
+    return np.interp(path.t - tau, path.t, path.drive)
 
 
 def delays(span: Span) -> Array:
@@ -41,11 +45,11 @@ parameters = (
     Parameter("tau", "s", scan=delays, signed=True),
 )
 scales_with = "drive"
-what = "Gain of the force sensor, area of the piston or constant of the motor are off, or the drive comes late."
+what = "Gain of the force sensor, area of the piston or constant of the motor are off; or a part of the force is late."
 looks_like = "a residual force of the shape of the drive, in every run, whatever the speed"
 mistaken_for = "a wrong mass (at tau = 0; exactly so where the mass is fitted); Coulomb friction (steady drive)"
 confirm = "Hang a known weight on the drive; drive with another shape: this residual follows it, friction does not."
-describe = Phrase("the true drive would be {100 * e} % larger, {1e3 * tau} ms late")
+describe = Phrase("the true drive would be {100 * e} % larger, by a part that comes {1e3 * tau} ms later")
 invariant = "an error of the drive follows the drive"
 settled_by = "hang a known weight on the drive"
 direct_check = DirectCheck("known weight", "Hang a known weight on the drive", known_weight_signal)
