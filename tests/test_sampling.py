@@ -249,6 +249,15 @@ def test_positions_that_were_held_are_left_out():
     assert "samples repeat the one before: frames 1, 3, 5" in even.notes[0]
 
 
+def test_outliers_one_step_ahead_are_no_missing_samples():
+    x = noisy(slide(T))
+    at = N // 3
+    x[at : at + 2] += x[at] - x[at - 1]  # one step behind, they could be a doubled and a missing frame
+    even = with_even_clock(table(T, x))
+    assert not [note for note in even.notes if "missing" in note]
+    np.testing.assert_array_equal(even.data.t, T)
+
+
 def test_missing_samples_become_gaps_and_repeated_ones_go():
     x = noisy(slide(T))
     kept = np.setdiff1d(np.arange(N), [100, 200, 201])

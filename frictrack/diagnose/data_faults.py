@@ -28,7 +28,7 @@ from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
 from frictrack.fit import Fit
-from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter
+from frictrack.fit.least_squares import PieceResponse, Solution, fit_with_scatter, white_noise_covariance
 from frictrack.fit.pieces import Piece
 from frictrack.fit.stepwise import bic_penalty, remove_effect
 from frictrack.fit.uncertainty import MIN_RATIO
@@ -43,6 +43,7 @@ MAX_RUNS, MAX_FRAMES = 8, 20_000  # of all runs together
 MAX_ODD = 2  # runs of which another mass is tried: without the wrong one the others agree best, within their noise
 N_DRAWS = 199
 MIN_P_EXPLAINED = 0.05  # of the lack of fit
+MIN_GAP = 3.0  # between the sizes of an effect in a few runs and in the others, over how far those of either differ
 MASS_STEP = 1e-4  # relative change of a mass, to see what it changes
 MASS_RATIOS = (-2.5, 2.5)  # logarithm of another mass of a run over the stated one: its decimal point may be wrong
 TOLERANCE: Any = {"xatol": 0.002}  # of that logarithm
@@ -220,11 +221,16 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     """Return the runs of which another mass explains all runs, with decisively more evidence than the effects found.
 
     It may stand in place of all of them, or of one. Where only sizes of their own in every run were found, which take
-    up what a mass does, it need not be decisive.
+    up what a mass does, it need not be decisive; where such sizes agree but in a few runs, nothing is fitted again.
     """
     last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
     if not search.something_is_missing or n != fitted.solution.problem.n_frames:
         return []
+    for own in search.found:
+        ratio, names = _runs_of_other_size(last, own.effect)
+        if names:
+            lacks = [t.effect.name for t in search.found if t.effect.name not in fitted.model.names]
+            return [_doubt(names, ratio, last, lacks)]
 
     def misfit(log_ratio: float, law: Solution, odd: Sequence[Run]) -> float:
         found = _refit(law, odd, float(np.exp(log_ratio)))
@@ -248,18 +254,39 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     return []
 
 
+def _runs_of_other_size(law: Solution, effect: Effect) -> tuple[float, list[str]]:
+    """The size of an effect in most runs over that in a few, and these, where each has its own and a gap is between.
+
+    A force that does not go with the load is so many times too small where the stated mass is.
+    """
+    slots = law.problem.layout.slots
+    own = [i for i, s in enumerate(slots) if (s.effect, s.parameter) == (effect.name, effect.frees) and s.linear]
+    values = law.p[own]
+    if effect.scales_with != "nothing" or len(own) < MIN_RUNS or np.min(values) * np.max(values) <= 0:
+        return 1.0, []
+    order, logs = np.argsort(np.abs(values)), np.sort(np.log(np.abs(values)))
+    cut = int(np.argmax(np.diff(logs))) + 1
+    doubt = np.sqrt(white_noise_covariance(law)[0][own, own]) / np.abs(values)
+    if logs[cut] - logs[cut - 1] < MIN_GAP * max(np.ptp(logs[:cut]), np.ptp(logs[cut:]), np.max(doubt)):
+        return 1.0, []
+    few, side = (order[:cut], 1) if 2 * cut < len(own) else (order[cut:], -1)
+    ratio = float(np.exp(side * (np.mean(logs[cut:]) - np.mean(logs[:cut]))))
+    return ratio, [law.problem.layout.run_names[slots[own[i]].run or 0] for i in sorted(few)]
+
+
 def _doubt(odd: Sequence[str], mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
     """What to measure again of runs: their mass or, where their dry friction then differs from others', their clock."""
     layout, run, its = found.problem.layout, join_words(odd), "its" if len(odd) == 1 else "their"
-    others = "" if len(odd) == 1 else f", or {1 / mass_ratio:.3g} times that of the others,"
+    mass, other = (f"{float(f'{ratio:.3g}'):g}" for ratio in (mass_ratio, 1 / mass_ratio))
+    others = "" if len(odd) == 1 else f", or {other} times that of the others,"
     logs = dict(zip(layout.run_names, np.log(found.p[layout.levels]), strict=False))
     own = [logs.pop(name, 0.0) for name in odd]
     friction = float(np.exp(np.mean(own) - np.mean([*logs.values()] or [0.0])))
     rest = f"the model explains all runs, and {f'only {join_words(lacks)}' if lacks else 'no effect'} is missing"
     if max(friction, 1 / friction) < MIN_RATIO:
-        why = f"with {mass_ratio:.3g} times {its} stated mass{others} {rest}"
+        why = f"with {mass} times {its} stated mass{others} {rest}"
         return Undetermined(f"the mass of {run}", why, f"weigh what slid in {run} again")
-    why = f"with {friction:.3g} times the dry friction of the others and {mass_ratio:.3g} times {its} mass {rest}"
+    why = f"with {friction:.3g} times the dry friction of the others and {mass} times {its} mass {rest}"
     rate = f"a frame rate that is {friction**0.5:.3g} times too high does this"
     return Undetermined(f"the frame rate, mass and surface of {run}", f"{why}; {rate}", f"check them in {run}")
 

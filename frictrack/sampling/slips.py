@@ -33,6 +33,7 @@ SINGLE_STEP_TOLERANCE = 0.25  # of the usual step, within which a step passes ov
 MAX_MULTIPLE_SIGMAS = 4.0  # standard deviations within which a step is a whole multiple
 MAX_MULTIPLE_ERROR = 0.12  # intervals: a multiple that is known no better cannot be counted
 MAX_MULTIPLE = 200  # intervals in one step
+MAX_RETURN = 0.5  # intervals by which the steps around may fall short: after a missing frame nothing is made up for
 STEADY_STEPS, MAX_ODD_STEPS = 5, 1  # steps on either side that are whole multiples, too, and how many may not be
 
 Ticks = NDArray[np.int64]
@@ -249,7 +250,8 @@ def _missing_in_step(steps: Array, ratio: Array, noise: float, i: int) -> int:
     line, error = _expected_steps(steps, used, i)
     usual, error = float(line[0]), max(error, noise)
     around = near[(np.abs(near - i) <= STEADY_STEPS) & (near != i)]
-    if np.sum(_is_odd(steps[around] / (usual + line[1] * (around - i)))) > MAX_ODD_STEPS:
+    beside = steps[around] / (usual + line[1] * (around - i))
+    if np.sum(_is_odd(beside)) > MAX_ODD_STEPS or np.sum(beside - 1) < -MAX_RETURN:  # some outliers, and back again
         return 0
     multiple = round(steps[i] / usual)
     whole = abs(steps[i] - multiple * usual) < MAX_MULTIPLE_SIGMAS * error and not _is_odd(steps[i] / usual)
