@@ -224,7 +224,7 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     up what a mass does, it need not be decisive; where such sizes agree but in a few runs, nothing is fitted again.
     """
     last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
-    if not search.something_is_missing or n != fitted.solution.problem.n_frames:
+    if not search.something_is_missing:
         return []
     for own in search.found:
         ratio, names = _runs_of_other_size(last, own.effect)
