@@ -24,7 +24,7 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from frictrack.effects import Path, Span, direction_of_motion, joined_paths
 from frictrack.records import Array, Mask
-from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions, mean_directions
+from frictrack.simulate.dynamics import CollocationSolution, Panels, directions, mean_directions
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
@@ -596,35 +596,3 @@ def column_norms(columns: Array) -> Array:
     norm = np.linalg.norm(columns, axis=0)
     norm[norm == 0] = 1.0
     return np.asarray(norm)
-
-
-def split_motions(
-    joined: JoinedPieces, motion: CollocationSolution, response: LinearResponse
-) -> list[tuple[CollocationSolution, LinearResponse]]:
-    """Split motions that were solved together: motion and response of every piece."""
-    if len(joined.pieces) == 1:
-        return [(motion, response)]
-    return [
-        (motion.part(piece.panels, nodes, edges), response.part(piece.panels, nodes))
-        for piece, nodes, edges in zip(joined.pieces, joined.nodes, joined.edges, strict=True)
-    ]
-
-
-def group_by_size(sizes: Sequence[int], limit: int) -> list[tuple[int, ...]]:
-    """Group neighbours whose sizes add up to at most `limit`.
-
-    Examples
-    --------
-    >>> group_by_size([2, 2, 3, 9, 1], 5)
-    [(0, 1), (2,), (3,), (4,)]
-
-    """
-    out: list[tuple[int, ...]] = []
-    total = 0
-    for i, size in enumerate(sizes):
-        if not out or total + size > limit:
-            out.append(())
-            total = 0
-        out[-1] += (i,)
-        total += size
-    return out
