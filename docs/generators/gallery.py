@@ -45,8 +45,9 @@ GROUPS = {
         *("load_modulation", "measured_load", "viscous_modulation"),
     ),
     "Errors of the measurement": (
-        *("drive_error", "drive_delay", "cell_lag", "lens", "peak_locking", "camera_shake", "dropped_frame"),
-        *("timebase", "clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
+        *("drive_error", "drive_delay", "drive_offset", "cell_lag", "lens"),
+        *("peak_locking", "camera_shake", "dropped_frame", "timebase"),
+        *("clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
     ),
 }
 SCALES = {

@@ -257,6 +257,7 @@ EXAMPLES: dict[str, Example] = {
         TUSTIN | {"viscous": {"F_v": 0.3}, "viscous_modulation": {"depth": 0.3, "frequency": 15.0}},
         per_run=_phases("phase"),
     ),
+    "drive_offset": _with("drive_offset", {"D_0": 0.15}, design=SPEED_SWINGS),
     "drive_delay": _with("drive_delay", {"tau": 0.004}, design=SPEED_SWINGS),
     "drive_error": _with("drive_error", {"e": 0.1, "tau": 0.004}, design=SPEED_SWINGS),
     "lens": _with("lens", {"k": 0.02, "x_c": 0.25}, axis="x"),
