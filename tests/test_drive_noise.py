@@ -250,3 +250,25 @@ def test_rounded_positions_of_a_motion_with_nearly_whole_steps_per_frame_have_er
     scatter = np.std(estimates, axis=0) / np.sqrt(np.diag(covariance_of(solution)[0]))
     assert np.min(scatter[:2]) > 0.8
     assert np.max(scatter[:2]) < 1.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("late", "offset", "name"), [(0.004, 0.0, "drive_delay"), (0.0, 0.25, "drive_offset")])
+def test_a_drive_that_is_late_or_has_lost_its_zero_is_named(late: float, offset: float, name: str) -> None:
+    t = np.arange(400) / 1000.0
+    runs = []
+    for seed, mass in enumerate((0.5, 0.5, 0.8, 1.1)):
+
+        def drive(at, mass=mass):
+            return mass * (3.0 + 4.0 * np.exp(-(((at - 0.15) / 0.03) ** 2)))
+
+        def law(at, y, mass=mass, drive=drive):
+            return [y[1], (drive(at - late) + offset - 2.0 * mass - F_V * y[1]) / mass]
+
+        x = solve_ivp(law, (0, t[-1]), [0.0, 0.5], t_eval=t, rtol=1e-10, atol=1e-12, max_step=1e-3).y[0]
+        noisy = x + 3e-6 * np.random.default_rng(seed).standard_normal(len(t))
+        runs.append(ft.Run.from_arrays(t, noisy, mass=mass, drive=drive(t), sigma_drive=0.0, name=f"r{seed}"))
+    found = ft.diagnose(ft.fit(["coulomb", "viscous"], runs), quick=True)
+    assert found.missing == [name]
+    size = ft.fit(["coulomb", "viscous", name], runs).parameters[f"{name}.{'tau' if late else 'D_0'}"]
+    assert abs(size.value - (late or offset)) < 2.6 * size.std
