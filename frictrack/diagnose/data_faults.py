@@ -11,8 +11,9 @@ it may be one of several runs; all are named.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -226,11 +227,10 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
     if not search.something_is_missing:
         return []
-    for own in search.found:
-        ratio, names = _runs_of_other_size(last, own.effect)
+    for ratio, names in map(partial(_runs_of_other_size, last), _sizes_per_run(last, search.found)):
         if names:
             lacks = [t.effect.name for t in search.found if t.effect.name not in fitted.model.names]
-            return [_doubt(names, ratio, last, lacks)]
+            return [_doubt(names, ratio, 1.0, lacks)]
 
     def misfit(log_ratio: float, law: Solution, odd: Sequence[Run]) -> float:
         found = _refit(law, odd, float(np.exp(log_ratio)))
@@ -248,41 +248,58 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
             found = _refit(law, odd, ratio) if least.fun < best else None
             if found is not None and _explains(found, rng):
                 lacks = [name for name in law.problem.model.names if name not in fitted.model.names]
-                best, doubted = least.fun, _doubt([run.name for run in odd], ratio, found, lacks)
+                names = [run.name for run in odd]
+                best, doubted = least.fun, _doubt(names, ratio, _friction_ratio(found, names), lacks)
         if doubted is not None:
             return [doubted]
     return []
 
 
-def _runs_of_other_size(law: Solution, effect: Effect) -> tuple[float, list[str]]:
-    """The size of an effect in most runs over that in a few, and these, where each has its own and a gap is between.
+def _sizes_per_run(law: Solution, found: Sequence[RefinedCandidate]) -> Iterator[list[int]]:
+    """Positions of sizes that runs have of their own, of effects that do not go with the load; levels may be such."""
+    layout = law.problem.layout
+    for effect in (t.effect for t in found if t.effect.scales_with == "nothing" and len(t.effect.linear) == 1):
+        yield [i for i in layout.sizes(effect) if layout.slots[i].parameter == effect.frees]
+    added = [t.effect.name for t in found if not t.effect.frees]
+    loaded = [e for e in law.problem.model.effects if e.name not in added and any(p.loaded for p in e.parameters)]
+    if all(e.level_is_chosen for e in loaded):
+        yield layout.levels
+
+
+def _runs_of_other_size(law: Solution, own: Sequence[int]) -> tuple[float, list[str]]:
+    """The mean of sizes in most runs over that in a few, and these, where a wide gap is between.
 
     A force that does not go with the load is so many times too small where the stated mass is.
     """
-    slots = law.problem.layout.slots
-    own = [i for i, s in enumerate(slots) if (s.effect, s.parameter) == (effect.name, effect.frees) and s.linear]
-    values = law.p[own]
-    if effect.scales_with != "nothing" or len(own) < MIN_RUNS or np.min(values) * np.max(values) <= 0:
+    slots, values = law.problem.layout.slots, law.p[list(own)]
+    if len(own) < MIN_RUNS or np.min(values) * np.max(values) <= 0:
         return 1.0, []
     order, logs = np.argsort(np.abs(values)), np.sort(np.log(np.abs(values)))
     cut = int(np.argmax(np.diff(logs))) + 1
     doubt = np.sqrt(white_noise_covariance(law)[0][own, own]) / np.abs(values)
-    if logs[cut] - logs[cut - 1] < MIN_GAP * max(np.ptp(logs[:cut]), np.ptp(logs[cut:]), np.max(doubt)):
+    least = MIN_GAP * max(np.ptp(logs[:cut]), np.ptp(logs[cut:]), np.max(doubt))
+    if logs[cut] - logs[cut - 1] < max(np.log(MIN_RATIO), least):
         return 1.0, []
     few, side = (order[:cut], 1) if 2 * cut < len(own) else (order[cut:], -1)
     ratio = float(np.exp(side * (np.mean(logs[cut:]) - np.mean(logs[:cut]))))
     return ratio, [law.problem.layout.run_names[slots[own[i]].run or 0] for i in sorted(few)]
 
 
-def _doubt(odd: Sequence[str], mass_ratio: float, found: Solution, lacks: Sequence[str]) -> Undetermined:
-    """What to measure again of runs: their mass or, where their dry friction then differs from others', their clock."""
-    layout, run, its = found.problem.layout, join_words(odd), "its" if len(odd) == 1 else "their"
-    mass, other = (f"{float(f'{ratio:.3g}'):g}" for ratio in (mass_ratio, 1 / mass_ratio))
-    others = "" if len(odd) == 1 else f", or {other} times that of the others,"
+def _friction_ratio(found: Solution, odd: Sequence[str]) -> float:
+    """Dry friction over the load in some runs, over that in the others."""
+    layout = found.problem.layout
     logs = dict(zip(layout.run_names, np.log(found.p[layout.levels]), strict=False))
     own = [logs.pop(name, 0.0) for name in odd]
-    friction = float(np.exp(np.mean(own) - np.mean([*logs.values()] or [0.0])))
-    rest = f"the model explains all runs, and {f'only {join_words(lacks)}' if lacks else 'no effect'} is missing"
+    return float(np.exp(np.mean(own) - np.mean([*logs.values()] or [0.0])))
+
+
+def _doubt(odd: Sequence[str], mass_ratio: float, friction: float, lacks: Sequence[str]) -> Undetermined:
+    """What to measure again of runs: their mass or, where their dry friction then differs from others', their clock."""
+    run, its = join_words(odd), "its" if len(odd) == 1 else "their"
+    mass, other = (f"{float(f'{ratio:.3g}'):g}" for ratio in (mass_ratio, 1 / mass_ratio))
+    others = "" if len(odd) == 1 else f", or {other} times that of the others,"
+    missing = f"only {join_words(lacks)} {'are' if len(lacks) > 1 else 'is'}" if lacks else "no effect is"
+    rest = f"the model explains all runs, and {missing} missing"
     if max(friction, 1 / friction) < MIN_RATIO:
         why = f"with {mass} times {its} stated mass{others} {rest}"
         return Undetermined(f"the mass of {run}", why, f"weigh what slid in {run} again")
