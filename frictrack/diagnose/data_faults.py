@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from frictrack.base.errors import result_or_none
 from frictrack.base.number_format import format_number, join_words
 from frictrack.diagnose.examination import Examination, draw_null_ensemble, lack_of_fit
-from frictrack.diagnose.model_selection import MIN_CHI2_SEPARATED, information_criterion
+from frictrack.diagnose.model_selection import MAX_BIC_EQUAL, MIN_CHI2_SEPARATED, information_criterion
 from frictrack.diagnose.power import Undetermined
 from frictrack.diagnose.search import FinishedSearch, RefinedCandidate
 from frictrack.effects import Effect
@@ -221,7 +221,7 @@ def _nearly_noise(excess: float, law: Solution) -> bool:
 def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
     """Return the runs of which another mass explains all runs, with decisively more evidence than the effects found.
 
-    It may stand in place of all of them, or of one. Where only sizes of their own in every run were found, which take
+    It may stand in place of all of them, or of one. Where only sizes or clocks of single runs were found, which take
     up what a mass does, it need not be decisive; where such sizes agree but in a few runs, nothing is fitted again.
     """
     last, rng, n = search.last.solution, search.generators[0], search.first.solution.problem.n_frames
@@ -237,7 +237,9 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
         return np.inf if found is None else information_criterion(found)
 
     less = [t.effect.name for t in search.found if len(search.found) > 1 and not t.effect.frees]
-    decisive = 0.0 if search.found and all(t.effect.frees for t in search.found) else MIN_CHI2_SEPARATED
+    titles = join_words([t.effect.title for t in search.found])
+    is_of_runs = bool(titles) and all(t.effect.frees or t.effect.clock is not None for t in search.found)
+    decisive = -MAX_BIC_EQUAL if is_of_runs else MIN_CHI2_SEPARATED
     best = information_criterion(last) - bic_penalty(1, n) - decisive
     laws = chain([search.first.solution], (result_or_none(remove_effect, last, name) for name in less))
     for law in filter(None, laws):
@@ -251,7 +253,7 @@ def doubted_mass(fitted: Fit, search: FinishedSearch) -> list[Undetermined]:
                 names = [run.name for run in odd]
                 best, doubted = least.fun, _doubt(names, ratio, _friction_ratio(found, names), lacks)
         if doubted is not None:
-            return [doubted]
+            return [replace(doubted, why=f"{doubted.why}; as well as with {titles}") if is_of_runs else doubted]
     return []
 
 
