@@ -143,6 +143,16 @@ def test_a_lag_follows_the_level_of_dry_friction(tau):
     np.testing.assert_allclose(made, truth, atol=1e-6 * np.max(level))
 
 
+@pytest.mark.parametrize("tau", [-0.02, 0.0, 0.013])
+def test_a_delay_of_a_load_cell_shifts_any_force_of_every_individual(tau):
+    t = np.linspace(0, 0.1, 101)
+    both = np.r_[t, t + 3.0]
+    path = Path(both, both, np.ones(202), np.ones(202), friction=np.ones(202), starts=(0, 101))
+    made = get("cell_delay").columns(path, {"tau": tau}, np.column_stack([both, -2 * both]))
+    late = np.clip(t - tau, 0, 0.1)
+    np.testing.assert_allclose(made, np.outer(np.r_[late, late + 3.0], [1, -2]), atol=1e-12)
+
+
 @pytest.mark.parametrize("tau", [1e-6, 1e-4, 1e-3, 1e-2])
 def test_a_load_cell_that_is_late_shows_any_force_so(tau):
     t = np.linspace(0, 0.1, 401)
