@@ -95,6 +95,12 @@ def with_stated_incline(model: Model, runs: Sequence[Run], mass: float) -> Model
     return Model((*(e for e in model.effects if e.name != "slope"), held))
 
 
+def with_known_gravity(model: Model, runs: Sequence[Run]) -> Model:
+    """Add gravity along circles that stand upright, where it is not in the model."""
+    upright = all(run.radius and run.has_incline for run in runs) and "gravity" not in model
+    return model + LIBRARY["gravity"] if upright else model
+
+
 def _free(model: Model, address: str) -> tuple[Effect, Parameter] | None:
     """Return effect and parameter of an address, if they are in the model and the prior of a file applies to them."""
     name, _, parameter = address.rpartition(".")

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
-LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "sigma_drive")
+LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "radius", "sigma_drive")
 # Those that a run has under the same name.
-KEYS_OF_RUN = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group", "free")
+KEYS_OF_RUN = ("name", "radius", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group", "free")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
 
 Progress = Callable[[int, int, str], None]

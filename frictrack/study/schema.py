@@ -642,6 +642,9 @@ class RunTable(CameraTable, MotionTable):
     incline
         Angle by which the course rises toward +x; negative where it falls. With its error ("3.6 +/- 0.1 deg") it is one
         unknown of the fit: `slope`, held to the stated angle within the error.
+    radius
+        Radius of a circular course along which x counts, below 0 for a crest; not needed where x and y are known. With
+        incline, that where x = 0, the circle stands upright.
     rolling
         Shape of a body that rolls without slipping ("disc", "ball", "hollow ball", "ring"), or its moment of inertia
         over m r^2; default one that slides.
@@ -691,6 +694,7 @@ class RunTable(CameraTable, MotionTable):
     x_offset: Place = 0.0
     free: Times | None = None
     incline: Angle | None = None
+    radius: Place | None = None
     rolling: Rolling = 0.0
     normal_load: Load | None = None
     drive: Drive | None = None

@@ -20,7 +20,7 @@ ORDER = (
     *("viscous_modulation", "drive_error", "cell_lag", "lens", "peak_locking", "camera_shake", "dropped_frame"),
     *("timebase", "clock_rate", "target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen", "elastic_joint"),
     *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"),
-    *("run_in", "heating", "rolling_shutter", "out_of_plane"),
+    *("gravity", "run_in", "heating", "rolling_shutter", "out_of_plane"),
     *("elasto_plastic", "maxwell_slip", "rate_state_ageing", "rate_state_slip", "eddy_brake", "hydrodynamic_hump"),
 )
 FIELDS = {field.name for field in fields(Effect)} - {"name"}

@@ -62,6 +62,9 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
         return None
     pull, both = _gravity_pull(strokes)
     why = f"the mass speeds up by itself with {abs(pull):.3g} m/s^2"
+    if run.radius:
+        line = 'incline = "0 deg"'
+        return _finding(f"{why} on a circle; if that stands upright, give {line}", line, run.name)
     if abs(pull) >= GRAVITY:
         check = "more than gravity on any course; check scale and fps, or give the drive that pushes it"
         return _finding(f"{why}, {check}", "", run.name)
@@ -89,7 +92,7 @@ def wrong_incline(run: Run) -> Finding | None:
     `run`: a run with an incline; driven runs give None. Returns an error if the opposite sign agrees with the motion; a
     warning if the incline is too small or too large.
     """
-    if not run.has_incline or has_measured_force(run) or run.incline == 0.0:
+    if not run.has_incline or has_measured_force(run) or run.straight_incline == 0.0:
         return None
     every = find_strokes(run)
     strokes = tuple(stroke for stroke in every if stroke.is_significant and stroke.is_free)
@@ -128,7 +131,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     ()
 
     """
-    free = [run for run in runs if not has_measured_force(run) and run.mass]
+    free = [run for run in runs if not has_measured_force(run) and run.mass and not run.radius]
     stated = {run.incline for run in free}
     found = _fit_pull(free) if len(stated) == 1 else None
     if found is None:
