@@ -25,6 +25,7 @@ from frictrack.records import Array as Array  # noqa: PLC0414 - the files of eff
 from frictrack.records import Mask as Mask  # noqa: PLC0414
 
 EVERY_FORCE = frozenset({"every force"})  # as `Effect.modifies`: of what shows the sum of all forces
+OF_RUNS = ("mass_ratio", "gravity", "mass", "curvature", "lowest", "travelled", "begins")  # may differ in joined paths
 CONSTANTS = {"g": GRAVITY, "pi": np.pi}  # of formulas and phrases
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
@@ -100,7 +101,7 @@ class Path:
         return bool(np.all(np.isfinite(self.lowest))) or None
 
     def pressed(self) -> Path:
-        """This path with the load of its motion, where it had that of a level straight course.
+        """Return the path with the load of its motion; it had that of a level straight course.
 
         On a circle that stands upright the load is m |g cos(incline) + v^2/R|, on a flat one the sum of weight and
         m v^2/R as vectors, as in a groove.
@@ -150,11 +151,11 @@ def joined_paths(paths: Sequence[Path]) -> Path:
         if any(own is not None for own in series):
             pairs = zip(series, counts, strict=True)
             joined[name] = np.concatenate([np.zeros(n) if own is None else own for own, n in pairs])
-    for group in (("load",), ("mass_ratio",), ("gravity",), ("mass",), ("curvature",), ("lowest",), ("travelled", "begins")):
-        for name in group if all(getattr(path, group[-1]) is not None for path in paths) else ():
+    for name in ("load", *OF_RUNS):
+        if all(getattr(path, "begins" if name == "travelled" else name) is not None for path in paths):
             values = [getattr(path, name) for path in paths]
             parts = [np.broadcast_to(value, n) for value, n in zip(values, counts, strict=True)]
-            are_equal = all(isinstance(value, float) and value == values[0] for value in values)
+            are_equal = all(isinstance(value, float) and values[0] in (value,) for value in values)
             joined[name] = values[0] if are_equal else np.concatenate(parts)
     earlier = [path.earlier for path in paths if path.earlier is not None]
     begins = np.cumsum([0, *counts]).tolist()

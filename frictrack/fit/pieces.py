@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cholesky_banded, solve_banded
 
-from frictrack.effects import Path, Span, direction_of_motion, joined_paths
+from frictrack.effects import OF_RUNS, Path, Span, direction_of_motion, joined_paths
 from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, LinearResponse, Panels, directions, mean_directions
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
 MIN_CYCLES, MAX_CYCLE_ERROR = 2, 0.01  # of strokes that repeat; relative error of the times at which they begin
-OF_RUNS = ("mass_ratio", "gravity", "mass", "curvature", "lowest", "travelled", "begins")  # that may differ between the runs of a path
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
 

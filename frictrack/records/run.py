@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -45,9 +45,10 @@ class Run(NotebookView):
     incline, sigma_incline
         Angle of the course and its standard deviation, rad; positive if it rises toward +x. With a standard deviation
         the angle is one unknown of the fit: `slope`, with that prior.
-    radius
-        Radius of a circular course, along which x counts, m; below 0 where it is a crest. By default that on which the
-        positions x, y lie. With an incline, that where x is 0, the circle stands upright; else it lies flat.
+    radius, sigma_radius
+        Radius of a circular course, along which x counts, and its standard deviation, m; below 0 where it is a crest.
+        By default that on which the positions x, y lie. With an incline, that where x is 0, the circle stands upright;
+        else it lies flat.
     rolling
         Moment of inertia over m r^2 of a body that rolls without slipping: "disc", "ball", "hollow ball", "ring", or a
         number; 0 for one that slides.
@@ -105,6 +106,7 @@ class Run(NotebookView):
     incline: float = scalar("rad", {"above": -np.pi / 2, "below": np.pi / 2}, default=0.0)
     sigma_incline: float = scalar("rad", ERROR, default=0.0)
     radius: float | None = scalar("m", default=None)
+    sigma_radius: float = scalar("m", ERROR, default=0.0)
     rolling: float | str = scalar("1", default=0.0)
     normal_load: float | None = scalar("N", POSITIVE, default=None)
     drive: Array | None = None  # N, at displacement.t
@@ -128,23 +130,15 @@ class Run(NotebookView):
     def __post_init__(self) -> None:
         faults = []
         self._cut_to_motion()
-        if self.radius is None:
-            object.__setattr__(self, "radius", self.displacement.radius)
+        for name in ("radius", "sigma_radius") if self.radius is None else ():
+            object.__setattr__(self, name, getattr(self.displacement, name))
         for one in fields(self):
             if "unit" in one.metadata and getattr(self, one.name) is not None:
                 try:
                     self._convert(one.name, **one.metadata)
                 except FrictrackError as e:
                     faults.append(str(e))
-        if self.rolling and self.mass is None:
-            faults.append("expected a mass of a body that rolls but got none; weigh it and give mass")
-        if self.radius and self.has_incline and (self.mass is None or self.normal_load is not None):
-            faults.append("expected a mass, and no normal load, of a run on a circle that stands upright: both act there")
-        if self.mass is None and self.friction_N is None and self.drive is None:
-            faults.append(
-                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
-                'and mass = "fit", do without'
-            )
+        faults += self._faults_of_mass()
         if len(self.displacement) != len(self.motion):
             faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
         for name in SERIES:
@@ -154,6 +148,17 @@ class Run(NotebookView):
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
         raise_faults(faults, f'run "{self.name}"')
+
+    def _faults_of_mass(self) -> Iterator[str]:
+        if self.rolling and self.mass is None:
+            yield "expected a mass of a body that rolls but got none; weigh it and give mass"
+        if self.radius and self.has_incline and (self.mass is None or self.normal_load is not None):
+            yield "expected a mass, and no normal load, of a run on a circle that stands upright: both act"
+        if self.mass is None and self.friction_N is None and self.drive is None:
+            yield (
+                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
+                'and mass = "fit", do without'
+            )
 
     def _convert(self, name: str, unit: str, limits: Mapping[str, float]) -> None:
         """Convert a text with a unit, and perhaps its uncertainty, to a number, and check that."""

@@ -7,7 +7,7 @@ from frictrack.records import GRAVITY, Array
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
-    """m sin((x - x_low)/R), shape (n, 1): N per m/s^2 of g."""
+    """Mass times sin((x - x_low)/R), shape (n, 1): N per m/s^2 of g."""
     assert path.mass is not None
     return np.asarray(path.mass * np.sin(path.curvature * (path.x - path.lowest)))[:, None]
 

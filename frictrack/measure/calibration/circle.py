@@ -12,7 +12,7 @@ from frictrack.records import Array, Displacement
 
 MIN_ROWS = 10
 MIN_BEND = 0.01  # rms off a straight line over its length, up to which a lens without calibration bends it
-MAX_ARC_SHARE = 0.1  # rms off the circle over rms off the line: the curvature is ten of its deviations if all errors are one
+MAX_ARC_SHARE = 0.1  # rms off the circle over rms off the line: a curvature of ten deviations, if all errors are one
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ def fit_circle(at: Array) -> Circle | None:
     rms = float(np.std(found.fun))
     if rms >= MAX_ARC_SHARE * line:
         return None
-    sigma = rms * float(np.sqrt(np.linalg.pinv(found.jac.T @ found.jac)[2, 2]))
+    jacobian = np.asarray(found.jac)
+    sigma = rms * float(np.sqrt(np.linalg.pinv(jacobian.T @ jacobian)[2, 2]))
     return Circle(found.x[:2] + middle, float(found.x[2]), sigma)
 
 
@@ -71,18 +72,18 @@ def along_circle(displacement: Displacement) -> Displacement:
     angle, known = np.arctan2(off[:, 0], -off[:, 1]), np.isfinite(off[:, 0])
     angle[known] = np.unwrap(angle[known])
     angle -= 2 * np.pi * np.round(angle[known][0] / (2 * np.pi))
-    across = np.hypot(*off.T) - circle.radius
     sizes = displacement.sigma_x * np.cos(angle), displacement.sigma_y * np.sin(angle)
     sigma = displacement.sigma_x if np.all(np.isnan(displacement.sigma_y)) else np.hypot(*sizes)
     note = (
         f"its path is a circle of radius {format_plus_minus(circle.radius, circle.sigma)} m: x is the way along it, "
-        'counter-clockwise from the lowest place; with incline = "0 deg" it stands upright, without an incline it lies flat'
+        'counter-clockwise from its lowest place; with incline = "0 deg" it stands upright, without one it lies flat'
     )
     return replace(
         displacement,
         x=circle.radius * angle,
-        y=across,
+        y=np.hypot(*off.T) - circle.radius,
         sigma_x=sigma,
         radius=circle.radius,
+        sigma_radius=float(np.hypot(circle.sigma, displacement.pixel_pitch or 0.0)),  # a target is placed to a pixel,
         notes=(*displacement.notes, note),
     )

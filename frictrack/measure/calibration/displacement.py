@@ -560,7 +560,7 @@ def calibrate(
     place = place - _zero(plane, origin_px)
     ends = _ends(at[valid], place[valid] @ x)
     pitch = _pitch(plane, ends.mean(axis=0), x)
-    notes = (*_scale_notes(plane, ends, x), *direction_notes(line, x, axis))
+    notes = _scale_notes(plane, ends, x)
     displacement = Displacement(
         t=track.t,
         x=place @ x + x_offset,
@@ -577,7 +577,8 @@ def calibrate(
         notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
         repaired=repaired,
     )
-    return along_circle(displacement)
+    found = along_circle(displacement)
+    return found if found.radius else replace(found, notes=(*found.notes, *direction_notes(line, x, axis)))
 
 
 def _check_placed(place: Array, valid: Mask) -> None:
