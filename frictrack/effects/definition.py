@@ -674,7 +674,8 @@ class Effect:
             what = f"{name} of {self.name} is held at {p.fixed:g} {p.unit}".removesuffix(" 1")
             what += "; it is fitted"
         elif self.same_cause_as and p.prior is not None:
-            return replace(self.adjusted(**{name: {"prior": None}}), replaces=self.replaces | {self.kind}, frees=name)
+            own = self.adjusted(**{name: {"prior": None, "per_run": True}})
+            return replace(own, replaces=self.replaces | {self.kind}, frees=name)
         else:
             own = self.with_other_level() if p.loaded else self  # no level multiplies a size that a run has of its own
             change = {"per_run": True}

@@ -295,8 +295,9 @@ def why_unsearched(findings: Iterable[measure.plausibility.Finding], model: Iter
     """
     searched = _causes(effects.known()) - {"incline"} | _causes(model)
     wrong = [f for f in findings if f.contradicts and f.kind not in searched]
-    whose = ", ".join(dict.fromkeys(f"the {f.kind} of {f.run or 'the study'}" for f in wrong))
-    return f"nothing was searched before {whose} is right" if wrong else ""
+    whose = list(dict.fromkeys(f"the {f.kind} of {f.run or 'the study'}" for f in wrong))
+    are = "is" if len(whose) == 1 else "are"
+    return f"nothing was searched before {' and '.join(whose)} {are} right" if wrong else ""
 
 
 def _causes(names: Iterable[str]) -> set[str]:
