@@ -29,7 +29,6 @@ LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
 # Keys that are checked, and the table of the study file that a run inherits each from.
 CHECKED_KEYS = {"mass": "study", "scale": "camera", "fps": "camera", "incline": ""}
-ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 
 
 class Findings:
@@ -146,7 +145,7 @@ def _error_messages(errors: Sequence[measure.plausibility.Finding]) -> list[str]
         names = ", ".join(f'"{error.run}"' for error in more)
         same = f"; the same in {names}" if more else ""
         # the message on an incline says itself how to accept it
-        accept = "" if first.kind == "incline" else f" (if it is right, set {ACCEPTING_KEY})"
+        accept = "" if first.kind == "incline" else f" (if it is right, {measure.plausibility.ACCEPTED})"
         messages.append(f"{first}{same}{accept}")
     return messages
 

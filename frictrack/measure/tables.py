@@ -18,6 +18,7 @@ from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import along_circle, parse_scale
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.plausibility import (
+    ACCEPTED,
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
     EnteredValues,
@@ -512,7 +513,8 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
     for finding in filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run))):
-        warnings.warn(str(replace(finding, run=run.name)), stacklevel=5)  # the caller of `Run.from_arrays`
+        words = str(replace(finding, run=run.name)).replace(ACCEPTED, "ignore this warning")  # there is no study file
+        warnings.warn(words, stacklevel=5)  # the caller of `Run.from_arrays`
     return run
 
 

@@ -25,6 +25,7 @@ from scipy.signal import find_peaks
 
 from frictrack.measure.friction import has_measured_force, is_moving
 from frictrack.measure.plausibility.slide import (
+    ACCEPTED,
     CORRELATION_FACTOR,
     ERROR,
     MIN_SHARE_EACH_WAY,
@@ -154,7 +155,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     )
     if least > 0:
         return (_finding(words, line),)
-    words = f'{words} (if it is free on a level course, set plausible = "checked")'  # no friction speeds a mass up
+    words = f"{words} (if it is free on a level course, {ACCEPTED})"  # no friction speeds a mass up
     return (_finding(words, line, grade=ERROR),)
 
 
@@ -247,7 +248,7 @@ def _sign_error(incline: float, what: str, run: str = "") -> Finding:
     line = f'incline = "{degrees(-incline):.4g} deg"'
     words = (
         f"incline = {degrees(incline):.4g} deg says that the course {'rises' if incline > 0 else 'falls'} toward +x, "
-        f'but {what}; the sign is wrong: give {line} (if something else pushes it, set plausible = "checked")'
+        f"but {what}; the sign is wrong: give {line} (if something else pushes it, {ACCEPTED})"
     )
     return _finding(words, line, run, ERROR)
 
@@ -543,7 +544,7 @@ def _check_against_masses(run: Run, others: Sequence[float]) -> Finding | None:
     words = (
         f"a mass of {run.mass:g} kg is that of the other runs ({np.median(shared):g} kg) with the decimal point "
         "elsewhere, and friction that goes with the weight cannot show which is right; "
-        f'was {line} meant? If not, set plausible = "checked"'
+        f"was {line} meant? If not, {ACCEPTED}"
     )
     return Finding("mass", words, line, run.name, contradicts=abs(power) in UNIT_POWERS)
 

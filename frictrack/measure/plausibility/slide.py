@@ -19,7 +19,8 @@ from frictrack.records import Array, Run, stretches
 from frictrack.study import ANGLE_NOTE, COLUMNS
 
 WARNING, ERROR = "warning", "error"
-CONFIRM = 'if it is right, set plausible = "checked"'
+ACCEPTED = 'set plausible = "checked"'  # in the study file, where a number is right that looks implausible
+CONFIRM = f"if it is right, {ACCEPTED}"
 
 
 @dataclass(frozen=True)
