@@ -792,3 +792,13 @@ def test_an_incline_is_contradicted_where_friction_would_push(stated: float, wro
     finding = wrong_incline(run)
     assert (finding is not None) == wrong
     assert finding is None or finding.correction == 'incline = "-1.9 deg"'
+
+
+def test_a_user_of_arrays_is_told_of_no_key_of_a_study_file() -> None:
+    t = np.arange(0, 0.6, 0.005)
+    with pytest.warns(UserWarning, match="the sign is wrong") as caught:
+        Run.from_arrays(
+            t, 0.5 * t**2 + 1e-5 * np.random.default_rng(0).standard_normal(len(t)), mass=0.3, incline="6 deg"
+        )
+    assert "ignore this warning" in str(caught[0].message)
+    assert "plausible" not in str(caught[0].message)
