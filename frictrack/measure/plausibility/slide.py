@@ -30,7 +30,7 @@ class Finding:
     Parameters
     ----------
     kind
-        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline", "axis", "origin",
+        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline", "origin",
         "sensor", "copy".
     words
         The sentence: what was read, why it is implausible, and the likely correction.
