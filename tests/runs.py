@@ -47,6 +47,7 @@ TOLD = {
     "beam_vibration": {"amplitude": 1.0, "frequency": 45.3, "r": 0.8, "beam_length": 0.9, "phase": 0.4},
     "viscous_modulation": {"depth": 0.3, "frequency": 47.0, "phase": -0.4},
     "measured_load": {"coefficient": 1.0},
+    "gravity": {"g": G},
     "thermal": {"dF": 2.0, "length": 0.08},
     "drift": {"k": 20.0},
     "drive_error": {"e": 0.2, "tau": 0.003},
@@ -98,6 +99,7 @@ KNOWN = {
     "drive_delay": {"drive": drive},
     "drive_offset": {"drive": drive},
     "target_rotation": {"angle": angle},
+    "gravity": {"curvature": 1.5, "lowest": 0.2},
     "run_in": {"earlier": EARLIER},
     "heating": {"earlier": EARLIER},
 }
@@ -146,6 +148,7 @@ LAWS = {
     ),
     "spring": lambda q, x, v, t, s, slider: q["k"] * x + q["x_0"],  # the linear coefficient x_0 is k x_0, N
     "asymmetry": lambda q, x, v, t, s, slider: q["dF"] * slider.load + q["dF_v"] * abs(v),
+    "gravity": lambda q, x, v, t, s, slider: q["g"] * slider.mass * sin(1.5 * (x - 0.2)),
     "slope": lambda q, x, v, t, s, slider: q["F"] * slider.mass_ratio + 0 * v,
     "decaying_vibration": lambda q, x, v, t, s, slider: q["amplitude"] * exp(-t / q["tau"]) * sine(q, "frequency", t),
     "beam_vibration": lambda q, x, v, t, s, slider: q["amplitude"] * sin(2 * pi * slider.turns + q["phase"]),
@@ -204,6 +207,8 @@ def reshaped(values, name, t, slider):
 def force(values, x, v, t, s, slider=Slider()):
     """Friction force in N."""
     own = {name: q for name, q in values.items() if name in LAWS}
+    if "gravity" in values:
+        slider = replace(slider, load=slider.load * abs(cos(1.5 * (x - 0.2)) + 1.5 * v * v / G))
     return sum(LAWS[name](q, x, v, t, s, slider) * reshaped(values, name, t, slider) for name, q in own.items())
 
 
@@ -353,6 +358,12 @@ def telling(run, known):
     """The run with what else was measured exactly."""
     t = run.motion.t
     told = {key: value for key, value in known.items() if key in ("clamp_x", "beam_length", "earlier")}
+    if "lowest" in known:
+        told |= {
+            "radius": 1 / known["curvature"],
+            "incline": -known["lowest"] * known["curvature"],
+            "has_incline": True,
+        }
     if "drive" in known:
         told["drive"] = known["drive"](t)
     if "lift" in known:

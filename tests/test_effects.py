@@ -79,7 +79,7 @@ def path_of(n=40, *, s=1.0, load=1.0, mass_ratio=1.0):
     t = np.linspace(0, SPAN.duration, n)
     x = np.linspace(SPAN.x_min, SPAN.x_max, n)[:: int(s)]
     known = {"drive": drive(t), "drive_at": drive, "lift": lift(t), "angle": angle(t)}
-    known |= {"clamp_x": -0.1, "earlier": (EARLIER,)}
+    known |= {"clamp_x": -0.1, "earlier": (EARLIER,), "mass": MASS, **KNOWN["gravity"]}
     return Path(t, x, s * np.linspace(0, SPAN.v_max, n), np.full(n, s), load, mass_ratio, PITCH, **known)
 
 
@@ -160,7 +160,7 @@ def test_scans_rise_or_fall_within_their_bounds_even_for_very_short_runs(effect)
             assert np.all((grid >= p.bounds[0]) & (grid <= p.bounds[1]))
 
 
-SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", *REMEMBERED, *TIMED)]
+SCALED = [e for e in ALL if not e.modifies and e.kind not in ("beam_vibration", "gravity", *REMEMBERED, *TIMED)]
 
 
 @pytest.mark.parametrize("effect", SCALED, ids=lambda e: e.name)
@@ -186,6 +186,7 @@ def test_the_mass_ratio_of_a_beam_is_quoted_at_the_reference_mass():
 def test_formula_is_the_one_of_the_table(name, s):
     effect, q = effects.get(name), SETTINGS[name]
     path = path_of(s=s, load=1.3, mass_ratio=2.0)
+    path = path if name == "gravity" else replace(path, curvature=0.0, lowest=np.nan)  # a straight course
     coefficients = np.array([q[p.name] for p in effect.linear])
     made = effect.columns(path, {p.name: q[p.name] for p in effect.nonlinear}) @ coefficients
     slider = Slider(load=1.3, mass_ratio=2.0, pitch=PITCH, slid=np.abs(path.x - path.x[0]))
@@ -508,6 +509,7 @@ def test_the_load_is_measured_by_the_vertical_motion_of_the_film():
         ("drive_error", 'drive_error needs a measured drive of every run; give drive = "drive.csv"'),
         ("measured_load", "measured_load needs the vertical motion of every run; give a film, or a table with a"),
         ("target_rotation", "target_rotation needs the angle of the target of every run; give a film"),
+        ("gravity", 'gravity needs a circle that stands upright of every run; give incline = "0 deg"'),
         ("beam_vibration", 'beam_vibration needs the place of the clamp of every run; give clamp_x = "20 mm"'),
     ],
 )

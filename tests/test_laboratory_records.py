@@ -11,6 +11,8 @@ from scipy.integrate import solve_ivp
 
 import frictrack as ft
 from frictrack import sampling
+from frictrack.effects import LIBRARY
+from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.flow import propose_study
 from frictrack.measure.friction import count_flights, drive_noise, free_section, impact
 from frictrack.measure.tables import with_even_clock
@@ -193,3 +195,28 @@ def test_a_counter_that_rolls_over_is_no_swing(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(f"Time (s),Encoder (10 um/count)\n{table}")
     propose_study(tmp_path, {"mass": "350 g"})
     assert "spring" not in (tmp_path / "study.toml").read_text()
+
+
+def test_many_swings_with_levels_of_their_own_are_fitted_to_the_end() -> None:
+    """More swings than the first fit takes: the law is then refined on all, with the scatter of the levels."""
+    rng, runs, g = np.random.default_rng(3), [], 9.80665
+    for mu, degrees in ((0.002, 2.0), (0.0022, 1.9), (0.012, 2.05), (0.004, 1.6)):
+        pull, rub = g * np.sin(np.radians(degrees)), g * mu * np.cos(np.radians(degrees))
+        t, begin, v, parts = np.arange(0, 40.0, 0.01), 0.0, 0.9, []
+        while begin < 40.0 and v > 0.15:  # up the ramp, down to a bumper
+            up, height = v / (pull + rub), v * v / 2 / (pull + rub)
+            down, since = np.sqrt(2 * height / (pull - rub)), t - begin
+            x = np.where(
+                since < up, v * since - (pull + rub) / 2 * since**2, height - (pull - rub) / 2 * (since - up) ** 2
+            )
+            parts.append(x[(since >= 0) & (since < up + down)])
+            begin, v = begin + up + down, 0.97 * (pull - rub) * down
+        x = np.concatenate(parts)
+        x = np.round(x + 3e-3 * rng.standard_normal(len(x)), 2)
+        name = f"{degrees} deg"
+        runs.append(ft.Run.from_arrays(t[: len(x)], x, mass=0.25, name=name, incline="2.0 +/- 0.3 deg"))
+    own = LIBRARY["slope"].adjusted(F={"per_run": True})
+    found = ft.fit(["coulomb", own], runs).solution
+    assert len(found.problem.pieces) > 16
+    again = fit_with_scatter(found.problem, found.p, found.starts, found.tau)
+    assert abs(found.objective - again.objective) < 0.1

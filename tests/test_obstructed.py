@@ -93,3 +93,8 @@ def test_a_hand_over_the_first_frame_is_not_learnt():
     rectangle = [int(x - w) + 3, int(y - h) + 3, int(2 * w) - 6, int(2 * h) - 6]
     clean, other = (track(DrawnFilm(one), rectangle) for one in (film.frames, stack))
     assert np.corrcoef(clean.picture.ravel(), other.picture.ravel())[0, 1] > 0.98
+
+
+def test_a_second_body_at_the_edge_is_asked_for_where_the_first_is_there_too():
+    """A bracket that passes at the upper edge was followed alone, since the body's shadow reaches the lower one."""
+    assert judge(scene(1145)).outcome == "choices"

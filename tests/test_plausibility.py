@@ -794,14 +794,11 @@ def test_an_incline_is_contradicted_where_friction_would_push(stated: float, wro
     assert finding is None or finding.correction == 'incline = "-1.9 deg"'
 
 
-def test_a_path_that_is_an_arc_is_said() -> None:
-    t = np.arange(0, 0.5, 0.002)
-    turn = 4.0 * t - 3.0 * t**2
-    for bend, named in ((turn, True), (0 * turn, False)):
-        noise = 1e-5 * np.random.default_rng(0).standard_normal((2, len(t)))
-        run = Run.from_arrays(t, 0.4 * (np.sin(turn) if named else turn) + noise[0], mass=0.3)
-        y = 0.4 * (1 - np.cos(bend)) + noise[1]
-        run = replace(run, displacement=replace(run.displacement, y=y))
-        found = [one for one in implausible_slide(run, film=False) if one.kind == "axis"]
-        assert bool(found) == named
-        assert not named or "radius 0.4 m" in found[0].words
+def test_a_user_of_arrays_is_told_of_no_key_of_a_study_file() -> None:
+    t = np.arange(0, 0.6, 0.005)
+    with pytest.warns(UserWarning, match="the sign is wrong") as caught:
+        Run.from_arrays(
+            t, 0.5 * t**2 + 1e-5 * np.random.default_rng(0).standard_normal(len(t)), mass=0.3, incline="6 deg"
+        )
+    assert "ignore this warning" in str(caught[0].message)
+    assert "plausible" not in str(caught[0].message)

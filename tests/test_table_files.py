@@ -247,3 +247,11 @@ def test_letters_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> N
 def test_a_header_that_is_there_twice_ends_no_proposal() -> None:
     table = pd.DataFrame([[0.0, 0.1, 1.0], [0.1, 0.2, 2.0]], columns=["a", "a", "b"])
     assert propose_columns(table) == {"t": "a", "x": "b"}
+
+
+@pytest.mark.parametrize("unit", ["frame", "frames", "Frame"])
+def test_a_frame_is_a_unit_of_time(tmp_path, unit):
+    rows = "".join(f"{1000 + i},{0.01 * i * i:.4f}\n" for i in range(40))
+    (tmp_path / "a.csv").write_text(f"stamp,pos\n{rows}")
+    read = read_table(tmp_path / "a.csv", columns={"t": f"stamp ({unit})", "x": "pos (mm)"}, fps=100)
+    assert np.allclose(np.diff(read.t), 0.01)

@@ -39,7 +39,7 @@ GROUPS = {
         *("presliding", "friction_lag", "lugre", "bouc_wen", "atm2:2"),
         *("elasto_plastic", "maxwell_slip", "rate_state_ageing", "rate_state_slip", "hydrodynamic_hump"),
     ),
-    "Forces of the course": ("texture", "patch", "spring", "slope", "collision", "eddy_brake"),
+    "Forces of the course": ("texture", "patch", "spring", "slope", "gravity", "collision", "eddy_brake"),
     "Vibrations": (
         *("vibration", "decaying_vibration", "beam_vibration", "elastic_joint"),
         *("load_modulation", "measured_load", "viscous_modulation"),

@@ -47,6 +47,7 @@ TYPES = {
     "CostOfChange": ("number of at least 0; inf: not possible", "", "5"),
     "Speeds": ("[slowest, fastest]", "m/s", "[2, 8]"),
     "Masses": ("list of numbers or texts with unit", "kg", '["0.35 kg", "0.70 kg"]'),
+    "Radius": ("number or text with unit; with its error", "m", '"0.40 +/- 0.01 m"'),
     "Place": ("number or text with unit", "m", '"-12 mm"'),
     "Length": ("number or text with unit, above 0", "m", '"0.30 m"'),
     "Pause": ("number or text with unit, above 0", "s", '"5 min"'),

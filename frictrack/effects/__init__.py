@@ -8,6 +8,7 @@ makes one from a text, `EffectSettings` holds what a study file changes of one.
 from frictrack.effects.atm2 import PRINTED_TIME_UNIT_S, atm2, atm2_printed
 from frictrack.effects.definition import (
     ACCELEROMETER_CHECK,
+    OF_RUNS,
     DirectCheck,
     Effect,
     EffectRecord,

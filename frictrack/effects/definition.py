@@ -25,6 +25,7 @@ from frictrack.records import Array as Array  # noqa: PLC0414 - the files of eff
 from frictrack.records import Mask as Mask  # noqa: PLC0414
 
 EVERY_FORCE = frozenset({"every force"})  # as `Effect.modifies`: of what shows the sum of all forces
+OF_RUNS = ("mass_ratio", "gravity", "mass", "curvature", "lowest", "travelled", "begins")  # may differ in joined paths
 CONSTANTS = {"g": GRAVITY, "pi": np.pi}  # of formulas and phrases
 Columns = Callable[..., Array]  # (path, nonlinear) -> (n, k), or (path, nonlinear, inner) for a modifier
 Nonlinear = Mapping[str, float]  # non-linear parameters of an effect by name, SI units
@@ -35,6 +36,7 @@ NEEDS = {
     "lift": ("the vertical motion", "give a film, or a table with a column y_m"),
     "angle": ("the angle of the target", "give a film: a table has no angle"),
     "clamp_x": ("the place of the clamp", 'give clamp_x = "20 mm"'),
+    "upright": ("a circle that stands upright", 'give incline = "0 deg", and radius where x is the way along it'),
     "friction": ("a friction force that a load cell measured", 'give friction_N, or sensor = "cell.csv"'),
     "earlier": ("the pause", 'give pause = "60 s", the time since the end of the run before, from the second run on'),
 }
@@ -66,6 +68,8 @@ class Path:
     lift: Array | None = None  # vertical acceleration of the mass, m/s^2, up positive
     mass: float | Array | None = None  # kg, where it is known
     gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
+    curvature: float | Array = 0.0  # 1/m, of a course that bends upward
+    lowest: float | Array = np.nan  # m, where an upright circle is lowest; NaN on other courses
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped
     beam_length: float | None = None  # m
@@ -91,6 +95,24 @@ class Path:
         first = self.each(self.x[list(self.starts)]) if self.begins is None else self.begins
         return np.asarray(self.travelled + np.abs(self.x - first))
 
+    @property
+    def upright(self) -> bool | None:
+        """Whether its runs lie on circles that stand upright; None if not."""
+        return bool(np.all(np.isfinite(self.lowest))) or None
+
+    def pressed(self) -> Path:
+        """Return the path with the load of its motion; it had that of a level straight course.
+
+        On a circle that stands upright the load is m |g cos(incline) + v^2/R|, on a flat one the sum of weight and
+        m v^2/R as vectors, as in a groove.
+        """
+        if not np.any(self.curvature):
+            return self
+        flat = np.isnan(self.lowest)
+        weight = np.where(flat, 0.0, GRAVITY * np.cos(self.curvature * (self.x - np.where(flat, 0.0, self.lowest))))
+        inward = np.hypot(weight + self.curvature * self.v**2, np.where(flat, GRAVITY, 0.0))
+        return replace(self, load=self.load * inward / GRAVITY)
+
     def each_earlier(self) -> list[EarlierRuns]:
         """The runs before each of `starts`."""
         assert self.earlier is not None
@@ -101,8 +123,8 @@ class Path:
         begin = 0
         for run in self.runs:
             rows = slice(begin, begin + len(run.t))
-            load = np.broadcast_to(self.load, self.t.shape)[begin]
-            yield rows, replace(run, x=self.x[rows], v=self.v[rows], s=self.s[rows], load=float(load))
+            load = np.broadcast_to(self.load, self.t.shape)[rows]
+            yield rows, replace(run, x=self.x[rows], v=self.v[rows], s=self.s[rows], load=load)
             begin = rows.stop
 
     def each(self, values: Array) -> Array:
@@ -129,11 +151,11 @@ def joined_paths(paths: Sequence[Path]) -> Path:
         if any(own is not None for own in series):
             pairs = zip(series, counts, strict=True)
             joined[name] = np.concatenate([np.zeros(n) if own is None else own for own, n in pairs])
-    for group in (("load",), ("mass_ratio",), ("gravity",), ("mass",), ("travelled", "begins")):
-        for name in group if all(getattr(path, group[-1]) is not None for path in paths) else ():
+    for name in ("load", *OF_RUNS):
+        if all(getattr(path, "begins" if name == "travelled" else name) is not None for path in paths):
             values = [getattr(path, name) for path in paths]
             parts = [np.broadcast_to(value, n) for value, n in zip(values, counts, strict=True)]
-            are_equal = all(isinstance(value, float) and value == values[0] for value in values)
+            are_equal = all(isinstance(value, float) and values[0] in (value,) for value in values)
             joined[name] = values[0] if are_equal else np.concatenate(parts)
     earlier = [path.earlier for path in paths if path.earlier is not None]
     begins = np.cumsum([0, *counts]).tolist()
@@ -652,7 +674,8 @@ class Effect:
             what = f"{name} of {self.name} is held at {p.fixed:g} {p.unit}".removesuffix(" 1")
             what += "; it is fitted"
         elif self.same_cause_as and p.prior is not None:
-            return replace(self.adjusted(**{name: {"prior": None}}), replaces=self.replaces | {self.kind}, frees=name)
+            own = self.adjusted(**{name: {"prior": None, "per_run": True}})
+            return replace(own, replaces=self.replaces | {self.kind}, frees=name)
         else:
             own = self.with_other_level() if p.loaded else self  # no level multiplies a size that a run has of its own
             change = {"per_run": True}

@@ -42,7 +42,7 @@ from frictrack.fit.parameters import (
 )
 from frictrack.fit.pieces import Piece, spans_of
 from frictrack.fit.prediction import predict_run
-from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_stated_incline
+from frictrack.fit.priors import PRIOR_NEEDS_NOISE, apply_prior, with_known_gravity, with_stated_incline
 from frictrack.fit.result import Fit, GroupFits, by_group, with_uncertainty
 from frictrack.fit.routes import FitOutcome, Route, SearchedOptima, check_route
 from frictrack.fit.stepwise import add_effect, remove_effect
@@ -203,6 +203,7 @@ def _fit_motion(
     reference, mass_unknown = reference_of(fitted, mass), is_mass_unknown(fitted)
     if prior is not None:
         law = apply_prior(law, prior, None if mass_unknown else reference.load, route.domain)
+    law = with_known_gravity(law, fitted)
     whole = pieces_of(fitted, reference, through_reversals=law.turns)
     guess = guess_mass([p for own in whole for p in own]) if mass_unknown else reference.mass
     if route.domain == "displacement":

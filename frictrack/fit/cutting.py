@@ -88,7 +88,7 @@ def reference_of(runs: Sequence[Run], mass: float | None = None) -> Reference:
     if first.mass is None:
         return Reference(mass or 1.0, 1.0)
     mass = mass or first.mass
-    return Reference(mass, first.normal_load or mass * GRAVITY * float(np.cos(first.incline)))
+    return Reference(mass, first.normal_load or mass * GRAVITY * float(np.cos(first.straight_incline)))
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,9 @@ def path_of_rows(run: Run, rows: Rows, nodes: Array, context: RunContext) -> Pat
         drive=None if context.drive_at is None else context.drive_at(nodes),
         drive_at=context.drive_at,
         lift=CubicSpline(times, motion.a_y)(nodes) if np.all(np.isfinite(motion.a_y)) else None,
-        gravity=GRAVITY * float(np.cos(run.incline)) if run.mass is None else (run.load or 1.0) / run.mass,
+        gravity=GRAVITY * float(np.cos(run.straight_incline)) if run.mass is None else (run.load or 1.0) / run.mass,
+        curvature=1 / run.radius if run.radius and run.normal_load is None else 0.0,
+        lowest=-run.incline * run.radius if run.radius and run.has_incline else np.nan,
         angle=_interpolated(times, context.angle, nodes),
         clamp_x=run.clamp_x,
         beam_length=run.beam_length,

@@ -488,6 +488,8 @@ def _conditions(piece: Piece, run: Run, level: float) -> Conditions:
         mass_ratio=float(path.mass_ratio),
         pixel_pitch=path.pixel_pitch,
         incline=float(np.arcsin(-run.pull / GRAVITY)),
+        curvature=float(path.curvature),
+        lowest=float(path.lowest),
         drive=path.drive_at,
         lift=read(path.lift),
         angle=read(path.angle),

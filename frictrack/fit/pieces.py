@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import cholesky_banded, solve_banded
 
-from frictrack.effects import Path, Span, direction_of_motion, joined_paths
+from frictrack.effects import OF_RUNS, Path, Span, direction_of_motion, joined_paths
 from frictrack.records import Array, Mask
 from frictrack.simulate.dynamics import CollocationSolution, Panels, directions, mean_directions
 
 Rows = NDArray[np.int_]
 MAX_SIGMA = 1e5  # times the usual one; a frame with more noise adds no information
 MIN_CYCLES, MAX_CYCLE_ERROR = 2, 0.01  # of strokes that repeat; relative error of the times at which they begin
-OF_RUNS = ("mass_ratio", "gravity", "mass", "travelled", "begins")  # that may differ between the runs of a path
 SERIES = ("drive", "lift", "angle")  # of a path: what a run may know at every node besides its motion
 
 
@@ -203,13 +202,13 @@ class Piece:
 
     def path_at_nodes(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the nodes for a motion x, v (3 p,) there, its load times the friction `level`."""
-        return replace(self.path, x=x, v=v, s=self.direction(v), load=self.path.load * level)
+        return replace(self.path, x=x, v=v, s=self.direction(v), load=self.path.load * level).pressed()
 
     def at_frames(self, x: Array, v: Array, level: float) -> Path:
         """Return the path at the frames for a motion x, v (n,) there, its load times the friction `level`."""
         s = self.mean_direction(v) if self.turns else np.full_like(x, self.path.s[0])
         series = self._series(self._nodes_to_frames) | {"angle": self.angle}
-        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series)
+        return replace(self.path, t=self.t, x=x, v=v, s=s, load=self.path.load * level, **series).pressed()
 
     @property
     def known_at_frames(self) -> Array:
@@ -543,7 +542,7 @@ class JoinedPieces:
         loads = [p.path.load * level for p, level in zip(self.pieces, levels, strict=True)]
         load = loads[0] if len(loads) == 1 else self.spread([float(own) for own in loads])
         if same:
-            return replace(base, x=x, v=v, s=s, load=load)
+            return replace(base, x=x, v=v, s=s, load=load).pressed()
         known: dict[str, Any] = {
             name: value[samples.nodes]
             for name in (*SERIES, *OF_RUNS)
@@ -564,7 +563,7 @@ class JoinedPieces:
             earlier=earlier,
             states=states or {},
             runs=samples.runs,
-        )
+        ).pressed()
 
     def _runs_at(self, t: Array, nodes: Rows, pieces: Sequence[slice], starts: Sequence[int]) -> tuple[Path, ...]:
         """The path of every piece at some samples, without motion; empty if there is only one."""

@@ -83,16 +83,31 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
 def with_stated_incline(model: Model, runs: Sequence[Run], mass: float) -> Model:
     """Make an incline that is stated with an error an unknown of the fit: `slope`, with that prior.
 
-    Runs of one course share it; runs with different inclines have one each. `mass`: of the reference, kg.
+    Runs of one course share it; runs with different inclines have one each. Where a circle is lowest is known as well
+    as its radius. `mass`: of the reference, kg.
     """
     slope = next((e for e in model.effects if e.name == "slope"), LIBRARY["slope"])
-    force, sigma = slope.parameter("F"), max(run.sigma_incline for run in runs)
+    errors = [np.hypot(r.sigma_incline, r.sigma_radius / abs(r.radius)) if r.radius else r.sigma_incline for r in runs]
+    force, sigma = slope.parameter("F"), float(max(errors)) if any(r.has_incline for r in runs) else 0.0
     if not sigma or not force.free or force.prior:
         return model
     prior = (0.0, mass * GRAVITY * float(np.cos(runs[0].incline)) * sigma)
-    several = len({run.incline for run in runs}) > 1
+    several = len({(run.incline, run.radius) for run in runs}) > 1
     held = slope.adjusted(F={"prior": prior, "per_run": force.per_run or several})
     return Model((*(e for e in model.effects if e.name != "slope"), held))
+
+
+def with_known_gravity(model: Model, runs: Sequence[Run]) -> Model:
+    """Add gravity along circles that stand upright, where it is not in the model, as well as their radii are known.
+
+    An error of the radius, of the scale or of the clock acts as one of g.
+    """
+    if "gravity" in model or not all(run.radius and run.has_incline for run in runs):
+        return model
+    errors = [(r.sigma_radius / float(r.radius or 1.0), r.displacement.relative_scale_error) for r in runs]
+    sigma = GRAVITY * float(np.max(np.hypot(*np.transpose(errors))))
+    free = {"fixed": None, "prior": (GRAVITY, sigma), "per_run": len({run.radius for run in runs}) > 1}
+    return model + (LIBRARY["gravity"].adjusted(g=free) if sigma else LIBRARY["gravity"])
 
 
 def _free(model: Model, address: str) -> tuple[Effect, Parameter] | None:

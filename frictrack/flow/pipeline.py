@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 MAX_UNSAVED_S = 2.0  # seconds of work that may be lost when the process is killed
 # Left out where they are empty: results that were stored before the key existed stay valid.
-LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "sigma_drive")
+LATER_KEYS = ("repair", "filter", "order", "window", "causal", "rolling", "radius", "sigma_drive")
 # Those that a run has under the same name.
 KEYS_OF_RUN = ("name", "rolling", "normal_load", "sigma_drive", "clamp_x", "beam_length", "role", "group", "free")
 STAGES_FROM_ANCHOR = ("track", "displacement")  # which use the target of the film that all follow
@@ -318,6 +318,7 @@ def make_run(run: RunTable, displacement: Displacement, motion: Motion, sensors:
     mass, sigma_mass = run.mass if isinstance(run.mass, tuple) else (None, 0.0)
     incline, sigma_incline = run.incline or (0.0, 0.0)
     known: dict[str, Any] = {"mass": mass, "sigma_mass": sigma_mass, "incline": incline, "sigma_incline": sigma_incline}
+    known |= dict(zip(("radius", "sigma_radius"), run.radius or (None, 0.0), strict=True))
     known |= {"has_incline": run.incline is not None, "steady": run.is_of_points}
     known |= {key: getattr(run, key) for key in KEYS_OF_RUN}
     known |= {key: _specification(getattr(run, key), key, sensors) for key in ("noise", "drift")}

@@ -29,7 +29,6 @@ LOG = logging.getLogger("frictrack")
 FINDINGS = "findings"  # group of study.h5
 # Keys that are checked, and the table of the study file that a run inherits each from.
 CHECKED_KEYS = {"mass": "study", "scale": "camera", "fps": "camera", "incline": ""}
-ACCEPTING_KEY = 'plausible = "checked"'  # in the study file: the numbers are right, although they look implausible
 
 
 class Findings:
@@ -146,7 +145,7 @@ def _error_messages(errors: Sequence[measure.plausibility.Finding]) -> list[str]
         names = ", ".join(f'"{error.run}"' for error in more)
         same = f"; the same in {names}" if more else ""
         # the message on an incline says itself how to accept it
-        accept = "" if first.kind == "incline" else f" (if it is right, set {ACCEPTING_KEY})"
+        accept = "" if first.kind == "incline" else f" (if it is right, {measure.plausibility.ACCEPTED})"
         messages.append(f"{first}{same}{accept}")
     return messages
 
@@ -270,30 +269,40 @@ def withhold_verdict(diagnosis: Mapping[str, Any], findings: Iterable[measure.pl
     if not contradictions:
         return dict(diagnosis)
     # an effect of the same cause in the model, or found missing, has dealt with the contradiction
-    named = {name.split(":")[0] for key in ("model", "missing") for name in diagnosis.get(key, ())}
-    explained = {e.same_cause_as for name, e in effects.known().items() if name in named}
+    explained = _causes(name for key in ("model", "missing") for name in diagnosis.get(key, ()))
     first = [_undetermined_entry(f) for f in contradictions if f.kind not in explained]
     if not first:
         return dict(diagnosis)
-    if why := why_unsearched(contradictions):
+    if why := why_unsearched(contradictions, diagnosis.get("model", ())):
         first[0]["why"] = f"{why}; {first[0]['why']}"
     return {**diagnosis, "verdict": "undetermined", "missing": [], "undetermined": [*first, *diagnosis["undetermined"]]}
 
 
-def why_unsearched(findings: Iterable[measure.plausibility.Finding]) -> str:
+def why_unsearched(findings: Iterable[measure.plausibility.Finding], model: Iterable[str] = ()) -> str:
     """Return why a search is void: numbers that are contradicted, for which no effect stands; empty if there are none.
+
+    Beside a wrong incline every force comes out wrong, so an effect stands for it only in the `model` itself.
 
     Examples
     --------
     >>> from frictrack.measure.plausibility import Finding
     >>> why_unsearched([Finding("fps", "the clock is wrong", contradicts=True)])  # clock_rate may say so
     ''
+    >>> why_unsearched([Finding("incline", "it is 2 degrees", contradicts=True)])
+    'nothing was searched before the incline of the study is right'
 
     """
-    searched = {effect.same_cause_as for effect in effects.known().values()}
+    searched = _causes(effects.known()) - {"incline"} | _causes(model)
     wrong = [f for f in findings if f.contradicts and f.kind not in searched]
-    whose = ", ".join(dict.fromkeys(f"the {f.kind} of {f.run or 'the study'}" for f in wrong))
-    return f"nothing was searched before {whose} is right" if wrong else ""
+    whose = list(dict.fromkeys(f"the {f.kind} of {f.run or 'the study'}" for f in wrong))
+    are = "is" if len(whose) == 1 else "are"
+    return f"nothing was searched before {' and '.join(whose)} {are} right" if wrong else ""
+
+
+def _causes(names: Iterable[str]) -> set[str]:
+    """Return the keys of the study file for whose errors some effects stand."""
+    known, kinds = effects.known(), {name.split(":")[0] for name in names}
+    return {known[kind].same_cause_as for kind in kinds if kind in known}
 
 
 def _undetermined_entry(finding: measure.plausibility.Finding) -> dict[str, Any]:

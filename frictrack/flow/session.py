@@ -427,7 +427,8 @@ class Session:
         how |= {"functions": self.study.functions, "costs": self.study.costs, "progress": self.progress}
         how |= {"own": configured_effects(self.study.effects), "auxiliary": sensor_stage.auxiliary_signals(self.runs)}
         how |= {"rng": json.loads(provenance.settings)["seed"], "on_verdict": lambda verdict: announce(keep(verdict))}
-        fitted, is_void = self.models.fit(group), bool(why_unsearched(self.findings.contradictions))
+        fitted = self.models.fit(group)
+        is_void = bool(why_unsearched(self.findings.contradictions, fitted.model.names))
         diagnosis = unsearched(fitted, how["alpha"]) if is_void else diagnose(fitted, **how)
         return keep(diagnosis) if diagnosis.complete else self.models.stored_summary(inside) or {}
 

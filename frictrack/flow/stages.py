@@ -255,7 +255,7 @@ def tracks_to_draw(tracks: dict[str, Any]) -> tuple[Track, ...]:
 
 TABLE_KEYS = ("table", "columns", "fps", "scale", "x_offset", "repair")
 SCALE_KEYS = ("scale", "lens", "axis", "origin_px", "x_offset", "repair")
-KEYS_OF_FORCE = ("mass", "incline", "rolling", "normal_load", "sigma_drive", "free")
+KEYS_OF_FORCE = ("mass", "incline", "radius", "rolling", "normal_load", "sigma_drive", "free")
 MASS_FIT_MODEL = "coulomb,viscous"  # fitted together with an unknown mass, before the study's model is fitted
 
 

@@ -15,9 +15,10 @@ from frictrack import sampling
 from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.base.errors import FrictrackError, UsageError, raise_faults, suggest
 from frictrack.base.units import parse_quantity
-from frictrack.measure.calibration import parse_scale
+from frictrack.measure.calibration import along_circle, parse_scale
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.plausibility import (
+    ACCEPTED,
     CONTRADICTION,
     MAX_RELATIVE_DIFFERENCE,
     EnteredValues,
@@ -116,7 +117,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         interval = float(np.median(np.diff(displacement.t)))
         sigma_v = max(white_noise(np.diff(displacement.x) / interval), MIN_TRAVEL_M)
         return replace(displacement, sigma_x=np.full(len(data.t), interval * sigma_v), sigma_v=sigma_v)
-    displacement = _with_jitter_noise(displacement)
+    displacement = _with_jitter_noise(along_circle(displacement))
     is_known = not np.all(np.isnan(displacement.sigma_x))
     return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
 
@@ -512,7 +513,8 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
     for finding in filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run))):
-        warnings.warn(str(replace(finding, run=run.name)), stacklevel=5)  # the caller of `Run.from_arrays`
+        words = str(replace(finding, run=run.name)).replace(ACCEPTED, "ignore this warning")  # there is no study file
+        warnings.warn(words, stacklevel=5)  # the caller of `Run.from_arrays`
     return run
 
 

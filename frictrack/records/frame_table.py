@@ -346,6 +346,8 @@ class Displacement(FrameTable):
     repaired: Codes | None = column("", kind=np.int8, default=None)  # 0 measured, 1 tracked, 2 interpolated, 3 left out
     clock_error: float = scalar("1", default=0.0)  # relative deviation of the frame interval, if it is from the stamps
     sigma_v: float = scalar("m/s", default=0.0)  # white noise of measured speeds, from which x is integrated
+    radius: float | None = scalar("m", default=None)  # of the circle along which x counts
+    sigma_radius: float = scalar("m", default=0.0)
 
     @property
     def known(self) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -45,11 +45,15 @@ class Run(NotebookView):
     incline, sigma_incline
         Angle of the course and its standard deviation, rad; positive if it rises toward +x. With a standard deviation
         the angle is one unknown of the fit: `slope`, with that prior.
+    radius, sigma_radius
+        Radius of a circular course, along which x counts, and its standard deviation, m; below 0 where it is a crest.
+        By default that on which the positions x, y lie. With an incline, that where x is 0, the circle stands upright;
+        else it lies flat.
     rolling
         Moment of inertia over m r^2 of a body that rolls without slipping: "disc", "ball", "hollow ball", "ring", or a
         number; 0 for one that slides.
     normal_load
-        Normal load, N; by default m g cos(incline).
+        Normal load, N; by default m g cos(incline); on a circle the sum of weight and m v^2/R, as vectors.
     drive, friction_N
         Measured drive and friction force at the frames of `displacement`, N, (n,). NaN where friction was not read.
     sigma_drive
@@ -101,6 +105,8 @@ class Run(NotebookView):
     sigma_mass: float = scalar("kg", ERROR, default=0.0)
     incline: float = scalar("rad", {"above": -np.pi / 2, "below": np.pi / 2}, default=0.0)
     sigma_incline: float = scalar("rad", ERROR, default=0.0)
+    radius: float | None = scalar("m", default=None)
+    sigma_radius: float = scalar("m", ERROR, default=0.0)
     rolling: float | str = scalar("1", default=0.0)
     normal_load: float | None = scalar("N", POSITIVE, default=None)
     drive: Array | None = None  # N, at displacement.t
@@ -124,19 +130,15 @@ class Run(NotebookView):
     def __post_init__(self) -> None:
         faults = []
         self._cut_to_motion()
+        for name in ("radius", "sigma_radius") if self.radius is None else ():
+            object.__setattr__(self, name, getattr(self.displacement, name))
         for one in fields(self):
             if "unit" in one.metadata and getattr(self, one.name) is not None:
                 try:
                     self._convert(one.name, **one.metadata)
                 except FrictrackError as e:
                     faults.append(str(e))
-        if self.rolling and self.mass is None:
-            faults.append("expected a mass of a body that rolls but got none; weigh it and give mass")
-        if self.mass is None and self.friction_N is None and self.drive is None:
-            faults.append(
-                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
-                'and mass = "fit", do without'
-            )
+        faults += self._faults_of_mass()
         if len(self.displacement) != len(self.motion):
             faults.append(f"expected motion of the same {len(self.displacement)} frames but got {len(self.motion)}")
         for name in SERIES:
@@ -146,6 +148,17 @@ class Run(NotebookView):
         if self.role not in ("fit", "validation"):
             faults.append(f'expected role "fit" or "validation" but got "{self.role}"')
         raise_faults(faults, f'run "{self.name}"')
+
+    def _faults_of_mass(self) -> Iterator[str]:
+        if self.rolling and self.mass is None:
+            yield "expected a mass of a body that rolls but got none; weigh it and give mass"
+        if self.radius and self.has_incline and (self.mass is None or self.normal_load is not None):
+            yield "expected a mass, and no normal load, of a run on a circle that stands upright: both act"
+        if self.mass is None and self.friction_N is None and self.drive is None:
+            yield (
+                "expected a mass but got none; only runs with measured friction (friction_N), or with a measured drive "
+                'and mass = "fit", do without'
+            )
 
     def _convert(self, name: str, unit: str, limits: Mapping[str, float]) -> None:
         """Convert a text with a unit, and perhaps its uncertainty, to a number, and check that."""
@@ -400,9 +413,14 @@ class Run(NotebookView):
         return None if self.mass is None else self.mass * (1.0 + float(self.rolling))
 
     @property
+    def straight_incline(self) -> float:
+        """Incline of a straight course, rad; 0 of a circle, of which `incline` tells where it is level."""
+        return 0.0 if self.radius else self.incline
+
+    @property
     def pull(self) -> float:
-        """Acceleration toward +x by gravity alone, m/s^2."""
-        return -GRAVITY * float(np.sin(self.incline)) / (1.0 + float(self.rolling))
+        """Acceleration toward +x by gravity alone, m/s^2; 0 on a circle, where it is the effect `gravity`."""
+        return -GRAVITY * float(np.sin(self.straight_incline)) / (1.0 + float(self.rolling))
 
     @property
     def load(self) -> float | None:
@@ -411,7 +429,7 @@ class Run(NotebookView):
             return float(np.mean(self.loads))
         if self.normal_load is not None:
             return self.normal_load
-        return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.incline))
+        return None if self.mass is None else self.mass * GRAVITY * float(np.cos(self.straight_incline))
 
 
 def rolling_inertia(shape: float | str) -> float:

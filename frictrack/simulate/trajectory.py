@@ -48,6 +48,8 @@ class Conditions:
         Object size of one pixel, m; None where no camera is simulated.
     incline
         Angle by which the course rises toward +x, rad.
+    curvature, lowest
+        Curvature of a course that bends upward, 1/m, and where it is level, m; NaN where the circle lies flat.
     drive
         Drive force, N; None for none.
     lift
@@ -66,6 +68,8 @@ class Conditions:
     mass_ratio: float = 1.0
     pixel_pitch: float | None = None
     incline: float = 0.0
+    curvature: float = 0.0
+    lowest: float = np.nan
     drive: Callable[[Array], Array] | None = None
     lift: Callable[[Array], Array] | None = None
     angle: Callable[[Array], Array] | None = None
@@ -88,11 +92,13 @@ class Conditions:
             drive_at=self.drive,
             lift=None if self.lift is None else self.lift(t),
             gravity=GRAVITY * float(np.cos(self.incline)),
+            curvature=self.curvature,
+            lowest=self.lowest,
             angle=None if self.angle is None else self.angle(t),
             clamp_x=self.clamp_x,
             beam_length=self.beam_length,
             earlier=None if self.earlier is None else (self.earlier,),
-        )
+        ).pressed()
 
 
 @checked
@@ -264,7 +270,8 @@ class SimulationState:
         def law(x: Array, v: Array) -> Array:
             if self.model.memory:
                 x, v = np.append(first[0], x), np.append(first[1], v)
-            path = replace(fixed_path, x=x, v=v, s=self.directions(v) if self.smooth else fixed_path.s)
+            s = self.directions(v) if self.smooth else fixed_path.s
+            path = replace(fixed_path, x=x, v=v, s=s, load=self.conditions.load).pressed()
             return (driving_force - self.model.force(path, self.values)[-len(driving_force) :]) / self.conditions.mass
 
         return law

@@ -56,6 +56,7 @@ _NAMES_OF_POINTS = {
 REQUIRED = ("t", "x")
 COLUMNS = RECORD_COLUMNS | POINT_COLUMNS
 CAMERA_UNITS = {"px": "m", "frames": "s"}  # units that only the camera knows, and the unit they stand for
+CAMERA_WORDS = {"frame": "frames", "pixel": "px", "pixels": "px"}
 
 
 def stated_unit(header: str) -> str | None:
@@ -65,13 +66,14 @@ def stated_unit(header: str) -> str | None:
     --------
     >>> stated_unit("Position (mm)"), stated_unit("Weg / mm"), stated_unit("force_N"), stated_unit("mass_A")
     ('mm', 'mm', 'N', None)
-    >>> stated_unit("encoder (counts)"), stated_unit("encoder (5 um/count)")
-    (None, '5 um')
+    >>> stated_unit("encoder (counts)"), stated_unit("encoder (5 um/count)"), stated_unit("stamp (Frame)")
+    (None, '5 um', 'frames')
 
     """
     found = UNIT.search(header) or _LAST_WORD_UNIT.search(header)
     unit = _COUNT.sub("", found[1]).strip() if found else ""
-    return (unit.lower() if _WRITTEN_OUT.fullmatch(unit) else unit) or None
+    unit = unit.lower() if _WRITTEN_OUT.fullmatch(unit) else unit
+    return CAMERA_WORDS.get(unit, unit) or None
 
 
 def unit_size(unit: str, si: str, what: str) -> float:

@@ -120,9 +120,9 @@ def read_frame_rate(raw: Any) -> float:
         raise
 
 
-def _angle(raw: Any, info: ValidationInfo) -> Value:
-    """Read an angle below 90 degrees with its standard deviation; a number is in rad."""
-    return parse_quantity(raw, "rad", str(info.field_name), above=-math.pi / 2, below=math.pi / 2)
+def _value(unit: str, **limits: float) -> BeforeValidator:
+    """Return a validator of a physical value with its standard deviation."""
+    return BeforeValidator(lambda raw, info: parse_quantity(raw, unit, str(info.field_name), **limits))
 
 
 def _source(raw: Any, info: ValidationInfo) -> Path | RemoteFile:
@@ -392,7 +392,8 @@ Scatter = Annotated[float, _number("N", least=0.0)]
 Energy = Annotated[float, _number("J", above=0.0)]
 Specification = Annotated[tuple[float, str], BeforeValidator(_specification)]
 Rolling = Annotated[float, BeforeValidator(rolling_inertia)]
-Angle = Annotated[Value, BeforeValidator(_angle)]
+Angle = Annotated[Value, _value("rad", above=-math.pi / 2, below=math.pi / 2)]
+Radius = Annotated[Value, _value("m")]
 Times = Annotated[Pair, _pair("s", "[start, end] in s", "an end after the start")]
 Pause = Annotated[float, _number("s", above=0.0)]
 
@@ -642,6 +643,9 @@ class RunTable(CameraTable, MotionTable):
     incline
         Angle by which the course rises toward +x; negative where it falls. With its error ("3.6 +/- 0.1 deg") it is one
         unknown of the fit: `slope`, held to the stated angle within the error.
+    radius
+        Radius of a circular course along which x counts, below 0 for a crest; not needed where x and y are known. With
+        incline, that where x = 0, the circle stands upright.
     rolling
         Shape of a body that rolls without slipping ("disc", "ball", "hollow ball", "ring"), or its moment of inertia
         over m r^2; default one that slides.
@@ -691,6 +695,7 @@ class RunTable(CameraTable, MotionTable):
     x_offset: Place = 0.0
     free: Times | None = None
     incline: Angle | None = None
+    radius: Radius | None = None
     rolling: Rolling = 0.0
     normal_load: Load | None = None
     drive: Drive | None = None

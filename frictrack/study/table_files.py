@@ -214,8 +214,7 @@ def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: st
         raise ValueError(f"it holds {count} trajectories; export one trajectory per file")
     if time == "timestamps":
         raise ValueError("its times are time stamps of the file; export them as time in Kinovea")
-    unit = {"pixels": "px"}.get(length, length)
-    columns = {key: f"{key} ({unit})" for key in ("x", "y")}
+    columns = {key: f"{key} ({length})" for key in ("x", "y")}
     return table_layout.TableFile(frame, {"t": "t (s)"} | columns, "Kinovea")
 
 

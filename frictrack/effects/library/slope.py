@@ -8,8 +8,9 @@ from frictrack.effects.ranges import LEVEL_STD_RAD
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
-    """m/m_ref, shape (n, 1): N per N of F at the reference mass."""
-    return np.broadcast_to(path.mass_ratio, path.t.shape)[:, None]
+    """m/m_ref, shape (n, 1): N per N of F at the reference mass; times the cosine of the angle on an upright circle."""
+    tilt = np.cos(path.curvature * (path.x - path.lowest)) if path.upright else 1.0
+    return np.broadcast_to(path.mass_ratio * tilt, path.t.shape)[:, None]
 
 
 def describe(effect: EffectInStudy) -> str:

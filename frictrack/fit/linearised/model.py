@@ -341,7 +341,7 @@ def _edge_path(response: PieceResponse, level: float) -> Path:
     read: dict[str, Any] = {
         k: make_interp_spline(piece.panels.t, q, k=1)(t) for k, q in series.items() if q is not None
     }
-    return replace(piece.path, t=t, x=x, v=v, s=s, load=piece.path.load * level, **read)
+    return replace(piece.path, t=t, x=x, v=v, s=s, load=piece.path.load * level, **read).pressed()
 
 
 @dataclass(eq=False)

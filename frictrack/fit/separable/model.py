@@ -175,7 +175,8 @@ def double_integral(t: Array) -> Forward:
 
 def friction_series(piece: Piece) -> Array:
     """The friction force at the reference load along the measured motion of a piece, at its frames (n,), N."""
-    force = piece.mass * (piece.known - piece.a_hat) / piece.path.load
+    path = piece.path_at_nodes(piece.x_hat, piece.v_hat, 1.0)
+    force = piece.mass * (piece.known - piece.a_hat) / path.load
     return np.interp(piece.t, piece.panels.t, force)
 
 

@@ -219,7 +219,7 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
     if len(subset) == len(pieces):
         return found
     problem = found.problem.rebuild(found.problem.layout, pieces)
-    return refine(problem, found.p, problem.first_starts(), tau=found.tau or 0.03, max_steps=1)
+    return fit_with_scatter(problem, found.p, problem.first_starts())  # few segments may show no scatter of the levels
 
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:

@@ -19,6 +19,7 @@ import numpy as np
 from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration import scale as scale_input
+from frictrack.measure.calibration.circle import along_circle, fit_circle
 from frictrack.measure.calibration.scale import MIN_RULER_SHARE, PlaneMap, Scale, Straight, as_seen, from_points
 from frictrack.measure.calibration.shake import subtract_shake
 from frictrack.records import Array, Displacement, Mask, Track
@@ -279,7 +280,7 @@ def follow_straight_point(track: Track) -> tuple[Track, tuple[str, ...]]:
 
     """
     known = track.found & np.isfinite(track.angle)
-    if np.count_nonzero(known) < MIN_ROTATING_FRAMES:
+    if np.count_nonzero(known) < MIN_ROTATING_FRAMES or fit_circle(np.stack([track.x_px, track.y_px], axis=1)):
         return track, ()
     angle = np.full(len(track.angle), np.nan)
     angle[known] = np.unwrap(track.angle[known])
@@ -559,8 +560,8 @@ def calibrate(
     place = place - _zero(plane, origin_px)
     ends = _ends(at[valid], place[valid] @ x)
     pitch = _pitch(plane, ends.mean(axis=0), x)
-    notes = (*_scale_notes(plane, ends, x), *direction_notes(line, x, axis))
-    return Displacement(
+    notes = _scale_notes(plane, ends, x)
+    displacement = Displacement(
         t=track.t,
         x=place @ x + x_offset,
         y=place @ y,
@@ -576,6 +577,8 @@ def calibrate(
         notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
         repaired=repaired,
     )
+    found = along_circle(displacement)
+    return found if found.radius else replace(found, notes=(*found.notes, *direction_notes(line, x, axis)))
 
 
 def _check_placed(place: Array, valid: Mask) -> None:

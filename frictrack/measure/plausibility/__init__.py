@@ -25,6 +25,7 @@ from frictrack.measure.plausibility.comparison import (
     wrong_incline,
 )
 from frictrack.measure.plausibility.slide import (
+    ACCEPTED,
     ERROR,
     EnteredValues,
     Finding,

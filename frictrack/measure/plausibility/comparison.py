@@ -25,6 +25,7 @@ from scipy.signal import find_peaks
 
 from frictrack.measure.friction import has_measured_force, is_moving
 from frictrack.measure.plausibility.slide import (
+    ACCEPTED,
     CORRELATION_FACTOR,
     ERROR,
     MIN_SHARE_EACH_WAY,
@@ -62,6 +63,9 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
         return None
     pull, both = _gravity_pull(strokes)
     why = f"the mass speeds up by itself with {abs(pull):.3g} m/s^2"
+    if run.radius:
+        line = 'incline = "0 deg"'
+        return _finding(f"{why} on a circle; if that stands upright, give {line}", line, run.name)
     if abs(pull) >= GRAVITY:
         check = "more than gravity on any course; check scale and fps, or give the drive that pushes it"
         return _finding(f"{why}, {check}", "", run.name)
@@ -89,7 +93,7 @@ def wrong_incline(run: Run) -> Finding | None:
     `run`: a run with an incline; driven runs give None. Returns an error if the opposite sign agrees with the motion; a
     warning if the incline is too small or too large.
     """
-    if not run.has_incline or has_measured_force(run) or run.incline == 0.0:
+    if not run.has_incline or has_measured_force(run) or run.straight_incline == 0.0:
         return None
     every = find_strokes(run)
     strokes = tuple(stroke for stroke in every if stroke.is_significant and stroke.is_free)
@@ -128,7 +132,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     ()
 
     """
-    free = [run for run in runs if not has_measured_force(run) and run.mass]
+    free = [run for run in runs if not has_measured_force(run) and run.mass and not run.radius]
     stated = {run.incline for run in free}
     found = _fit_pull(free) if len(stated) == 1 else None
     if found is None:
@@ -151,7 +155,7 @@ def implausible_inclines(runs: Sequence[Run]) -> tuple[Finding, ...]:
     )
     if least > 0:
         return (_finding(words, line),)
-    words = f'{words} (if it is free on a level course, set plausible = "checked")'  # no friction speeds a mass up
+    words = f"{words} (if it is free on a level course, {ACCEPTED})"  # no friction speeds a mass up
     return (_finding(words, line, grade=ERROR),)
 
 
@@ -244,7 +248,7 @@ def _sign_error(incline: float, what: str, run: str = "") -> Finding:
     line = f'incline = "{degrees(-incline):.4g} deg"'
     words = (
         f"incline = {degrees(incline):.4g} deg says that the course {'rises' if incline > 0 else 'falls'} toward +x, "
-        f'but {what}; the sign is wrong: give {line} (if something else pushes it, set plausible = "checked")'
+        f"but {what}; the sign is wrong: give {line} (if something else pushes it, {ACCEPTED})"
     )
     return _finding(words, line, run, ERROR)
 
@@ -540,7 +544,7 @@ def _check_against_masses(run: Run, others: Sequence[float]) -> Finding | None:
     words = (
         f"a mass of {run.mass:g} kg is that of the other runs ({np.median(shared):g} kg) with the decimal point "
         "elsewhere, and friction that goes with the weight cannot show which is right; "
-        f'was {line} meant? If not, set plausible = "checked"'
+        f"was {line} meant? If not, {ACCEPTED}"
     )
     return Finding("mass", words, line, run.name, contradicts=abs(power) in UNIT_POWERS)
 

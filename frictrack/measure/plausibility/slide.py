@@ -19,7 +19,8 @@ from frictrack.records import Array, Run, stretches
 from frictrack.study import ANGLE_NOTE, COLUMNS
 
 WARNING, ERROR = "warning", "error"
-CONFIRM = 'if it is right, set plausible = "checked"'
+ACCEPTED = 'set plausible = "checked"'  # in the study file, where a number is right that looks implausible
+CONFIRM = f"if it is right, {ACCEPTED}"
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Finding:
     Parameters
     ----------
     kind
-        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline", "axis", "origin",
+        What is implausible: "mass", "scale", "fps", "speed", "friction", "incline", "origin",
         "sensor", "copy".
     words
         The sentence: what was read, why it is implausible, and the likely correction.
@@ -180,8 +181,6 @@ def _misread(
         yield key, f"{outside}{wide}; was {line} meant? {CONFIRM}", line
 
 
-# A path is an arc where a line leaves this share of its length (rms), and a circle this share of what a line leaves.
-MIN_BEND, MAX_ARC_SHARE = 0.01, 0.1
 MIN_FRAMES = 10  # of a stroke, for a parabola
 TRIMMED_SHARE = 0.1  # of a stroke at either end; smoothing affects frames near a collision
 EVENT_REACH_FRAMES = 3  # frames that an event affects beyond itself
@@ -371,7 +370,7 @@ def _deceleration(run: Run, strokes: tuple[Stroke, ...]) -> float | None:
 
     It is taken from the decelerating part of a struck run, or from a slide on an incline, in one direction of motion.
     """
-    if has_measured_force(run):
+    if has_measured_force(run) or (run.radius and run.has_incline):
         return None
     direction = max(strokes, key=lambda stroke: stroke.distance).direction
     one_way = tuple(stroke for stroke in strokes if stroke.direction == direction)
@@ -400,30 +399,9 @@ def implausible_slide(run: Run, *, film: bool, header: Callable[[str], str] = st
     slide = estimate_slide(run)
     # the motion shows that one of them is wrong, not which: v goes with scale and fps, energy with their squares
     check = ("scale", "fps", *(("mass",) if run.mass is not None else ())) if film else ()
-    found = [*_check_measured_friction(run, header), *_check_path(run)]
+    found = [*_check_measured_friction(run, header)]
     found += [] if slide is None else _check_slide(run, slide, None if film else header)
     return tuple(replace(one, run=run.name, check=check) for one in found)
-
-
-def _check_path(run: Run) -> Iterator[Finding]:
-    """Find a path that is an arc: its projection on a straight axis is not the way of the mass."""
-    at = np.stack([run.displacement.x, run.displacement.y], axis=1)
-    at = at[run.displacement.valid & np.all(np.isfinite(at), axis=1)]
-    if len(at) < MIN_FRAMES:
-        return
-    at = at - at.mean(axis=0)
-    along = at @ np.linalg.svd(at, full_matrices=False)[2].T
-    line = float(np.std(along[:, 1]))
-    columns = np.column_stack([2 * along, np.ones(len(along))])  # x^2 + y^2 = 2 a x + 2 b y + c (Kasa 1976)
-    a, b, c = np.linalg.lstsq(columns, np.sum(along**2, axis=1), rcond=None)[0]
-    radius = float(np.sqrt(max(c + a**2 + b**2, 0.0)))
-    arc = float(np.std(np.hypot(along[:, 0] - a, along[:, 1] - b)))
-    if line > MIN_BEND * np.ptp(along[:, 0]) and arc < MAX_ARC_SHARE * line:
-        words = (
-            f"its path is an arc of radius {radius:.3g} m, not a straight line, which it leaves by {line:.2g} m (rms); "
-            "give its way along the arc as x, the radius times the angle, with no y"
-        )
-        yield Finding("axis", words, contradicts=True)
 
 
 def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | None) -> Iterator[Finding]:

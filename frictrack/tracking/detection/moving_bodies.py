@@ -218,7 +218,9 @@ def rival_question(scene: SampledScene, first: Body) -> str:
     """
     rest = scene_without(scene, first.box, first.corner)
     others = moving_bodies(rest)
-    second = next((body for body in others if _is_rival(rest, first, body)), None)
+    at_edge = _is_at_edge(scene, first)
+    rivals = (body for body in others if _is_rival(rest, first, body))
+    second = next((body for body in rivals if at_edge or not _comes_from_outside(rest, body)), None)
     if second is None:
         return ""
     chosen = [first, second]
@@ -238,19 +240,27 @@ def rival_question(scene: SampledScene, first: Body) -> str:
 def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
     """Whether the second body moves independently and far enough to make the target ambiguous."""
     size, both = np.array([first.box[2:], second.box[2:]]), first.seen & second.seen
-    rows = np.flatnonzero(second.seen).tolist()
     few = both.sum() < max(min(3, len(both)), MIN_RIVAL_FRAMES * min(first.seen.sum(), second.seen.sum()))
     extent = [q.seen.sum() * _travel_distance(q.corner[q.seen]) * np.sqrt(q.box[2] * q.box[3]) for q in (first, second)]
     small = extent[1] < MIN_RIVAL_MERIT * extent[0] or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
     if few or small:
         return False
-    if np.mean([_is_cut_off(scene, k, second.box, second.corner[k]) for k in rows]) > 0.5:
-        (x, y, w, h), _ = body_outline(scene, second)  # a shadow may reach the edge, where the body does not
-        height, width = scene.frames[0].shape
-        if min(x, y, width - x - w, height - y - h) <= scene.factor:
-            return False
     a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
     return _are_apart(first, second) and _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2
+
+
+def _comes_from_outside(scene: SampledScene, body: Body) -> bool:
+    """Whether the edge of the picture cuts off a body in most frames, such as an arm or a rod."""
+    rows = np.flatnonzero(body.seen).tolist()
+    is_cut = np.mean([_is_cut_off(scene, k, body.box, body.corner[k]) for k in rows]) > 0.5
+    return bool(is_cut) and _is_at_edge(scene, body)
+
+
+def _is_at_edge(scene: SampledScene, body: Body) -> bool:
+    """Whether the outline of a body reaches the edge of the picture; its shadow may where the body does not."""
+    (x, y, w, h), _ = body_outline(scene, body)
+    height, width = scene.frames[0].shape
+    return min(x, y, width - x - w, height - y - h) <= scene.factor
 
 
 def _are_apart(first: Body, second: Body) -> bool:

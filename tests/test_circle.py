@@ -1,0 +1,104 @@
+"""A circular course: x along it, the load of m v^2/R, and gravity along a circle that stands upright."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+import frictrack as ft
+from frictrack.measure.calibration.circle import fit_circle
+from frictrack.measure.plausibility import missing_incline
+
+G, NOISE = 9.80665, 1e-5  # m/s^2, m
+
+
+def slide(acceleration, start, duration, fps):
+    """Arc length of a bead under an acceleration of arc length and velocity, by SciPy, until it is slow."""
+
+    def slow(t, y):
+        return abs(y[1]) - 0.02
+
+    slow.terminal, slow.direction = True, -1
+    y = solve_ivp(
+        lambda t, y: [y[1], acceleration(*y)], (0, duration), start, events=slow, rtol=1e-10, atol=1e-12,
+        dense_output=True, max_step=0.01,
+    )  # fmt: skip
+    t = np.arange(0, y.t[-1], 1 / fps)
+    return t, y.sol(t)[0]
+
+
+def run_on_circle(t, arc, radius, rng, **settings):
+    """A run of tracked x, y on a circle about a centre that is no origin."""
+    angle = arc / radius
+    x, y = 0.3 + radius * np.sin(angle), 1.1 - radius * np.cos(angle)
+    columns = {"t_s": t, "x_m": x + NOISE * rng.standard_normal(len(t)), "y_m": y + NOISE * rng.standard_normal(len(t))}
+    return ft.Run.from_dataframe(pd.DataFrame(columns), **settings)
+
+
+def on_ring(friction, mass, radius, rng):
+    """Three slides on a ring that lies flat."""
+
+    def acceleration(x, v):
+        return -friction * np.hypot(G, v * v / radius) * np.sign(v)
+
+    for v in (1.8, 1.2, 2.3):
+        yield run_on_circle(*slide(acceleration, (0.0, v), 5.0, 500), radius, rng, mass=mass, name=f"v{v}")
+
+
+def in_loop(friction, mass, radius, rng):
+    """Three slides in an upright loop, one the other way; the camera leans by 2 degrees."""
+    lean = np.radians(2.0)
+
+    def acceleration(x, v):
+        return -G * np.sin(x / radius) - friction * abs(G * np.cos(x / radius) + v * v / radius) * np.sign(v)
+
+    for x, v in ((-0.05, 4.0), (0.3, -4.2), (0.1, 4.3)):
+        t, arc = slide(acceleration, (x, v), 0.6, 1000)
+        yield run_on_circle(t, arc + radius * lean, radius, rng, mass=mass, name=f"v{v}", incline=-lean)
+
+
+@pytest.mark.parametrize("course", [on_ring, in_loop])
+def test_the_load_on_a_circle_follows_the_speed(course):
+    """Coulomb friction with mu N comes out right although N is more than twice m g; nothing else is found."""
+    friction, mass = 0.12, 0.2
+    runs = list(course(friction, mass, 0.25, np.random.default_rng(4)))
+    fit = ft.fit(["coulomb"], runs)
+    level = fit.parameters["coulomb.F_c"]
+    assert abs(level.value / (mass * G) - friction) < 4 * level.std / (mass * G) < 1e-4 * friction
+    assert fit.reduced_chi2 < 1.15
+    assert ft.diagnose(fit).verdict == "complete"
+
+
+def test_a_pendulum_of_stated_radius():
+    """An arc length without y: with radius and incline gravity is a sine of the place, here far beyond small angles."""
+    radius, mass, viscous = 0.5, 0.2, 0.02
+    t = np.arange(0, 6.0, 1 / 200)
+    swing = solve_ivp(
+        lambda t, y: [y[1], -G * np.sin(y[0] / radius) - viscous / mass * y[1]], (0, 6), (1.0, 0.0), t_eval=t,
+        rtol=1e-11, atol=1e-13,
+    )  # fmt: skip
+    x = swing.y[0] + NOISE * np.random.default_rng(5).standard_normal(len(t))
+    run = ft.Run.from_arrays(t, x, mass=mass, radius=radius, incline=0.0, noise=NOISE)
+    fit = ft.fit(["viscous"], [run])
+    assert fit.model.names == ["viscous", "gravity"]
+    found = fit.parameters["viscous.F_v"]
+    assert abs(found.value - viscous) < 4 * found.std < 0.01 * viscous
+    assert fit.reduced_chi2 < 1.15
+
+
+def test_what_is_a_circle():
+    """A lens bends a straight path by less, a thrown ball's parabola is no circle."""
+    x = np.linspace(-1, 1, 200)
+    assert fit_circle(np.column_stack([x, 0.01 * x**2])) is None
+    assert fit_circle(np.column_stack([x, 2 - 2 * x**2])) is None
+    assert fit_circle(np.column_stack([np.cos(3 * x), np.sin(3 * x)])).radius == pytest.approx(1.0)
+
+
+def test_a_pendulum_without_an_incline_is_told_what_to_write():
+    """A bob that speeds up on a circle needs the word that the circle stands upright."""
+    t = np.arange(0, 0.3, 1 / 500)
+    y = solve_ivp(lambda t, y: [y[1], -G * np.sin(y[0] / 0.5)], (0, 0.3), (-0.4, 0.0), t_eval=t, rtol=1e-9).y[0]
+    run = run_on_circle(t, y, 0.5, np.random.default_rng(6), mass=0.2)
+    assert missing_incline(run).correction == 'incline = "0 deg"'
+    with pytest.raises(ft.FrictrackError, match="no normal load, of a run on a circle"):
+        ft.Run(run.displacement, run.motion, mass=0.2, normal_load=2.0, has_incline=True)
