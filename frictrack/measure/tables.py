@@ -15,7 +15,7 @@ from frictrack import sampling
 from frictrack.base.distributions import noise_of_differences, robust_std
 from frictrack.base.errors import FrictrackError, UsageError, raise_faults, suggest
 from frictrack.base.units import parse_quantity
-from frictrack.measure.calibration import along_circle, parse_scale
+from frictrack.measure.calibration import on_circle, parse_scale
 from frictrack.measure.motion import differentiate, low_pass
 from frictrack.measure.plausibility import (
     ACCEPTED,
@@ -117,7 +117,7 @@ def displacement_of_even_table(table: EvenTable, *, scale: str | None = None, x_
         interval = float(np.median(np.diff(displacement.t)))
         sigma_v = max(white_noise(np.diff(displacement.x) / interval), MIN_TRAVEL_M)
         return replace(displacement, sigma_x=np.full(len(data.t), interval * sigma_v), sigma_v=sigma_v)
-    displacement = _with_jitter_noise(along_circle(displacement))
+    displacement = _with_jitter_noise(on_circle(displacement))
     is_known = not np.all(np.isnan(displacement.sigma_x))
     return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
 

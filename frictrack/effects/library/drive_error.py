@@ -15,7 +15,15 @@ def columns(path: Path, nonlinear: Nonlinear) -> Array:
 
 
 def delayed_drive(path: Path, tau: float | Array) -> Array:
-    """D(t - tau), shape (n,), N."""
+    """D(t - tau), shape (n,), N.
+
+    Examples
+    --------
+    >>> t = np.arange(3.0)
+    >>> delayed_drive(Path(t, t, t, t, drive=2 * t), 0.5)
+    array([0., 1., 3.])
+
+    """
     if path.drive_at is not None:
         return path.drive_at(path.t - tau)
     assert path.drive is not None

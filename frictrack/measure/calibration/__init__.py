@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from frictrack.base import lazy_names
 
 if TYPE_CHECKING:
-    from frictrack.measure.calibration.circle import along_circle
+    from frictrack.measure.calibration.circle import on_circle
     from frictrack.measure.calibration.displacement import MIN_ROTATION, calibrate, plane_map
     from frictrack.measure.calibration.scale import PlaneMap, Scale, parse_scale
     from frictrack.measure.calibration.shake import Shake, estimate_shake, significant_motion, subtract_shake

@@ -46,10 +46,10 @@ def fit_circle(at: Array) -> Circle | None:
     columns = np.column_stack([2 * off, np.ones(len(off))])  # x^2 + y^2 = 2 a x + 2 b y + c (Kasa 1976)
     a, b, c = np.linalg.lstsq(columns, np.sum(off**2, axis=1), rcond=None)[0]
 
-    def beside(circle: Array) -> Array:
+    def off_circle(circle: Array) -> Array:
         return np.hypot(off[:, 0] - circle[0], off[:, 1] - circle[1]) - circle[2]
 
-    found = least_squares(beside, [a, b, np.sqrt(max(c + a**2 + b**2, 0.0))], x_scale=line)
+    found = least_squares(off_circle, [a, b, np.sqrt(max(c + a**2 + b**2, 0.0))], x_scale=line)
     rms = float(np.std(found.fun))
     if rms >= MAX_ARC_SHARE * line:
         return None
@@ -58,10 +58,21 @@ def fit_circle(at: Array) -> Circle | None:
     return Circle(found.x[:2] + middle, float(found.x[2]), sigma)
 
 
-def along_circle(displacement: Displacement) -> Displacement:
+def on_circle(displacement: Displacement) -> Displacement:
     """Return a displacement with x along the circle on which its positions lie; unchanged if they do not.
 
     x counts from the lowest place of the circle counter-clockwise, so that it grows to the right there; y is outward.
+
+    Parameters
+    ----------
+    displacement : Displacement
+        Positions x, y of a course, y upward.
+
+    Returns
+    -------
+    Displacement
+        With `radius` and `sigma_radius`, and a note that says so, if the course is a circle.
+
     """
     at = np.stack([displacement.x, displacement.y], axis=1)
     seen = np.where(displacement.valid[:, None], at, np.nan)
