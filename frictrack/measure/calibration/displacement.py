@@ -19,7 +19,7 @@ import numpy as np
 from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
 from frictrack.measure.calibration import scale as scale_input
-from frictrack.measure.calibration.circle import on_circle, fit_circle
+from frictrack.measure.calibration.circle import fit_circle, on_circle
 from frictrack.measure.calibration.scale import MIN_RULER_SHARE, PlaneMap, Scale, Straight, as_seen, from_points
 from frictrack.measure.calibration.shake import subtract_shake
 from frictrack.records import Array, Displacement, Mask, Track
