@@ -16,21 +16,7 @@ from rich.text import Text
 
 from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_p_value, format_plain, format_plus_minus
-from frictrack.results import verdicts
-from frictrack.results.candidates import (
-    FAILING_HEADS,
-    MAIN_KINDS,
-    MEASUREMENT_HEADS,
-    candidate_rows,
-    describe_held_out,
-    error_rows,
-    failing_rows,
-    measurement_cells,
-    not_passing,
-    numbered_name,
-    parameter_row,
-)
-from frictrack.results.verdicts import describe_lost, describe_predictions, describe_tests
+from frictrack.results import candidates, verdicts
 
 BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
@@ -86,10 +72,10 @@ def cell(value: Any) -> str:
     return "" if value is None else escape(str(value))
 
 
-def lines(out: Console, texts: Iterable[str], indent: str = "") -> None:
+def lines(out: Console, texts: Iterable[str], indent: str = "", **how: Any) -> None:
     """Print texts, one a line; long ones are broken by the terminal alone, so that they can be copied."""
     for text in texts:
-        out.print(f"{indent}{escape(text)}", soft_wrap=True)
+        out.print(f"{indent}{escape(text)}", soft_wrap=True, **how)
 
 
 # --- measurements
@@ -137,8 +123,8 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *measurement_cells(r)) for r in result["runs"]]
-    out.print(filled_table(("run", "found", *MEASUREMENT_HEADS), rows))
+    rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *candidates.measurement_cells(r)) for r in result["runs"]]
+    out.print(filled_table(("run", "found", *candidates.MEASUREMENT_HEADS), rows))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
         "fixed: noise of the fixed reference",
@@ -153,7 +139,7 @@ def _details(row: dict[str, Any]) -> list[str]:
     """Return the details of one film: time base, lost frames, notes, pictures."""
     audit = "; ".join(f"{r['what']} {r['value']} ({r['verdict']})" for r in row["timebase"] if r["verdict"] != "none")
     reasons = ", ".join(f"{count} x {reason}" for reason, count in row["lost"].items())
-    lost = f"{describe_lost(sum(row['lost'].values()), row['frames'])}: {reasons}" if reasons else ""
+    lost = f"{verdicts.describe_lost(sum(row['lost'].values()), row['frames'])}: {reasons}" if reasons else ""
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
     look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
     found = [f"time base: {audit}" if audit else "", lost, *look_at, *row["notes"], pictures]
@@ -174,12 +160,10 @@ def fit(out: Console, result: dict[str, Any]) -> None:
         _prior(out, prior)
     if result.get("misfit"):
         out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
-    sentences(out, {"words": result.get("remarks", [])})
-    if result.get("scale_error"):
-        out.print(
-            f"the scale has a standard deviation of {format_plain(100 * result['scale_error'], 2)} %, common to all "
-            "runs of a camera and included in every ±"
-        )
+    sentences(out, result, "remarks")
+    if error := result.get("scale_error"):
+        share = f"the scale has a standard deviation of {format_plain(100 * error, 2)} %"
+        out.print(f"{share}, common to all runs of a camera and included in every ±")
     out.print(errors([("", result["errors"])]))
 
 
@@ -198,7 +182,7 @@ def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -
     a brief table has one ± that includes the misfit, and the remark as far as it fits into a line; `more` says what it
     leaves out.
     """
-    found = {escape(name): parameter_row(p) for name, p in values.items()}
+    found = {escape(name): candidates.parameter_row(p) for name, p in values.items()}
     if brief:
         new = table("parameter", "value ± std", more)
         new.columns[1].no_wrap = True
@@ -213,7 +197,7 @@ def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -
 def errors(columns: Iterable[tuple[str, dict[str, Any]]], *, brief: bool = False) -> Table:
     """Return a table with one row per error and one column per model; a brief one has only `BRIEF_ERRORS`."""
     titles, models = zip(*columns, strict=True)
-    found = (row for row in error_rows(models) if (row.short in BRIEF_ERRORS if brief else row.short))
+    found = (row for row in candidates.error_rows(models) if (row.short in BRIEF_ERRORS if brief else row.short))
     return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
 
 
@@ -223,31 +207,31 @@ def compare(out: Console, result: dict[str, Any]) -> None:
     fails_at(out, result["fails_at"])
 
 
-def sentences(out: Console, result: dict[str, Any]) -> None:
-    """Print the "words" of a result, one sentence a line."""
-    for sentence in result["words"]:
+def sentences(out: Console, result: dict[str, Any], key: str = "words") -> None:
+    """Print the sentences of a result, one a line."""
+    for sentence in result.get(key) or ():
         out.print(escape(sentence))
 
 
 def history(out: Console, result: dict[str, Any]) -> None:
     """Print every model tried, in order, one row each."""
     models = result["models"]
-    found = [row for row in error_rows(model["errors"] for model in models) if row.short]
+    found = [row for row in candidates.error_rows(model["errors"] for model in models) if row.short]
     heads = (f"{row.short} / {row.unit}" if row.unit else row.short for row in found)
     rows = table("model", *heads)
     for k, model in enumerate(models):
-        name = numbered_name(model["name"])
+        name = candidates.numbered_name(model["name"])
         name = name if len(name) <= MAX_NAME_WIDTH else name.replace(" + ", "\n  + ")
         words = escape("\n  ".join([name, *model.get("settings", [])]))
         rows.add_row(words, *(format_plain(row.values[k]) for row in found))
     out.print(rows)
-    sentences(out, {"words": (*describe_tests(result), *describe_predictions(result))})
+    sentences(out, {"words": (*verdicts.describe_tests(result), *verdicts.describe_predictions(result))})
 
 
 def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
     """Print spans of time, position and velocity with their share of the misfit."""
     if spans:
-        out.print(table("fails in", *FAILING_HEADS, rows=failing_rows(spans)))
+        out.print(table("fails in", *candidates.FAILING_HEADS, rows=candidates.failing_rows(spans)))
 
 
 MAX_FINDINGS = 8  # that the terminal shows
@@ -292,11 +276,11 @@ def verdict(out: Console, result: dict[str, Any]) -> None:
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
         out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
-    rows = candidate_rows(result)
-    for row in (one for one in rows if one.passes or one.kind in MAIN_KINDS):
+    rows = candidates.candidate_rows(result)
+    for row in (one for one in rows if one.passes or one.kind in candidates.MAIN_KINDS):
         out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
         out.print(f"  {escape(row.line)}")
-    if others := not_passing(rows):
+    if others := candidates.not_passing(rows):
         out.print(others)
 
 
@@ -305,13 +289,13 @@ def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     result = result.get("diagnose", result)  # of `frictrack run`
     for one in result.get("evidence") or []:
         out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
-    for row in (one for one in candidate_rows(result) if one.kind in MAIN_KINDS and one.share):
+    for row in (one for one in candidates.candidate_rows(result) if one.kind in candidates.MAIN_KINDS and one.share):
         out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
     fails_at(out, result.get("fails_at") or [])
     words = [result["repeats_words"]] if result.get("repeats_words") else []
     sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
     unexplained(out, verdicts.force_without_effect(result))
-    sentences(out, {"words": result.get("remarks", [])})
+    sentences(out, result, "remarks")
     next_experiment(out, result)
     if not result.get("complete", True):
         out.print(verdicts.VERDICT_ONLY)
@@ -361,14 +345,13 @@ def plan_details(out: Console, result: dict[str, Any]) -> None:
     """Print what is filmed and assumed, what no run settles and why, and the detection limits."""
     if result["done"]:
         out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
-    for line in result["assumed"]:
-        out.print(f"assumed: {escape(line)}", style="dim", soft_wrap=True)
+    lines(out, result["assumed"], "assumed: ", style="dim")
     left = [(" and ".join(one["effects"]), "separated", one) for one in result["left"]]
     for what, done, one in (*left, *((one["effect"], "detected", one) for one in result["unseen"])):
         why = f"{escape(one['why'])}; {escape(one['settle'])}"
         out.print(f"[bold]{what}[/bold] cannot be {done}: {why}", soft_wrap=True)
-    for name, why in result["not_planned"].items():
-        out.print(f"{name} was not planned for: it {escape(why)}", style="dim", soft_wrap=True)
+    not_planned = (f"{name} was not planned for: it {why}" for name, why in result["not_planned"].items())
+    lines(out, not_planned, style="dim")
     rows = table("effect", "detection limit", "at")
     for name, limit in result["detection_limits"].items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
@@ -381,18 +364,16 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
     """Print the run to film now with its settings, cost and expected evidence, or why there is none."""
     named = result.get("next")
     if named is None:
-        if result.get("next_reason"):
-            out.print(f"[bold]Next run[/bold]: no run; {escape(result['next_reason'])}", soft_wrap=True)
+        lines(out, filter(None, [result.get("next_reason")]), "[bold]Next run[/bold]: no run; ")
         return
-    own = named["settings"]
-    out.print(f"[bold]Next run[/bold]: {escape(named['what'])}", soft_wrap=True)
-    out.print(
-        f"  speed {own['speed']:.3g} m/s, mass {own['mass']:.3g} kg, incline {own['incline_deg']:.2g} degrees, "
-        f"{own['fps']:.4g} frames/s; cost {format_plain(named['cost'], 3)}",
-        soft_wrap=True,
+    own, about = named["settings"], ", ".join(named["separates"])
+    set_up = (
+        f"speed {own['speed']:.3g} m/s, mass {own['mass']:.3g} kg, incline {own['incline_deg']:.2g} degrees, "
+        f"{own['fps']:.4g} frames/s; cost {format_plain(named['cost'], 3)}"
     )
-    about = ", ".join(named["separates"])
-    out.print(f"  about {about}; expected delta BIC {verdicts.expected_evidence(named)}", soft_wrap=True, style="dim")
+    lines(out, [named["what"]], "[bold]Next run[/bold]: ")
+    lines(out, [set_up], "  ")
+    lines(out, [f"about {about}; expected delta BIC {verdicts.expected_evidence(named)}"], "  ", style="dim")
 
 
 # --- the whole analysis
@@ -408,7 +389,7 @@ def run_brief(out: Terminal, result: dict[str, Any]) -> None:
     """Print the verdict with its evidence, the parameters, and the most important warning."""
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
-    found = [row for row in error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS][-3:]
+    found = [row for row in candidates.error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS][-3:]
     out.print(escape("; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)))
     _brief_parameters(out, fitted)
 
@@ -439,7 +420,7 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     out.print(f"[bold]{escape(verdicts.headline(found))}[/bold]")
     if found["verdict"] == "undetermined":
         out.print(escape(verdicts.describe_open_question(found)))
-    for row in [one for one in candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
+    for row in [one for one in candidates.candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
         out.print(escape(f"{row.effect}: {row.line}"))
     if (left := verdicts.force_without_effect(found)) and left.get("words"):
         out.print(escape(left["words"]))
@@ -450,7 +431,7 @@ def demo(out: Terminal, result: dict[str, Any]) -> None:
     out.print("A sliding mass was filmed. The diagnosis of the study's first model:")
     _brief_verdict(out, result["diagnose"])
     if result["add"]:
-        change = describe_held_out(result["add"]["error_before"], result["add"]["error_after"])
+        change = candidates.describe_held_out(result["add"]["error_before"], result["add"]["error_after"])
         out.print(f"With [bold]{result['add']['effect']}[/bold] in the model, {change}")
         _brief_parameters(out, result["add"], LAST_LINES - 1)
 

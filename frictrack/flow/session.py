@@ -397,10 +397,9 @@ class Session:
 
         found = self.models.stored_summary(inside, key)
         if found is None or not (quick or found.get("complete", True)):
-            announce = on_verdict or _ignore
-            if found is not None:  # an earlier diagnosis was interrupted after its verdict
-                announce(whole(found))
-                announce = _ignore
+            if found is not None and on_verdict:  # an earlier diagnosis was interrupted after its verdict
+                on_verdict(whole(found))
+            announce = on_verdict if found is None and on_verdict else lambda _: None
             made = self.models.provenance(key, json.dumps({"seed": seed}))
             found = self._diagnose(group, made, lambda one: announce(whole(one)), alpha=test.alpha, quick=quick)
         elif store.provenance(self.path, "diagnosis") != store.provenance(self.path, inside):
@@ -645,7 +644,3 @@ class Session:
             except FrictrackError as e:
                 return (f"the papers' route (force domain, SGA) was not possible: {e}",)
         return ()
-
-
-def _ignore(found: dict[str, Any]) -> None:
-    """Announce nothing."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -426,10 +426,8 @@ def _slip_notes(found: tuple[sampling.Slip, ...], numbers: Rows) -> tuple[str, .
         count = sampling.count_text(len(again), "sample repeats", "samples repeat")
         notes.append(f"{count} the one before: {sampling.describe_frames(again)}; left out")
     if lost:
-        count, places = (
-            sampling.count_text(sum(lost.values()), "sample is", "samples are"),
-            sampling.describe_frames([*lost]),
-        )
+        count = sampling.count_text(sum(lost.values()), "sample is", "samples are")
+        places = sampling.describe_frames([*lost])
         notes.append(f"{count} missing, found from the motion: before {places}; left as gaps in time")
     return tuple(notes)
 
@@ -441,19 +439,12 @@ def run_of_arrays(
     t: ArrayLike, x: ArrayLike, *, mass: float | str | None, optional: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> Run:
     """Make a run of arrays; see `Run.from_arrays`. `optional` holds further columns, None where not measured."""
-    columns: dict[str, Any] = {}
-    faults: list[str] = []
     notes: tuple[str, ...] = ()
     both = [np.asarray(series) for series in (t, x)]
     if all(s.ndim == 1 and s.dtype.kind in "fiu" and s.shape == both[0].shape and np.isfinite(s).all() for s in both):
         t, notes = unrolled_clock(both[0].astype(np.float64), both[1].astype(np.float64))
-    for name, values in {"t": t, "x": x, **optional}.items():
-        if values is not None:
-            columns[name], found = checked_column(name, values, np.size(t))
-            faults += found
-    if not np.size(t):
-        faults.append("expected positions at several times but got none")
-    raise_faults(faults, f'run "{settings.get("name", "run")}"')
+    none = [] if np.size(t) else ["expected positions at several times but got none"]
+    columns = _checked_columns({"t": t, "x": x, **optional}, "t", settings, none)
     return _run_of(TableData(**columns, notes=notes), mass, settings)
 
 
@@ -463,6 +454,18 @@ def run_of_dataframe(
     """Make a run of a DataFrame; see `Run.from_dataframe`."""
     data = read_frame(frame, columns, str(settings.get("name", "run")))
     return _run_of(data, mass, settings)
+
+
+def _checked_columns(
+    given: Mapping[str, Any], first: str, settings: Mapping[str, Any], faults: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Convert the columns that are given, each as long as the first one; raise all faults, also those found before."""
+    n = np.size(given[first])
+    checked = {name: checked_column(name, values, n, first) for name, values in given.items() if values is not None}
+    raise_faults(
+        [*(fault for _, found in checked.values() for fault in found), *faults], f'run "{settings.get("name", "run")}"'
+    )
+    return {name: column for name, (column, _) in checked.items()}
 
 
 def checked_column(name: str, values: ArrayLike, n: int, first: str = "t") -> tuple[Array, list[str]]:
@@ -525,13 +528,7 @@ MAX_SPEED = 300.0  # m/s; faster ones are in another unit
 
 def run_of_curve(given: Mapping[str, Any], settings: Mapping[str, Any]) -> Run:
     """Make a run of speeds and forces; see `Run.from_curve`. None where not given."""
-    values: dict[str, Any] = {}
-    faults: list[str] = []
-    for name, column in given.items():
-        if column is not None:
-            values[name], found = checked_column(name, column, np.size(given["v"]), "v")
-            faults += found
-    raise_faults(faults, f'run "{settings.get("name", "run")}"')
+    values = _checked_columns(given, "v", settings)
     read = points_of_table(TableData(np.arange(np.size(values["v"]), dtype=float), **values))
     check_settings(settings)
     bare = Run(*motion_of_points(read), friction_N=read.friction, steady=True, **settings)

@@ -344,17 +344,12 @@ def _events(windows: Sequence[RecordWindow], n: int) -> Iterator[Event]:
 
 def _add_lines(structure: Structure, data: SmootherData, windows: Sequence[RecordWindow]) -> Structure:
     """Add the lines found in windows, the most frequent ones first, and refine them on the whole record."""
-    search = StructureSearch(data)
-    used = np.zeros(0)
-    cell = 2 * np.pi / WINDOW_FRAMES
+    search, cell = StructureSearch(data), 2 * np.pi / WINDOW_FRAMES
+    used: list[float] = []
     for omega in _frequencies(windows, cell):
-        if np.any(np.abs(used - omega) < cell):
-            continue
-        used = np.append(used, omega)
-        structure = _refine_last_line(
-            replace(structure, lines=(*structure.lines, (_peak(search, structure, omega, cell), LINE_STIFFNESSES[1]))),
-            search,
-        )
+        if all(abs(omega - other) >= cell for other in used):
+            used.append(omega)
+            structure = _with_best_line(structure, _peak(search, structure, omega, cell), search)
     return structure
 
 
@@ -381,12 +376,11 @@ def _peak(search: StructureSearch, structure: Structure, omega: float, cell: flo
     return float(frequencies[np.argmax(np.abs(amplitudes))])
 
 
-def _refine_last_line(structure: Structure, search: StructureSearch) -> Structure:
-    """Choose frequency and penalty of the last line by the highest likelihood."""
-    *others, (omega, _) = structure.lines
+def _with_best_line(structure: Structure, omega: float, search: StructureSearch) -> Structure:
+    """Add a line near a frequency, radians per frame: penalty, then frequency, of the highest likelihood."""
 
     def with_line(omega: float, log_mu: float) -> Structure:
-        return replace(structure, lines=(*others, (omega, log_mu)))
+        return replace(structure, lines=(*structure.lines, (omega, log_mu)))
 
     best = min((with_line(omega, log_mu) for log_mu in LINE_STIFFNESSES), key=search.loss)
     log_mu = best.lines[-1][1]
