@@ -103,8 +103,8 @@ class Path:
     def pressed(self) -> Path:
         """Return the path with the load of its motion; it had that of a level straight course.
 
-        On a circle that stands upright the load is m |g cos(incline) + v^2/R|, on a flat one the sum of weight and
-        m v^2/R as vectors, as in a groove.
+        On a circle that stands upright the load is the size of m (g cos(incline) + v^2/R), on a flat one the sum of
+        weight and m v^2/R as vectors, as in a groove.
         """
         if not np.any(self.curvature):
             return self
