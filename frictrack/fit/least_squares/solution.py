@@ -555,23 +555,26 @@ def heldout_rms(solution: Solution, by: str | None = None, compared: Solution | 
 
 @dataclass(frozen=True)
 class _LinearRun:
-    """One run about the fitted model, its s pieces stacked."""
+    """One run about the fitted model, its pieces stacked."""
 
-    # whitened residual (n,), sensitivities (n, P) and starts (n, 2 s); which frames are hidden (n,)
+    # whitened residual (n,), sensitivities (n, P) and starts (n_s, 2) of every piece; which frames are hidden (n,)
 
     pieces: list[Piece]
     residual: Array
     jac: Array
-    starts: Array
+    starts: list[Array]
     hidden: Mask
 
     def hidden_errors(self, step: Array, own: Mask) -> Array:
         """Errors, m or N, at the hidden frames after a step; starts and `own` unknowns come from the kept frames."""
-        residual = self.residual - self.jac @ step
-        columns = np.concatenate([self.jac[:, own], self.starts], axis=1)
-        residual = residual - columns @ _from_kept_frames(columns, residual, ~self.hidden)
         ends = np.cumsum([len(p.t) for p in self.pieces])[:-1]
-        errors = [p.coloured(r) for p, r in zip(self.pieces, np.split(residual, ends), strict=True)]
+        residual, kept = self.residual - self.jac @ step, ~self.hidden
+        if own.any():  # all pieces share them
+            columns = np.concatenate([self.jac[:, own], block_diag(*self.starts)], axis=1)
+            left = np.split(_without_columns(columns, residual, kept), ends)
+        else:
+            left = list(map(_without_columns, self.starts, np.split(residual, ends), np.split(kept, ends)))
+        errors = [p.coloured(r) for p, r in zip(self.pieces, left, strict=True)]
         return np.asarray(np.concatenate(errors)[self.hidden])
 
 
@@ -584,7 +587,7 @@ def _linear_runs(solution: Solution, hidden: Sequence[Mask]) -> dict[int, _Linea
             pieces=[r.piece for r in own],
             residual=np.concatenate([r.r for r in own]),
             jac=stacked_rows([r.jac for r in own], [r.active for r in own], len(solution.p)),
-            starts=block_diag(*(r.q for r in own)),
+            starts=[r.q for r in own],
             hidden=np.concatenate([h for r, h in zip(solution.responses, hidden, strict=True) if r.piece.run == run]),
         )
     return out
@@ -627,12 +630,12 @@ def _step(solution: Solution, rows: Sequence[Array | None] | None = None, free: 
     return step
 
 
-def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
-    """Coefficients (k,) of a run's own columns (n, k) from its kept frames."""
+def _without_columns(columns: Array, residual: Array, kept: Mask) -> Array:
+    """Residual (n,) without columns (n, k) of its own, whose coefficients come from the kept frames."""
     # directions along which the kept frames hold nearly none of the information stay 0: the time of an event that lies
     # between two frames may show in one frame alone, and linear extrapolation from the others means nothing
     if not columns.shape[1]:
-        return np.zeros(0)
+        return residual
     norm = column_norms(columns)
     _, size, vt = np.linalg.svd(columns / norm, full_matrices=False)
     found = size > MIN_SINGULAR_VALUE_HELD_OUT * size[0]
@@ -640,4 +643,4 @@ def _from_kept_frames(columns: Array, residual: Array, kept: Mask) -> Array:
     u, share, wt = np.linalg.svd((columns[kept] / norm) @ to_columns, full_matrices=False)
     seen = share**2 > MIN_KEPT_SHARE
     coordinates = wt[seen].T @ ((u[:, seen].T @ residual[kept]) / share[seen])
-    return np.asarray(to_columns @ coordinates / norm)
+    return np.asarray(residual - columns @ (to_columns @ coordinates / norm))
