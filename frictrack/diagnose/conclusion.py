@@ -16,7 +16,7 @@ import numpy as np
 from frictrack.base.arguments import checked
 from frictrack.base.distributions import RNG
 from frictrack.base.errors import FrictrackError
-from frictrack.base.number_format import format_plain
+from frictrack.base.number_format import format_plain, join_words
 from frictrack.base.workers import one_thread
 from frictrack.diagnose.auxiliary_signals import (
     AuxiliarySignals,
@@ -519,7 +519,7 @@ def _describe_excluded(excluded: Mapping[str, str]) -> list[str]:
     by_reason: dict[str, list[str]] = {}
     for name, why in excluded.items():
         by_reason.setdefault(why.removeprefix(f"{name} "), []).append(name)
-    reasons = [f"{' and '.join(names)} {_plural(why, len(names))}" for why, names in by_reason.items()]
+    reasons = [f"{join_words(names)} {_plural(why, len(names))}" for why, names in by_reason.items()]
     return [f"not tried: {'; '.join(reasons)}"] if reasons else []
 
 
