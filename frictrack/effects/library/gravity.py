@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from frictrack.effects.definition import Nonlinear, Parameter, Path
+from frictrack.effects.definition import Nonlinear, Parameter, Path, Phrase
 from frictrack.records import GRAVITY, Array
 
 
@@ -20,6 +20,7 @@ what = "Gravity pulls back to the lowest place of a circle that stands upright."
 looks_like = "a sine of the angle; near the lowest place a straight line against x"
 mistaken_for = "spring (at small angles), a wrong clock (it changes the period of the swing)"
 confirm = "Measure the radius and the lowest place; free g for a body whose mass is spread out."
+describe = Phrase("gravity of {g} m/s^2")
 invariant = "gravity pulls by place, with the same acceleration on every mass"
 may_pull = True
 needs = ("upright",)
