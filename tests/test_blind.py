@@ -257,7 +257,7 @@ def test_a_draw_hides_what_it_says_at_the_size_it_says(seed: int, name: str):
 def test_every_cause_takes_its_turn():
     seen = candidates("one", LAWS[0][0])
     laws = {name for name, effect in LIBRARY.items() if effect.replaces}
-    unseen = {"bouc_wen", "target_rotation", "clock_rate", "cell_lag", "cell_delay"}
+    unseen = {"bouc_wen", "target_rotation", "clock_rate", "cell_lag", "cell_delay", "drive_delay", "gravity"}
     assert set(seen) == set(LIBRARY) - laws - {"coulomb", "stribeck", "viscous"} - unseen
     assert {"stribeck"} <= set(candidates("one", ("coulomb", "viscous")))
     assert "viscous_modulation" not in candidates("one", ("coulomb", "drag"))

@@ -532,8 +532,9 @@ def _row(
     added = f" in addition to {join_words(added_to)}" if added_to else ""
     unit = "N" if c.get("heldout_rms_after_um") is None else "um"
     bare, after = (c.get(f"heldout_rms_{when}_{unit}") for when in ("before", "after"))
-    shared = {name: q for name, q in c.get("parameters", {}).items() if "[" not in name}
-    own = sorted({name.partition("[")[0] for name in c.get("parameters", {}) if "[" in name})
+    fitted = {name: q for name, q in c.get("parameters", {}).items() if q["std"] != 0}  # no fixed ones
+    shared = {name: q for name, q in fitted.items() if "[" not in name}
+    own = sorted({name.partition("[")[0] for name in fitted if "[" in name})
     values = [f"{name} {format_quantity(q['value'], q['std'], q['unit'])}" for name, q in shared.items()]
     values += [f"one {' and one '.join(own)} per run"] if own else []
     if c["effect"].startswith("slope") and (here := c.get("words", {}).get("here")):

@@ -226,6 +226,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
         for e in effects.LIBRARY.values()
         if e.name not in law
         and not e.replaces
+        and (not e.linear or any(p.free for p in e.linear))  # what has one size only can be no multiple of a limit
         and not (e.memory and not e.modifies)  # a model of its own memory needs a drive to show
         and not (e.modifies and not kinds & e.modifies)
         and e.clock is None  # a setting of a run, not an effect of the motion
