@@ -287,6 +287,7 @@ def test_what_needs_the_pixel_pitch_is_not_tried_without_it_and_this_is_said():
     assert "peak_locking" not in found.detection_limits
     assert "peak_locking needs the pixel pitch of every run; give scale in [camera]" in found.remarks[0]
     assert found.remarks[0].startswith("not tried: ")
+    assert "gravity" not in found.remarks[0]
     assert "peak_locking" in diagnose(fit(LAW, [run])).detection_limits
 
 

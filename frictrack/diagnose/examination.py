@@ -389,6 +389,8 @@ def list_candidates(solution: Solution, own: Iterable[Effect] = ()) -> tuple[lis
             continue
         if "friction" in kind.needs if solution.problem.simulates else kind.acts_on == "measurement":
             continue  # no instrument that would show it
+        if "upright" in kind.needs:
+            continue  # the law of runs on such a circle has it already
         if paths[0].steady and not kind.is_of_velocity:
             continue  # the remarks on points (v, F) say it of all at once
         effect = effects.get(model.next_instance(kind.name), own)

@@ -95,6 +95,6 @@ def on_circle(displacement: Displacement) -> Displacement:
         y=np.hypot(*off.T) - circle.radius,
         sigma_x=sigma,
         radius=circle.radius,
-        sigma_radius=float(np.hypot(circle.sigma, displacement.pixel_pitch or 0.0)),  # a target is placed to a pixel,
+        sigma_radius=float(np.hypot(circle.sigma, displacement.pixel_pitch or 0.0)),  # a target is placed to a pixel
         notes=(*displacement.notes, note),
     )
