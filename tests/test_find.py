@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import time
 
 import cv2
 import film
 import numpy as np
 import pytest
 from blocks import SHAPE, SIZE, SLIDE, N, a_film, holds, pasted, shaking, shown, two_blocks
+from cost import within
 from film import Film, block_film, expose, speckle
 
 from frictrack.base.errors import FrictrackError
@@ -173,9 +173,8 @@ def test_a_camera_that_shakes():
 
 def test_it_is_quick():
     recording = a_film(np.linspace(60, 180, 600), noise=False)
-    start = time.process_time()
-    find_target(recording)
-    assert time.process_time() - start < 0.5  # 0.04 s here; slow and busy machines have time
+    with within(25):  # 2 measured
+        find_target(recording)
 
 
 def test_a_body_that_never_clears_its_place_on_a_plain_wall():

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 from campaigns import campaign
+from cost import within
 from test_recording import H, W, write_video
 
 from frictrack.base import __version__
@@ -40,11 +41,9 @@ def sealed(hdf5, *how):
 
 
 def refused(path: Path, text: str) -> str:
-    """What is said of a study file; it takes less than two seconds."""
-    start = time.process_time()
-    with pytest.raises(FrictrackError) as caught:
+    """What is said of a study file, in about a second at most."""
+    with within(75), pytest.raises(FrictrackError) as caught:  # quadratic in its lines: minutes
         parse(path, text)
-    assert time.process_time() - start < 2
     assert caught.value.usage
     assert str(caught.value).isprintable()
     return str(caught.value)
@@ -253,10 +252,7 @@ def test_many_runs_are_read_in_linear_time(study: Path) -> None:
     ],
 )
 def test_many_faults_are_found_in_linear_time_and_the_first_of_them_listed(study: Path, line: str, said: str) -> None:
-    text = "".join(map(line.format, range(12_000)))
-    start = time.thread_time()
-    assert said in refused(study, text)
-    assert time.thread_time() - start < 1.5  # quadratic: minutes
+    assert said in refused(study, "".join(map(line.format, range(12_000))))
 
 
 def test_an_error_is_one_line_that_no_terminal_obeys() -> None:
@@ -357,10 +353,8 @@ def test_a_sheet_that_claims_more_than_it_holds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sheet: str, said: str
 ) -> None:
     monkeypatch.setattr(table_files, "MAX_ROWS", 5000)  # a million empty ones take six seconds
-    start = time.perf_counter()
-    with pytest.raises(FrictrackError, match=said):
+    with within(500), pytest.raises(FrictrackError, match=said):
         read_table(workbook(tmp_path / "t.xlsx", sheet))
-    assert time.perf_counter() - start < 10
 
 
 def test_a_workbook_that_unfolds_without_end(tmp_path: Path) -> None:
@@ -413,10 +407,8 @@ def test_tables_that_are_none(tmp_path: Path, data: bytes, said: str) -> None:
 def test_a_table_of_very_many_columns_is_refused_in_short_time(tmp_path: Path, columns: int, said: str) -> None:
     names = ("t_s", "x_m", *(f"column{i}" for i in range(columns - 2)))
     (tmp_path / "t.csv").write_text("\n".join([",".join(names), *[",".join(["0.5"] * columns)] * 2]))
-    start = time.process_time()
-    with pytest.raises(FrictrackError, match=said):
+    with within(50), pytest.raises(FrictrackError, match=said):
         read_table(tmp_path / "t.csv")
-    assert time.process_time() - start < 1
 
 
 def test_a_factor_cannot_make_a_number_infinite(tmp_path: Path) -> None:
@@ -449,10 +441,8 @@ def test_a_byte_order_mark_is_no_part_of_the_header(tmp_path: Path) -> None:
 def test_a_lens_file_that_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.chdir(tmp_path)
     Path("lens.yml").write_text(text)
-    start = time.perf_counter()
-    with pytest.raises(FrictrackError, match=r"lens\.yml: expected OpenCV's yml, xml or json but it cannot be read"):
+    with within(100), pytest.raises(FrictrackError, match=r"lens\.yml: expected OpenCV's .* it cannot be read"):
         read_lens(Path("lens.yml"))
-    assert time.perf_counter() - start < 2
     assert not Path("owned").exists()
 
 
@@ -545,10 +535,8 @@ def test_results_that_mean_harm(tmp_path: Path, harm: object) -> None:
         harm(file)
     path.write_bytes(sealed(path.read_bytes()[HEADER_BYTES:], __version__))  # who means harm seals it too
     assert path.stat().st_size < 2 << 20
-    start = time.perf_counter()
-    with pytest.raises(FrictrackError, match="damaged or is not HDF5; delete it and run again"):
+    with within(500), pytest.raises(FrictrackError, match="damaged or is not HDF5; delete it and run again"):
         store.read(path, "track")
-    assert time.perf_counter() - start < 10
 
 
 def test_links_out_of_the_results_are_not_followed(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cost import within
 from few_effects import use_few_effects
 from runs import BASE, HIDDEN, Spec, study
 
@@ -419,7 +420,6 @@ def test_the_state_of_forty_runs_is_described_in_time(study_file: Path) -> None:
     study_file.write_text(text)
     reader = SnapshotReader(study_file)
     state_of(reader.read())
-    began = time.process_time()
-    found = state_of(reader.read())
-    assert time.process_time() - began < 0.6  # 0.3 s on a quiet machine
+    with within(40):  # 15 measured
+        found = state_of(reader.read())
     assert [run["state"] for run in found["runs"]] == ["measured"] * 40

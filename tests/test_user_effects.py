@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import pickle
-import time
 
 import numpy as np
 import pytest
+from cost import within
 from runs import BASE, HIDDEN, Spec, study
 
 import frictrack as ft
@@ -147,10 +147,8 @@ HOSTILE = [
 @pytest.mark.parametrize("text", HOSTILE, ids=lambda text: text[:24] or "empty")
 def test_a_hostile_formula_is_refused_in_one_sentence_and_at_once(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    began = time.process_time()
-    with pytest.raises(FrictrackError) as caught:
+    with within(10), pytest.raises(FrictrackError) as caught:
         formula("mine", text)
-    assert time.process_time() - began < 0.2
     assert str(caught.value).startswith('[[effect]] "mine": ')
     assert "\n" not in str(caught.value)
     assert caught.value.usage
@@ -160,12 +158,8 @@ def test_a_hostile_formula_is_refused_in_one_sentence_and_at_once(text, tmp_path
 @pytest.mark.parametrize("text", ["9^9^9^9^9*F", "F*exp(exp(exp(exp(x))))^9999999", "F*10^300*10^300"])
 def test_a_power_cannot_hang_it_is_no_number_instead(text):
     made = formula("mine", text)
-    began = time.process_time()
-    with pytest.raises(
-        FrictrackError, match="expected the formula to be a number along every run but it is none at x ="
-    ):
+    with within(10), pytest.raises(FrictrackError, match="to be a number along every run but it is none at x ="):
         made.columns(path_of(), {})
-    assert time.process_time() - began < 0.2
 
 
 @pytest.mark.parametrize(
@@ -220,12 +214,11 @@ def test_a_place_of_which_a_force_has_no_slope_is_said_to_need_one():
 
 @pytest.mark.parametrize("unit", ["9**9**9**9**9", "m^9999999999", "1" * 5000, "__import__('os')", "m; s", "m*" * 3000])
 def test_a_hostile_unit_or_tie_is_refused_at_once(unit):
-    began = time.process_time()
-    with pytest.raises(FrictrackError, match="expected an SI unit of F"):
-        formula("mine", "F*x", units={"F": unit})
-    with pytest.raises(FrictrackError, match="tie: expected another parameter for F_c"):
-        settings.read_settings({"effect": "coulomb", "tie": {"F_c": unit * 10}}).applied(effects.get("coulomb"))
-    assert time.process_time() - began < 0.5
+    with within(25):
+        with pytest.raises(FrictrackError, match="expected an SI unit of F"):
+            formula("mine", "F*x", units={"F": unit})
+        with pytest.raises(FrictrackError, match="tie: expected another parameter for F_c"):
+            settings.read_settings({"effect": "coulomb", "tie": {"F_c": unit * 10}}).applied(effects.get("coulomb"))
 
 
 @pytest.mark.parametrize("unit", ["N s^2/m^2", "N/m^3", "1/s", "kg m/s", "J", "W/K", "rad/s"])
