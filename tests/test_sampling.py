@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 from frictrack.fit import fit
 from frictrack.flow import Session, open_study
@@ -247,6 +249,37 @@ def test_positions_that_were_held_are_left_out():
     assert not even.valid[1:400:2].any()
     assert even.valid[::2].all()
     assert "samples repeat the one before: frames 1, 3, 5" in even.notes[0]
+
+
+LONG = np.arange(4 * N) / FPS
+MADE = {  # every so many rows are independent; what other programs do with measured positions
+    "straight lines": (4, lambda x: np.interp(LONG, LONG[::4], x[::4])),
+    "splines": (4, lambda x: make_interp_spline(LONG[::4], x[::4])(LONG)),
+    "a low-pass": (8, lambda x: sosfiltfilt(butter(4, 0.1, output="sos"), x)),
+}
+
+
+@pytest.mark.parametrize("how", MADE)
+def test_rows_that_another_program_made_are_left_out(how):
+    every, made = MADE[how]
+    even = with_even_clock(table(LONG, made(noisy(slide(LONG)))))
+    np.testing.assert_allclose(np.diff(even.data.t), every / FPS)
+    assert f"between every {every} rows: another program" in even.data.notes[0]
+    assert noise_level(even.data.x, even.valid)[0] > 0.5 * np.std(even.data.x - slide(even.data.t))  # 0.001 before
+
+
+@pytest.mark.parametrize(
+    "x",
+    [
+        lfilter([1.0], [1.0, -0.97], NOISE * np.random.default_rng(1).standard_normal(4 * N)),
+        1e-4 * np.sin(2 * np.pi * (47 + 20 * LONG) * LONG),  # computed, without any noise
+        np.cumsum(np.cumsum(1e-8 * np.random.default_rng(1).standard_normal(4 * N))),  # a white force
+        np.floor(np.arange(4 * N) / 5) * 1e-4 - slide(LONG),  # counts
+        np.convolve(NOISE * np.random.default_rng(1).standard_normal(4 * N + 4), np.ones(5) / 5, "valid"),
+    ],
+)
+def test_rows_that_only_follow_each_other_are_kept(x):
+    assert len(with_even_clock(table(LONG, slide(LONG) + x)).data.t) == 4 * N
 
 
 def test_outliers_one_step_ahead_are_no_missing_samples():

@@ -45,6 +45,7 @@ MIN_ROUNDING = 0.01  # of the interval; stamps rounded to less are even
 FAST_QUANTILE, MIN_STAMP_NOISE_SHARE = 0.9, 0.2  # of speeds; of the noise of positions, that stamps may add
 MIN_STAMP_ERROR = 1e-6  # of the interval; below are the digits of the numbers themselves
 MAX_COUNTED_ROUNDING = 0.8  # of the interval; stamps rounded to more do not show where a row is missing
+BENT_ENDS = 4  # of smoothed positions, in independent rows
 MAX_DOUBLED_SHARE = 0.1  # of rows that were written twice; more equal stamps are rounded
 FPS_REMEDY = "the frame rate as fps in [camera], if no rows are missing, or "
 MAX_DRIFT_INTERVALS, DRIFT_PARTS = 0.5, 8  # of stamps about counted rows, in means of so many parts
@@ -163,10 +164,9 @@ def _table_sigma(displacement: Displacement) -> Array:
 
 def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
     """Return the rows of a table, unwrapped, on an even clock; where time stamps contradict `fps` (Hz), it decides."""
-    if data.x is not None and np.any(lost := sampling.placeholders(data.x)):
-        rows, value = np.flatnonzero(~lost), float(data.x[lost][0])
-        count = sampling.count_text(int(np.sum(lost)), "row holds", "rows hold")
-        note = f"{count} {value:.6g} instead of a position: left out"
+    lost, note = _unmeasured(data)
+    if np.any(lost):
+        rows = np.flatnonzero(~lost)
         seen = with_even_clock(replace(select_rows(data, rows), notes=(*data.notes, note)), fps)
         return replace(seen, numbers=rows[seen.numbers])
     n = len(data.t)
@@ -190,6 +190,32 @@ def with_even_clock(data: TableData, fps: float | None = None) -> EvenTable:
         )
     table = _on_grid(_at_rate(table, fps))
     return _without_slips(table, clocked=clocked) if _can_find_slips(table.data) else table  # else the smoother reports
+
+
+def _unmeasured(data: TableData) -> tuple[Mask, str]:
+    """Return which rows (n,) hold no measured position, and what is said of them."""
+    if data.x is None:
+        return np.zeros(len(data.t), dtype=bool), ""
+    if np.any(lost := sampling.placeholders(data.x)):
+        count = sampling.count_text(int(np.sum(lost)), "row holds", "rows hold")
+        return lost, f"{count} {float(data.x[lost][0]):.6g} instead of a position: left out"
+    even = sampling.is_even(data.t) and not np.any(sampling.unusual_steps(data.t))
+    if not even or data.of_speeds or data.friction is not None:  # which is measured in every row
+        return lost, ""
+    if np.any(lost := sampling.interpolated(data.x)):
+        return lost, _left_out("lie on straight lines", len(lost) / np.sum(~lost), "interpolated")
+    step, rows = sampling.independent_step(data.x), np.arange(len(data.x))
+    if step > 1:  # smoothing bends the ends
+        lost = (rows % step > 0) | (np.minimum(rows, rows[::-1]) < BENT_ENDS * step)
+    return lost, _left_out("hold no noise", step, "smoothed or interpolated")
+
+
+def _left_out(words: str, every: float, done: str) -> str:
+    """Say that another program made the rows between every so many."""
+    return (
+        f"the positions {words} between every {every:.0f} rows: another program {done} them; the rows between are left "
+        "out; give the positions as they were measured"
+    )
 
 
 def _rounding(data: TableData) -> float:

@@ -20,6 +20,10 @@ DIFFERENCE_ORDER = 5
 FALLBACK_ORDER = 3  # used where missing frames leave less than half as many fifth as third differences
 HIGHER_ORDERS, FALL_SIGMAS = (8, 12, 16, 24), 3.0  # tried while the level falls by more than its deviations
 MIN_HIGHER = 64  # differences of a higher order
+SMOOTH_RISE = 2.0**2.5  # of the noise over twice the rows: halfway between a white force and smooth rows
+STILL_RISE = 2.0  # where rows were smooth, and further ones are not independent yet
+MIN_INDEPENDENT, MAX_NOISE_SHARE = 32, 0.02  # rows that are left; of their steps: more is a motion back and forth
+N_PREDICTORS, N_PREDICTED, MIN_SURPRISE = 8, 40, 0.5  # rows before; rows; of the noise that these do not predict
 OUTLIER_SIGMAS = 6.0  # robust standard deviations beyond which a difference belongs to an impact
 MAX_GAP_SHARE, MAX_UNEVENNESS = 0.2, 0.01  # of the intervals, that differ from the usual one by more of it
 
@@ -131,6 +135,38 @@ def noise_of_smooth(x: Array, t: Array | None = None) -> tuple[float, float]:
 def white_noise(x: Array, valid: Mask | None = None) -> float:
     """Estimate the white noise of a series (n,), as `noise_level`, by default of its finite values; 0 if that fails."""
     return float(np.nan_to_num(noise_level(x, np.isfinite(x) if valid is None else valid)[0]))
+
+
+def independent_step(x: Array) -> int:
+    """Find from how many rows on positions (n,) are independent, where another program smoothed or interpolated them.
+
+    Their white noise s_k, as every k-th row shows it, rises as k^(order of the differences) while the rows between are
+    smooth; that of measured positions hardly does, and that of an integrated white force as k^1.5. Computed positions
+    without any noise rise so, too, but each follows from those before. Returns a power of two, 1 where all rows count.
+
+    Examples
+    --------
+    >>> from scipy.interpolate import make_interp_spline
+    >>> t = np.linspace(0.0, 1.0, 1000)
+    >>> x = t - t**2 / 4 + 1e-5 * np.random.default_rng(0).standard_normal(1000)
+    >>> independent_step(x), independent_step(make_interp_spline(t[::4], x[::4])(t))
+    (1, 4)
+
+    """
+    step, level, rise = 1, white_noise(x), SMOOTH_RISE
+    while len(x) >= 2 * step * MIN_INDEPENDENT and (wider := white_noise(x[:: 2 * step])) > rise * level:
+        step, level, rise = 2 * step, wider, STILL_RISE
+    if step == 1 or level > MAX_NOISE_SHARE * np.median(np.abs(np.diff(x[::step]))):
+        return 1
+    bends = np.diff(x[::step], 2)
+    hit = np.abs(bends - np.median(bends)) > OUTLIER_SIGMAS * robust_std(bends)
+    rows, hit = (np.lib.stride_tricks.sliding_window_view(q, N_PREDICTORS + 1) for q in (bends, hit))
+    if len(rows := rows[~np.any(hit, axis=1)]) < MIN_INDEPENDENT // 2:
+        return 1
+    parts = np.array_split(rows, max(len(rows) // N_PREDICTED, 1))  # the frequency of a vibration changes slowly
+    left = [p[:, -1] - p[:, :-1] @ np.linalg.lstsq(p[:, :-1], p[:, -1])[0] for p in parts]
+    surprise = robust_std(np.concatenate(left)) / np.sqrt(1 - len(parts) * N_PREDICTORS / len(rows))
+    return step if surprise > MIN_SURPRISE * level else 1
 
 
 def difference_order(many: int, few: int) -> int:

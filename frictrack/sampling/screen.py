@@ -303,6 +303,8 @@ MAX_LISTED_FRAMES = 8  # frames that a finding names
 MIN_ROWS = 8  # known rows that can be checked
 MIN_NOISE_CORRELATION = 0.9  # correlation of the noise of two records of the same measurement
 MIN_LEAP_STEPS, MAX_RETURN_STEPS = 10.0, 3.0  # usual steps: of a leap to a placeholder; of the course under it, per row
+MAX_INTERPOLATED, MIN_KEPT = 50, 10  # rows from one measured row to the next; measured rows
+MAX_BEND_SHARE, NEARLY_ALL = 0.05, 0.99  # of the bends at measured rows: those between them, but for few
 MIN_COMMON_SHARE = 0.5  # of the shorter record that both must hold
 MIN_COMMON_ROWS = 32  # rows that both must hold
 CLIP_SIGMAS = 4.0  # robust deviations at which a difference is clipped: an outlier must not make two records agree
@@ -334,6 +336,33 @@ def placeholders(x: Array) -> Mask:
         if leaps and abs(inward + outward) <= MAX_RETURN_STEPS * near * (stop - first + 1):
             lost[x == x[first]] = True
     return lost
+
+
+def interpolated(x: Array) -> Mask:
+    """Find rows that lie on straight lines between every u-th row: another program put them there.
+
+    `x` (n,): positions at even times. Returns a mask (n,).
+
+    Examples
+    --------
+    >>> measured = np.sin(np.arange(13.0))
+    >>> x = np.interp(np.arange(49) / 4, np.arange(13), measured)
+    >>> bool(np.all(x[~interpolated(x)] == measured))
+    True
+
+    """
+    bends, rows = np.abs(np.diff(x, 2)), np.arange(1, len(x) - 1)
+    first = int(np.argmax(bends)) + 1 if len(bends) else 0
+    for every in range(min(MAX_INTERPOLATED, len(x) // MIN_KEPT), 1, -1):
+        kept = (np.arange(len(x)) - first) % every == 0
+        ends, between = bends[kept[rows]], bends[~kept[rows]]
+        slopes = np.diff(x[kept])
+        if (
+            np.quantile(between, NEARLY_ALL) < MAX_BEND_SHARE * np.median(ends)
+            and len(np.unique(slopes)) > len(slopes) / 2  # counts that change at every u-th row have few of them
+        ):
+            return ~kept
+    return np.zeros(len(x), dtype=bool)
 
 
 def screened(displacement: Displacement, numbers: Rows | None = None) -> Displacement:
