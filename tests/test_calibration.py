@@ -92,7 +92,7 @@ def test_parse_scale(scale, pitch, relative):
     ("scale", "said"),
     [
         (None, 'expected a scale but got none; give scale = "0.5 mm/px"'),
-        ("0 mm/px", "expected a scale above 0 m/px but got 0 m/px"),
+        ("0 mm/px", "expected the scale above 0 m/px but got '0 mm/px'"),
         ("0.5 mm", "expected the scale as a quantity in m/px but got"),
         ({"points": [[1, 1], [1, 1]], "length": "1 m"}, "expected two different points"),
         ({"points": [[1, 1]], "length": "1 m"}, "expected two points"),

@@ -15,7 +15,7 @@ from frictrack.effects import LIBRARY
 from frictrack.fit.least_squares import fit_with_scatter
 from frictrack.flow import propose_study
 from frictrack.measure.friction import count_flights, drive_noise, free_section, impact
-from frictrack.measure.tables import with_even_clock
+from frictrack.measure.table_clock import with_even_clock
 from frictrack.records import Array
 from frictrack.simulate.dynamics import Panels, directions, solve_motion
 from frictrack.study import TableData, open_table, read_frame, read_table
@@ -100,7 +100,7 @@ def test_a_gap_and_another_rate_within_a_swing_are_neither_rounding_nor_an_impac
     t = np.arange(0, 8, 2e-3)
     x = noisy(swing(t))
     there = (t < 4) | (t > 5)
-    assert len(with_even_clock(TableData(t[there], x[there])).data.t) == np.sum(there)
+    assert len(with_even_clock(TableData(t[there], x[there])).t) == np.sum(there)
     slower = (t < 4) | (np.arange(len(t)) % 5 == 0)
     run = ft.Run.from_arrays(t[slower], x[slower], mass=MASS)
     assert impact(run) == ""
@@ -130,7 +130,7 @@ def test_a_value_that_stands_for_no_position_is_left_out(value: float) -> None:
     x[100:130] = x[300:302] = value
     table = with_even_clock(TableData(t, x))
     assert table.numbers.tolist() == [*range(100), *range(130, 300), *range(302, 500)]
-    assert table.data.notes == (f"32 rows hold {value:g} instead of a position: left out",)
+    assert table.notes == (f"32 rows hold {value:g} instead of a position: left out",)
 
 
 def test_coarse_positions_at_rest_and_after_a_jump_stand_for_themselves() -> None:

@@ -83,7 +83,7 @@ def refused(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str]
         ("--mass 350g --scale 0.5mm/px --fps 4", "--fps 4 lies outside 5 to 1e+07 frames per second; if kHz"),
         ("--mass abc --scale 0.5mm/px", 'expected mass as a quantity in kg but got "abc"'),
         ("--mass 0 --scale 0.5mm/px", "expected mass above 0 kg but got '0'"),
-        ("--mass 350g --scale 0", "expected a scale above 0 m/px but got 0 m/px"),
+        ("--mass 350g --scale 0", "expected the scale above 0 m/px but got '0'"),
         ("--scale 0.5mm/px", "expected --mass together with recordings"),
         ("--mass 350g", "expected --scale together with recordings"),
     ],
@@ -274,7 +274,7 @@ def test_a_folder_stands_for_its_recordings(capsys: pytest.CaptureFixture[str]) 
     assert "b.avi: expected a film but the file cannot be read as one" in err
     Path("tables/b.avi").unlink()
     _, err = refused(capsys, "run tables --mass 350g --scale 0")
-    assert "expected a scale above 0" in err
+    assert "expected the scale above 0" in err
 
 
 def test_init_lists_what_it_found_and_what_it_left_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -81,7 +81,7 @@ def test_a_value_is_echoed_as_it_was_read(key: str, typed: Any, echo: str) -> No
         ("mass", "heavy", "expected mass as a quantity in kg"),
         ("mass", "3 mm", "measures something else"),
         ("scale", "0.5", 'if mm were meant give scale = "0.5 mm/px"'),
-        ("scale", "0 mm/px", "expected a scale above 0 m/px"),
+        ("scale", "0 mm/px", "expected the scale above 0 m/px"),
         ("scale", "0.5 kg", "measures something else"),
         ("fps", "0", "expected fps above 0 Hz"),
         ("fps", "-4000", "expected fps above 0 Hz"),

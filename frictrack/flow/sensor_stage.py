@@ -40,7 +40,7 @@ def read_sensors(pipeline: RunPipeline, displacement: Displacement) -> Sensors:
     if run.table:
         own = study.read_run_table(run)
         if any(column is not None for column in (own.drive, own.friction, own.a)):
-            reader.add_own_columns(measure.tables.with_even_clock(own).data, run.table.name)
+            reader.add_own_columns(measure.table_clock.with_even_clock(own), run.table.name)
     if run.drive is not None:
         short = {"table": run.drive} if isinstance(run.drive, Path) else {"force": run.drive}
         reader.add_drive(run.drive if isinstance(run.drive, dict) else short)

@@ -1,7 +1,8 @@
 """From a track or a table to the motion and the friction force of a run.
 
 calibration   pixels -> metres: scale, plane, lens, reference point
-tables        measured columns -> displacement with a checked clock
+table_clock   measured columns -> the same on an even clock
+tables        columns on an even clock -> displacement and run
 motion        displacement -> smoothed x, v, a with their deviations
 sensors       other instruments on the clock of the film
 repairing     spans of a track that are tracked again or left out
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         plausibility,
         repairing,
         sensors,
+        table_clock,
         tables,
     )
 

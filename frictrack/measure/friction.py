@@ -11,12 +11,12 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frictrack.base.errors import FrictrackError
+from frictrack.base.errors import FrictrackError, result_or_none
 from frictrack.measure.motion import CorrelatedNoise, NoiseStretch, correlated_noise
 from frictrack.records import Array, EarlierRuns, Friction, Mask, Run, RunEvents, mask_of_spans, stretches
 from frictrack.sampling import noise_of_smooth, white_noise
@@ -84,15 +84,14 @@ def free_section(run: Run) -> tuple[Mask, str]:
         t = run.motion.t
         mask = valid & (t >= run.free[0]) & (t <= run.free[1])
         reason = f"{run.free[0]:g} s to {run.free[1]:g} s as given"
-    elif has_measured_force(run):
+    elif (section := _section(run)) is None:
         mask = valid & moving
         measured = "drive" if run.friction_N is None else "friction"
         stuck = int(np.sum(valid & ~moving))
         reason = f"whole record ({measured} is measured), {stuck} of {len(valid)} frames left out as stuck"
     else:
-        section = _section(run)
-        reason = section.reason
         mask = valid & moving & ~_events_at_ends(run) & mask_of_spans(section.flights, len(valid))
+        reason = section.reason
     if np.sum(mask) < MIN_FREE_FRAMES:
         raise FrictrackError(
             f'run "{run.name}": expected at least {MIN_FREE_FRAMES} free frames but got {np.sum(mask)} ({reason}); '
@@ -103,9 +102,8 @@ def free_section(run: Run) -> tuple[Mask, str]:
 
 def release_time(run: Run) -> float:
     """Time of the highest speed of a pushed run, of the first motion on an incline, or else of the first free frame."""
-    if run.free is None and not has_measured_force(run):
-        return float(run.motion.t[_section(run).release])
-    return float(run.motion.t[np.argmax(free_section(run)[0])])
+    section = _section(run)
+    return float(run.motion.t[np.argmax(free_section(run)[0]) if section is None else section.release])
 
 
 def moving_sections(run: Run) -> list[slice]:
@@ -152,12 +150,11 @@ def join_swings(run: Run, spans: Sequence[slice]) -> list[tuple[slice, float]]:
     """
     out: list[tuple[slice, float]] = []
     for span in spans:
-        pull = _swing_acceleration(run, out[-1][0], span) if out else None
-        if pull is None:
-            out.append((span, 0.0))
+        if out and (pull := _swing_acceleration(run, out[-1][0], span)) is not None:
+            before, gain = out.pop()
+            out.append((slice(before.start, span.stop), max(gain, pull * _interval(run))))
         else:
-            before, gain = out[-1]
-            out[-1] = slice(before.start, span.stop), max(gain, pull * _interval(run))
+            out.append((span, 0.0))
     return out
 
 
@@ -186,27 +183,19 @@ def impact(run: Run) -> str:
     'the mass hits something at 0.59 s, which turns its velocity from 1.3 to -0.802 m/s'
 
     """
-    if run.free is not None or has_measured_force(run):
+    section = _section(run)
+    if section is None or section.impact is None:
         return ""
-    section, (start, stop) = _section(run), _main_motion(run)
-    bounces = [one for one in section.bounces if start < one.before]
-    bounce = bounces[0] if bounces else None
-    hit = _impact(run, max(start, section.flights[0][0]), stop)
-    rows = [*(() if hit is None else hit[:1]), *(() if bounce is None else (bounce.before,))]
-    if not rows:
-        return ""
-    consequence, flights = "takes at least half of its velocity", len(section.flights)
-    if bounce and bounce.before <= min(rows) + _filter_frames(run):
-        consequence = f"turns its velocity from {bounce.v_before:.3g} to {bounce.v_after:.3g} m/s"
-    judged = "before that"
+    consequence, judged, flights = "takes at least half of its velocity", "before that", len(section.flights)
+    if section.bounces and section.bounces[0].before <= section.impact + _filter_frames(run):
+        consequence = "turns its velocity from {:.3g} to {:.3g} m/s".format(*section.bounces[0].v)
     if flights > 1:
-        restitution = np.median([abs(one.v_after / one.v_before) for one in bounces])
+        restitution = np.median([abs(one.v[1] / one.v[0]) for one in section.bounces])
         judged = (
             f"in the {flights} flights between its bounces, which have a restitution coefficient of {restitution:.2g}"
         )
-    return (
-        f"the mass hits something at {run.motion.t[min(rows)]:.4g} s, which {consequence}; friction is judged {judged}"
-    )
+    at = run.motion.t[section.impact]
+    return f"the mass hits something at {at:.4g} s, which {consequence}; friction is judged {judged}"
 
 
 def friction(run: Run) -> Friction:
@@ -269,12 +258,11 @@ def friction(run: Run) -> Friction:
 
 def _between_samples(known: Mask) -> Mask:
     """Frames (n,) of a measured force, and those between two samples that follow one another."""
-    rows = np.arange(len(known))
-    if np.sum(known) < 2:
-        return known
-    before = np.maximum.accumulate(np.where(known, rows, -len(rows)))
-    after = np.minimum.accumulate(np.where(known, rows, 2 * len(rows))[::-1])[::-1]
-    return np.asarray(after - before <= np.quantile(np.diff(rows[known]), USUAL_SHARE))
+    at, between = np.flatnonzero(known), known.copy()
+    if len(at) > 1:
+        steps = np.diff(at)
+        between[at[0] : at[-1]] |= np.repeat(steps <= np.quantile(steps, USUAL_SHARE), steps)
+    return between
 
 
 def drive_noise(run: Run) -> float:
@@ -325,10 +313,8 @@ def is_moving(run: Run) -> Mask:
     moves = np.abs(v) > MIN_MOVING_SIGMAS * run.motion.sigma_v
     for gap in stretches(~moves):  # a frame is lost there: the mass does not rest
         if gap.start > 0 and gap.stop < len(v) and gap.stop - gap.start < MIN_REST_FRAMES:
-            around = v[[gap.start - 1, gap.stop]]
-            moves[gap] = np.min(v[gap] * np.sign(around[0])) > MIN_SHARE_OF_NEIGHBOURS * np.max(
-                around * np.sign(around[0])
-            )
+            onward = v[gap.start - 1 : gap.stop + 1] * np.sign(v[gap.start - 1])
+            moves[gap] = np.min(onward[1:-1]) > MIN_SHARE_OF_NEIGHBOURS * max(onward[0], onward[-1])
     return np.asarray(moves)
 
 
@@ -343,28 +329,34 @@ def split_by_direction(run: Run, spans: Sequence[slice]) -> list[slice]:
 
 def count_flights(run: Run) -> int:
     """Number of free flights of a run: one more with every bounce that is followed; 1 with a measured force."""
-    return 1 if run.free is not None or has_measured_force(run) else len(_section(run).flights)
+    section = _section(run)
+    return 1 if section is None else len(section.flights)
 
 
 @dataclass(frozen=True)
 class _Section:
-    """First and last frame of every free flight, the frame of release, why they are these, and the bounces."""
+    """First and last frame of every free flight, frames of release and first impact, why these, and the bounces."""
 
     flights: tuple[tuple[int, int], ...]
     release: int
+    impact: int | None
     reason: str
     bounces: list[_Bounce]
 
 
-def _section(run: Run) -> _Section:
-    """Free flights of a run that coasts or slides down an incline."""
+def _section(run: Run) -> _Section | None:
+    """Free flights of a run that coasts or slides down an incline; None where a force was measured or `free` given."""
+    if run.free is not None or has_measured_force(run):
+        return None
     bounces, (start, stop) = _bounces(run), _main_motion(run)
     first, release, begins = _find_begin(run, start, stop)
-    last, ends = _find_end(run, first, stop, bounces)
+    last, ends, hits = _find_end(run, first, stop, bounces)
     more = tuple(_flights_after_bounces(run, stop, bounces))
     if more:
         ends += f", and {len(more)} flights after bounces, to {run.motion.t[more[-1][1]]:.4g} s"
-    return _Section(((first, last), *more), release, f"from {begins} to {ends}", bounces)
+    bounces = [one for one in bounces if start < one.before]
+    impact = min([*hits, *(one.before for one in bounces[:1])], default=None)
+    return _Section(((first, last), *more), release, impact, f"from {begins} to {ends}", bounces)
 
 
 def _flights_after_bounces(run: Run, stop: int, bounces: Sequence[_Bounce]) -> Iterator[tuple[int, int]]:
@@ -372,46 +364,39 @@ def _flights_after_bounces(run: Run, stop: int, bounces: Sequence[_Bounce]) -> I
 
     The last one ends where a further bounce would be that the noise hides.
     """
-    motions = [motion for motion, _ in join_swings(run, _motions(run))] if bounces else []
+    motions = _motions(run, joined=True) if bounces else []
     for bounce, following in zip(bounces, [*bounces[1:], None], strict=False):  # of no bounces, no pair
         event = _event(run, bounce.after)
         first = event[1] + EVENT_REACH_FRAMES if event else bounce.after + _filter_frames(run)
         moves = next((motion.stop - 1 for motion in motions if motion.stop > first), first)
         end = min(stop if run.has_incline else moves, bounce.following) if following is None else following.after
-        if end - first < MIN_FREE_FRAMES:
-            continue
-        last, _ = _find_end(run, first, end, bounces)
+        last = _find_end(run, first, end, bounces)[0] if end - first >= MIN_FREE_FRAMES else first
         if last - first >= MIN_FREE_FRAMES:
             yield first, last
 
 
 def _main_motion(run: Run) -> tuple[int, int]:
     """First and last valid frame of the motion to use: across reversals on an incline, else the fastest part."""
-    valid, speed = run.displacement.valid, np.abs(run.motion.v)
-    motions = _motions(run)
+    valid, motions = run.displacement.valid, _motions(run, joined=True)
     if not motions:
         raise FrictrackError(
             f'run "{run.name}": expected a sliding target but its speed never exceeds {MIN_MOTION_SIGMAS:g} standard '
             "deviations; check the target, or give the free section as free = [t0, t1]"
         )
-    motions = [motion for motion, _ in join_swings(run, motions)]
     # a wrong sample at an end of the record looks like the fastest motion of all
-    compared = np.where(valid & ~_events_at_ends(run), speed, 0.0)
+    compared = np.where(valid & ~_events_at_ends(run), np.abs(run.motion.v), 0.0)
     fastest = max(motions, key=lambda s: float(np.max(compared[s])))
     chosen = (motions[0].start, motions[-1].stop) if run.has_incline else (fastest.start, fastest.stop)
     inside = np.flatnonzero(valid[slice(*chosen)]) + chosen[0]
     return int(inside[0]), int(inside[-1])
 
 
-def _motions(run: Run) -> list[slice]:
-    """Spans in which the mass moves."""
-    return [s for s in stretches(is_moving(run) | ~run.displacement.valid) if is_motion(run, s)]
-
-
-def is_motion(run: Run, s: slice) -> bool:
-    """Whether the velocity in a span significantly differs from zero somewhere."""
-    significant = np.abs(run.motion.v[s]) > MIN_MOTION_SIGMAS * run.motion.sigma_v[s]
-    return bool(np.any(significant & run.displacement.valid[s]))
+def _motions(run: Run, *, joined: bool) -> list[slice]:
+    """Spans with a velocity that significantly differs from zero: joined across swings, or each of one direction."""
+    spans = stretches(is_moving(run) | ~run.displacement.valid)
+    significant = run.displacement.valid & (np.abs(run.motion.v) > MIN_MOTION_SIGMAS * run.motion.sigma_v)
+    found = [s for s in (spans if joined else split_by_direction(run, spans)) if np.any(significant[s])]
+    return [span for span, _ in join_swings(run, found)] if joined else found
 
 
 def _find_begin(run: Run, start: int, stop: int) -> tuple[int, int, str]:
@@ -450,20 +435,18 @@ def _is_let_go(run: Run, start: int, fastest: int, stop: int) -> bool:
     return bool(abs(pushed) < MAX_PUSHED_SHARE * abs(v[fastest - start]))
 
 
-def _find_end(run: Run, first: int, stop: int, bounces: Sequence[_Bounce]) -> tuple[int, str]:
-    """Last free frame, and the reason."""
+def _find_end(run: Run, first: int, stop: int, bounces: Sequence[_Bounce]) -> tuple[int, str, list[int]]:
+    """Last free frame, the reason, and the first frames of impacts."""
     t, filter_frames = run.motion.t, _filter_frames(run)
     rows = [bounce.before for bounce in bounces if first < bounce.before <= stop]
-    hit = _impact(run, first, stop)
-    impact_row = min(rows if hit is None else [hit[0], *rows], default=None)
-    if impact_row is not None:
-        why, event = f"an impact at {t[impact_row]:.4g} s", _event(run, impact_row)
-        if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
-            return min(event[0] - EVENT_REACH_FRAMES, stop), why
-        return max(impact_row - filter_frames, first), f"{why} less {filter_frames} frames for the filter"
-    if stop == np.flatnonzero(run.displacement.valid)[-1]:
-        return stop, f"the last valid frame at {t[stop]:.4g} s"
-    return stop, f"the last moving frame at {t[stop]:.4g} s"
+    rows += (_impact(run, first, stop) or ())[:1]
+    if not rows:
+        kind = "valid" if stop == np.flatnonzero(run.displacement.valid)[-1] else "moving"
+        return stop, f"the last {kind} frame at {t[stop]:.4g} s", rows
+    why, event = f"an impact at {t[min(rows)]:.4g} s", _event(run, min(rows))
+    if event and event[0] - EVENT_REACH_FRAMES > first:  # an event is not smeared into the slide
+        return min(event[0] - EVENT_REACH_FRAMES, stop), why, rows
+    return max(min(rows) - filter_frames, first), f"{why} less {filter_frames} frames for the filter", rows
 
 
 def _filter_frames(run: Run) -> int:
@@ -489,11 +472,10 @@ def _events_at_ends(run: Run) -> Mask:
 
 def _lost_frame_spikes(run: Run, start: int, stop: int) -> Mask:
     """Frames (n,) whose speed appears and disappears at once: lost frames, not pushes."""
-    speed, window = np.abs(run.motion.v), _impact_frames(run)
+    speed, (window, _, sudden) = np.abs(run.motion.v), _impact_scales(run, start, stop)
     i = np.arange(len(speed))
     neighbour_speed = np.maximum(speed[np.maximum(i - window, start)], speed[np.minimum(i + window, stop)])
-    is_sudden = speed - neighbour_speed > _sudden_speed_loss(run, start, stop)
-    return np.asarray((neighbour_speed < PUSH_SPEED_SHARE * speed) & is_sudden)
+    return np.asarray((neighbour_speed < PUSH_SPEED_SHARE * speed) & (speed - neighbour_speed > sudden))
 
 
 def _interval(run: Run) -> float:
@@ -501,19 +483,14 @@ def _interval(run: Run) -> float:
     return float(np.median(np.diff(run.motion.t)))
 
 
-def _impact_frames(run: Run) -> int:
-    """Frames within which an impact takes half of the speed in low-passed data."""
-    return max(round(IMPACT_TIME_S / _interval(run)), 2 * _filter_frames(run))
+def _impact_scales(run: Run, first: int, stop: int) -> tuple[int, float, float]:
+    """Frames in which an impact takes half of the speed of low-passed data, and what sliding in a span cannot cause.
 
-
-def _impact_acceleration(run: Run, first: int, stop: int) -> float:
-    """Acceleration from which on a span contains an impact, m/s^2."""
-    return IMPACT_RATIO * float(np.median(np.abs(run.motion.a[first : stop + 1])))
-
-
-def _sudden_speed_loss(run: Run, first: int, stop: int) -> float:
-    """Loss of speed within the frames of an impact that sliding cannot cause, m/s."""
-    return _impact_acceleration(run, first, stop) * _impact_frames(run) * _interval(run) / 2.0
+    That is an acceleration, m/s^2, and the speed (m/s) that it takes within these frames.
+    """
+    frames = max(round(IMPACT_TIME_S / _interval(run)), 2 * _filter_frames(run))
+    acceleration = IMPACT_RATIO * float(np.median(np.abs(run.motion.a[first : stop + 1])))
+    return frames, acceleration, acceleration * frames * _interval(run) / 2.0
 
 
 def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
@@ -522,7 +499,7 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     Speed that returns soon after was not lost; a frame was. A swing that decays turns faster than it does on average.
     """
     t, v, a = run.motion.t, run.motion.v, np.abs(run.motion.a)
-    window, interval = _impact_frames(run), _interval(run)
+    (window, impact_acceleration, sudden), interval = _impact_scales(run, first, stop), _interval(run)
     i = np.arange(first, min(stop + 1, len(v) - 1))
 
     def speeds(frames: int) -> Array:  # of the frame so many usual intervals later: the rate may change
@@ -533,13 +510,12 @@ def _impact(run: Run, first: int, stop: int) -> tuple[int, int] | None:
     speed_before = np.min([np.abs(speeds(-k)) for k in offsets], axis=0)
     speed_after = np.max([speeds(window + k) for k in offsets], axis=0)
     loss = speed_before - speed_after
-    hits = i[(loss > 0.5 * speed_before) & (loss > _sudden_speed_loss(run, first, stop)) & ~_events_at_ends(run)[i]]
-    around = [(max(k - 2 * window, first), min(k + 3 * window, stop)) for k in hits]
-    hits = hits[[loss[k - first] > _sudden_speed_loss(run, *span) for k, span in zip(hits, around, strict=True)]]
-    if len(hits) == 0:
+    hits = i[(loss > 0.5 * speed_before) & (loss > sudden) & ~_events_at_ends(run)[i]]
+    around = ((k, max(k - 2 * window, first), min(k + 3 * window, stop)) for k in hits)
+    hit = next((k for k, *span in around if loss[k - first] > _impact_scales(run, *span)[2]), None)
+    if hit is None:
         return None
-    hardest = hits[0] + int(np.argmax(a[hits[0] : hits[0] + 2 * window]))
-    quiet = a <= _impact_acceleration(run, first, stop)
+    hardest, quiet = hit + int(np.argmax(a[hit : hit + 2 * window])), a <= impact_acceleration
     before, after = np.flatnonzero(quiet[first:hardest]), np.flatnonzero(quiet[hardest:])
     begins = first + before[-1] if len(before) else first
     return int(begins), int(hardest + after[0]) if len(after) else len(a) - 1
@@ -552,39 +528,30 @@ class _Bounce:
     `before` and `after` are the last and the first frame of free flight, `following` the next reversal of its sense.
     """
 
-    v_before: float
-    v_after: float
+    v: tuple[float, float]
     before: int
     after: int
     following: int
 
 
-@dataclass(frozen=True)
-class _Side:
-    """Parabola through the positions on one side of a reversal, the variance of its slope there, and the noise."""
+def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> tuple[np.poly1d, float, float]:
+    """Parabola through positions (n,), m, from a reversal at 0 s, but the nearest eighth; variance of its slope, noise.
 
-    c: Array
-    slope_variance: float
-    noise: float
-
-
-def _parabola(t: Array, x: Array, usable: Mask, resolution: float) -> _Side | None:
-    """Fit a parabola to positions (n,), m, at times (n,), s, from a reversal at 0, but to the eighth nearest to it."""
+    Infinite where there are too few positions.
+    """
     use = usable & (np.abs(t) > np.max(np.abs(t)) / 8)
     if np.sum(use) < MIN_FREE_FRAMES:
-        return None
+        return np.poly1d(0.0), np.inf, np.inf
     c, covariance = np.polyfit(t[use], x[use], 2, cov="unscaled")
     variance = np.sum((x[use] - np.polyval(c, t[use])) ** 2) / (np.sum(use) - 3)
     variance = max(float(variance), resolution**2 / 12)
-    return _Side(c, float(covariance[1, 1]) * variance, float(np.sqrt(variance)))
+    return np.poly1d(c), float(covariance[1, 1]) * variance, float(np.sqrt(variance))
 
 
 def _bounces(run: Run) -> list[_Bounce]:
     """Find the bounces of a run: reversals at which its way has a kink."""
     v = run.motion.v
-    spans = split_by_direction(run, stretches(is_moving(run) | ~_is_measured(run)))
-    moves = [part for part in spans if is_motion(run, part)]
-    turns = []
+    moves, turns = _motions(run, joined=False), []
     for before, after in pairwise(moves):
         sign = np.sign(v[before.stop - 1])
         if sign != np.sign(v[after.start]):
@@ -603,39 +570,31 @@ def _bounce(run: Run, low: int, turn: int, high: int, following: int) -> _Bounce
     cross, their slopes differ by the blow. No smooth curve of as many parameters describes the way as well, as it does
     that of a swing. Smoothed velocities do not tell it in coarse records.
     """
-    x, t, usable = run.displacement.x, run.motion.t - run.motion.t[turn], _is_measured(run)
+    x, t, usable = run.displacement.x, run.motion.t - run.motion.t[turn], run.displacement.known
     rows = [np.arange((low + turn) // 2, turn + 1), np.arange(turn, (turn + high) // 2 + 1)]
-    sides = [side for r in rows if (side := _parabola(t[r], x[r], usable[r], run.displacement.resolution)) is not None]
-    roots = np.roots(sides[1].c - sides[0].c) if len(sides) == len(rows) else np.zeros(0)
+    found = [_parabola(t[r], x[r], usable[r], run.displacement.resolution) for r in rows]
+    sides, variances, noises = zip(*found, strict=True)
+    roots = (sides[1] - sides[0]).roots if np.isfinite(noises).all() else np.zeros(0)
     roots = roots[np.isreal(roots)].real
     if not len(roots):
         return None
     crossing = roots[np.argmin(np.abs(roots))]
-    v_before, v_after = (float(np.polyval(np.polyder(side.c), crossing)) for side in sides)
-    is_blow = abs(v_after - v_before) > MIN_BOUNCE_SIGMAS * np.sqrt(sum(side.slope_variance for side in sides))
+    before, after = (float(side.deriv()(crossing)) for side in sides)
+    is_blow = before * after < 0 and abs(after - before) > MIN_BOUNCE_SIGMAS * np.sqrt(sum(variances))
     is_near = abs(crossing) < min(-t[rows[0][0]], t[rows[1][-1]]) / 4
-    if not (v_before * v_after < 0 and is_blow and is_near and _is_kinked(t, x, sides, rows, usable)):
-        return None
-    last, first = (
-        r[np.abs(x[r] - np.polyval(side.c, t[r])) < MIN_MOVING_SIGMAS * side.noise]
-        for r, side in zip(rows, sides, strict=True)
-    )
-    return _Bounce(v_before, v_after, int(last[-1]), int(first[0]), following)
-
-
-def _is_measured(run: Run) -> Mask:
-    return np.asarray(run.displacement.valid & np.isfinite(run.displacement.x))
-
-
-def _is_kinked(t: Array, x: Array, sides: Sequence[_Side], rows: Sequence[NDArray[Any]], usable: Mask) -> bool:
-    """Whether two parabolas describe positions, of a reversal at 0, better than one polynomial of degree 5 does."""
     both = np.concatenate([rows[0][:-1], rows[1]])
     both = both[usable[both]]
     with warnings.catch_warnings(action="ignore", category=np.exceptions.RankWarning):
         smooth = np.polyval(np.polyfit(t[both], x[both], 5), t[both])
-    parabolas = np.where(t[both] < 0, *(np.polyval(side.c, t[both]) for side in sides))
+    parabolas = np.where(t[both] < 0, *(side(t[both]) for side in sides))
     gain = np.sum((x[both] - smooth) ** 2 - (x[both] - parabolas) ** 2)
-    return bool(gain > (MIN_BOUNCE_SIGMAS * max(side.noise for side in sides)) ** 2)
+    if not (is_blow and is_near and gain > (MIN_BOUNCE_SIGMAS * max(noises)) ** 2):
+        return None
+    last, first = (
+        r[np.abs(x[r] - side(t[r])) < MIN_MOVING_SIGMAS * noise]
+        for r, side, noise in zip(rows, sides, noises, strict=True)
+    )
+    return _Bounce((before, after), int(last[-1]), int(first[0]), following)
 
 
 def find_events(run: Run) -> RunEvents:
@@ -664,10 +623,10 @@ def find_events(run: Run) -> RunEvents:
     """
     t, v = run.motion.t, run.motion.v
     least = MIN_DISTANCE_SIGMAS * float(np.nanmedian(run.displacement.sigma_x))  # more than the noise of the position
-    spans = split_by_direction(run, stretches(is_moving(run) | ~run.displacement.valid))
-    motions = [s for s in spans if is_motion(run, s) and np.ptp(run.motion.x[s]) > least]
-    release = _release(run)
-    found: list[tuple[str, int, int]] = []  # kind, first and last frame
+    motions = [s for s in _motions(run, joined=False) if np.ptp(run.motion.x[s]) > least]
+    section = result_or_none(_section, run)
+    release = section.release if section else 0
+    found = [("release", release, release)] if release else []  # kind, first and last frame
     if motions and motions[0].start > MIN_REST_FRAMES:
         found.append(("start", motions[0].start - 1, motions[0].start))
     for before, after in pairwise(motions):
@@ -678,48 +637,20 @@ def find_events(run: Run) -> RunEvents:
             found += [("stop", ends, ends + 1), ("start", after.start - 1, after.start)]
     if motions and motions[-1].stop < len(t) - 1:
         found.append(("stop", motions[-1].stop - 1, motions[-1].stop))
-    found += _impacts(run, motions, -np.inf if release is None else release)
-    events = [("release", release, release)] if release is not None else []
-    events += [(kind, float(t[i]), float(t[j])) for kind, i, j in found]
-    rests = _rests(run, motions)
-    spans_of_rests = tuple((float(t[s.start]), float(t[s.stop - 1])) for s in rests)
-    return RunEvents(tuple(sorted(events, key=lambda e: e[1])), spans_of_rests, _noise(run, rests))
-
-
-def _release(run: Run) -> float | None:
-    """Time of the release of a run without a measured force, s, if it lies after the first frame."""
-    if run.free is not None or has_measured_force(run):
-        return None
-    try:
-        at = release_time(run)
-    except FrictrackError:
-        return None
-    return at if at > run.motion.t[0] else None
-
-
-def _impacts(run: Run, motions: list[slice], after: float) -> list[tuple[str, int, int]]:
-    """The bounces and, of every motion, the first sudden loss of speed that does not stop it, both after a time."""
-    out = [("impact", one.before, one.after) for one in _bounces(run)]
-    begin = int(np.searchsorted(run.motion.t, after))
-    for s in motions:
-        hit = _impact(run, max(s.start, begin), s.stop - 1) if begin < s.stop else None
-        if hit and hit[1] + EDGE_FRAMES < s.stop:
-            out.append(("impact", *hit))
-    return [one for one in out if run.motion.t[one[1]] > after]
-
-
-def _rests(run: Run, motions: list[slice]) -> list[slice]:
-    """Stretches between the motions that are long enough to show the noise."""
-    still = ~mask_of_spans([(s.start, s.stop - 1) for s in motions], len(run.motion))
+    hits = [(one.before, one.after) for one in _bounces(run)]
+    for s in motions:  # the first sudden loss of speed that does not stop it
+        hit = _impact(run, max(s.start, release), s.stop - 1) if release < s.stop else None
+        hits += [hit] if hit and hit[1] + EDGE_FRAMES < s.stop else []
+    found += [("impact", *hit) for hit in hits if hit[1] > release]
+    events = [(kind, float(t[i]), float(t[j])) for kind, i, j in found]
+    still = ~mask_of_spans([(s.start, s.stop - 1) for s in motions], len(t))
     rests = [slice(s.start + EDGE_FRAMES, s.stop - EDGE_FRAMES) for s in stretches(still) if s.stop > 2 * EDGE_FRAMES]
-    return [s for s in rests if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
-
-
-def _noise(run: Run, rests: list[slice]) -> float:
-    """Standard deviation of the displacement at rest, m; NaN without a rest."""
+    rests = [s for s in rests if np.sum(run.displacement.valid[s]) >= MIN_REST_FRAMES]
     at_rest = [run.displacement.x[s][run.displacement.valid[s]] for s in rests]
     count = sum(len(x) - 1 for x in at_rest)
-    return float(np.sqrt(sum(np.sum((x - np.mean(x)) ** 2) for x in at_rest) / count)) if count else float("nan")
+    noise = float(np.sqrt(sum(np.sum((x - np.mean(x)) ** 2) for x in at_rest) / count)) if count else float("nan")
+    spans = tuple((float(t[s.start]), float(t[s.stop - 1])) for s in rests)
+    return RunEvents(tuple(sorted(events, key=lambda e: e[1])), spans, noise)
 
 
 def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[Annotated[float, "s"] | None]) -> list[Run]:
@@ -755,16 +686,13 @@ def with_earlier_runs(runs: Sequence[Run], pauses: Sequence[Annotated[float, "s"
         raise FrictrackError(f"expected one pause for each of the {len(runs)} runs but got {len(pauses)}")
     if all(pause is None for pause in pauses[1:]):
         return list(runs)
-    earlier: EarlierRuns | None = ()
-    out = [replace(runs[0], earlier=earlier)]
+    out = [replace(runs[0], earlier=())]
     for run, pause in zip(runs[1:], pauses[1:], strict=True):
-        if earlier is not None and pause is not None:
-            t = out[-1].motion.t
+        before, earlier = out[-1], None
+        if before.earlier is not None and pause is not None:
             # the distance is without the noise at rest
-            slid = float(np.sum(np.abs(np.diff(out[-1].motion.x)) * is_moving(out[-1])[1:]))
-            earlier = after_run(earlier, float(t[-1] - t[0]), slid, pause)
-        else:
-            earlier = None
+            slid = float(np.sum(np.abs(np.diff(before.motion.x)) * is_moving(before)[1:]))
+            earlier = after_run(before.earlier, float(np.ptp(before.motion.t)), slid, pause)
         out.append(replace(run, earlier=earlier))
     return out
 

@@ -10,12 +10,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError, raise_faults, suggest
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import local_path
 from frictrack.base.units import parse_quantity
-from frictrack.records import GRAVITY, Array
+from frictrack.records import GRAVITY, Array, Mask
 from frictrack.study import column_names
 from frictrack.study.schema import COLUMNS, POINT_COLUMNS, SENSOR_COLUMNS, RunTable
 from frictrack.study.table_layout import TableFile, TrackColumns
@@ -88,6 +89,9 @@ class TableData:
     # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
     of_speeds: bool = False  # whether x is the integral of measured speeds
+    # of a table on an even clock: the number of each row in the file, from 0, and whether it holds a sample of its own
+    numbers: NDArray[np.int64] | None = None
+    valid: Mask | None = None
 
 
 def read_table(

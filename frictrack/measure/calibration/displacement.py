@@ -18,6 +18,7 @@ import numpy as np
 
 from frictrack.base.distributions import robust_std
 from frictrack.base.errors import FrictrackError
+from frictrack.base.units import parse_quantity
 from frictrack.measure.calibration import scale as scale_input
 from frictrack.measure.calibration.circle import fit_circle, on_circle
 from frictrack.measure.calibration.scale import MIN_RULER_SHARE, PlaneMap, Scale, Straight, as_seen, from_points
@@ -394,14 +395,18 @@ def plane_map(
         several = [plane_map(s, lens=lens, track=track, film=film, axis=axis) for s in cast(Any, scale)]
         return _compare_maps(several, track)
     shape = film.shape if film is not None else None
-    known_lens = _lens(lens, shape)
+    known_lens = None
+    if lens is not None:
+        from frictrack.measure.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
+
+        known_lens = read_lens(Path(lens), shape)
     straight = known_lens.undistorted if known_lens else as_seen
     table = cast(Any, scale)
     makers = {
         "number": lambda: scale_input.map_from_number(scale, straight),
         "ruler": lambda: scale_input.map_from_ruler(table, straight),
         "points": lambda: from_points(table, straight),
-        "target": lambda: _map_by_target(table, (track, film), _direction(track, axis), straight),
+        "target": lambda: _map_by_target(table, track, film, axis, straight),
         "board": lambda: _map_by_board(table, known_lens, shape),
     }
     plane = makers[kind]()
@@ -409,14 +414,6 @@ def plane_map(
         return plane
     used = plane.used or "scale as given"
     return replace(plane, used=f"{used}, seen through the lens of {Path(lens).name}")
-
-
-def _lens(path: str | Path | None, shape: tuple[int, int] | None) -> Lens | None:
-    if path is None:
-        return None
-    from frictrack.measure.calibration.lens import read_lens  # noqa: PLC0415 - loads OpenCV; tables do without
-
-    return read_lens(Path(path), shape)
 
 
 def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, int] | None) -> PlaneMap:
@@ -432,26 +429,20 @@ def _map_by_board(scale: dict[str, Any], lens: Lens | None, shape: tuple[int, in
     return replace(plane, notes=(*plane.notes, f"the board was not found in {names}, which the scale goes without"))
 
 
-def _direction(track: Track | None, axis: Axis) -> Array:
-    """Direction of the course in the picture: the axis, or that of the path for "track"."""
-    if isinstance(axis, str) and track is not None:
-        found = track.found
-        line = fit_path(np.stack([track.x_px, track.y_px], axis=1)[found], track.sigma_px[found])
-        if line is not None:
-            return line.direction
-    return directions(axis)[0]
-
-
 def _map_by_target(
-    scale: dict[str, Any], track_and_film: tuple[Track | None, Recording | None], direction: Array, straight: Straight
+    scale: dict[str, Any], track: Track | None, film: Recording | None, axis: Axis, straight: Straight
 ) -> PlaneMap:
     """Create the map whose values are the target's size in m and its width in px."""
     from frictrack.measure.calibration.pictures import target_width  # noqa: PLC0415
 
-    track, film = track_and_film
-    size, std = scale_input.parse_length(scale["target"], "the target's size along the course")
+    size, std = parse_quantity(scale["target"], "m", scale_input.TARGET_SIZE, above=0.0)
     if track is None:
         raise FrictrackError("expected a track for a scale by the target's size but got none")
+    direction = directions(axis)[0]
+    if isinstance(axis, str):  # along the path
+        at, found = np.stack([track.x_px, track.y_px], axis=1), track.found
+        line = fit_path(at[found], track.sigma_px[found])
+        direction = direction if line is None else line.direction
     width = target_width(track, direction, film)
 
     # the deviation of the width comes from both ends

@@ -20,7 +20,8 @@ import scipy
 from numpy.typing import NDArray
 
 from frictrack.base.errors import FrictrackError
-from frictrack.measure.calibration.scale import board_files, board_squares, check_board, parse_length
+from frictrack.base.units import parse_quantity
+from frictrack.measure.calibration.scale import board_files, board_squares, check_board
 from frictrack.recording import Recording, open_recording
 from frictrack.records import Array, Track
 
@@ -194,7 +195,7 @@ def parse_board(scale: Mapping[str, Any]) -> Board:
 
     """
     check_board(scale)
-    square, std = parse_length(scale["square"], "the side of a square")
+    square, std = parse_quantity(scale["square"], "m", "the side of a square")
     if "dictionary" not in scale:
         return Board(board_squares(scale), square, std / square)
     name = str(scale["dictionary"])
@@ -203,7 +204,9 @@ def parse_board(scale: Mapping[str, Any]) -> Board:
         raise FrictrackError(
             f'expected a dictionary such as DICT_4X4_50 but got "{name}"; known are {", ".join(known)}'
         )
-    board = Board(board_squares(scale), square, std / square, name, parse_length(scale["marker"], "the marker")[0])
+    board = Board(
+        board_squares(scale), square, std / square, name, parse_quantity(scale["marker"], "m", "the marker")[0]
+    )
     markers = board.squares[0] * board.squares[1] // 2
     n_markers = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
     if n_markers < markers:
@@ -242,27 +245,26 @@ def find_views(scale: Mapping[str, Any], board: Board, shape: tuple[int, int] | 
 
     """
     paths = tuple(board_files(scale))
-    return _cached_views(paths, _modification_times(paths), scale.get("plane"), board, shape)
-
-
-def _modification_times(paths: tuple[Path, ...]) -> tuple[int, ...]:
-    """Modification times of the files: runs of one camera share its board, which is searched once."""
     each = [p for path in paths for p in (sorted(path.iterdir()) if path.is_dir() else [path])]
-    return tuple(p.stat().st_mtime_ns for p in each if p.exists())
+    # runs of one camera share its board, which is searched once
+    times = tuple(p.stat().st_mtime_ns for p in each if p.exists())
+    return _cached_views(paths, times, scale.get("plane"), board, shape)
 
 
 @lru_cache(maxsize=16)
 def _cached_views(
     paths: tuple[Path, ...], _: tuple[int, ...], plane: int | None, board: Board, shape: tuple[int, int] | None
 ) -> FoundViews:
-    film = _is_film(paths)
+    path = paths[0]
+    is_picture = path.suffix.lower() in PICTURE_SUFFIXES and _pages(path) == 1
+    film = len(paths) == 1 and not path.is_dir() and not is_picture
     if plane is None and not film:
         plane = 0  # the first picture must show the board; a film may come to it late
     found: list[BoardView] = []
     missed: list[str] = []
     sizes: set[tuple[int, int]] = set()
     grey = np.zeros((0, 0), np.uint8)
-    for number, name, grey in _frames(paths[0], plane) if film else _pictures(paths, plane):
+    for number, name, grey in _frames(path, plane) if film else _pictures(paths, plane):
         sizes.add((grey.shape[1], grey.shape[0]))
         _check_size(name, sizes, shape)
         corners = board.corners(grey)
@@ -275,7 +277,7 @@ def _cached_views(
         if number == plane or all(_differs(view, other) for other in found):
             found.append(view)
     if not found:
-        raise FrictrackError(_not_found(board, paths[0].name, grey))
+        raise FrictrackError(_not_found(board, path.name, grey))
     return _select_views(found, plane), [] if film else missed
 
 
@@ -318,12 +320,6 @@ def _differs(view: BoardView, other: BoardView) -> bool:
         return True
     moved = float(np.max(np.linalg.norm(view.points - other.points, axis=1)))
     return moved > MIN_BOARD_MOTION * view.size[0]
-
-
-def _is_film(paths: tuple[Path, ...]) -> bool:
-    path = paths[0]
-    is_picture = path.suffix.lower() in PICTURE_SUFFIXES and _pages(path) == 1
-    return len(paths) == 1 and not path.is_dir() and not is_picture
 
 
 def _pictures(paths: tuple[Path, ...], plane: int | None) -> Iterator[tuple[int, str, Grey]]:

@@ -176,6 +176,7 @@ EXAMPLES = (
     '"0.5 mm/px", {points = [[x, y], [x, y]], length = "100 mm"}, {target = "40 mm"}, '
     '{board = "board.png", squares = [9, 6], square = "10 mm"} or {points = [four of them], plane = [[X, Y], ...]}'
 )
+TARGET_SIZE = "the target's size along the course"
 DEFAULT_CLICK = "0.5 px"  # standard deviation of a click, along x and along y
 MIN_RULER_SHARE = 0.2  # of the path: a shorter ruler gets a note
 
@@ -209,7 +210,7 @@ def parse_scale(scale: Scale | None) -> tuple[float, float]:
     """
     kind, written = scale_kind(scale), cast(Any, scale)
     if kind == "number":
-        value, std = _parse_number(scale)
+        value, std = parse_quantity(written, "m/px", "the scale", above=0.0)
         return value, std / value
     if kind == "ruler":
         made = map_from_ruler(written)
@@ -275,14 +276,6 @@ def _describe_wrong_keys(keys: frozenset[str]) -> str:
     return f"expected a scale by {nearest_kind} with {' and '.join(sorted(needed))} but {missing} is missing"
 
 
-def _parse_number(scale: Any) -> tuple[float, float]:
-    """Metres per pixel and its standard deviation."""
-    value, std = parse_quantity(scale, "m/px", "the scale")
-    if not value > 0:
-        raise FrictrackError(f"expected a scale above 0 m/px but got {value:g} m/px")
-    return value, std
-
-
 def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
     """Create the map of a scale that is a number.
 
@@ -299,7 +292,7 @@ def map_from_number(scale: Any, straight: Straight = as_seen) -> PlaneMap:
         Map with the same pitch everywhere.
 
     """
-    value, std = _parse_number(scale)
+    value, std = parse_quantity(scale, "m/px", "the scale", above=0.0)
     return PlaneMap(np.array([value]), np.array([[std**2]]), partial(_scaled, straight))
 
 
@@ -335,7 +328,7 @@ def map_from_ruler(scale: Mapping[str, Any], straight: Straight = as_seen) -> Pl
 
     """
     points = _picture_points(scale["points"], 2)
-    length, std = parse_length(scale["length"], "the length between the two points")
+    length, std = parse_quantity(scale["length"], "m", "the length between the two points", above=0.0)
     click = click_std(scale)
     distance = float(np.hypot(*(points[1] - points[0])))
     if not distance > 0:
@@ -365,43 +358,11 @@ def _picture_points(raw: Any, min_count: int) -> Array:
     return points
 
 
-def parse_length(raw: Any, what: str, unit: str = "m") -> tuple[float, float]:
-    """Parse a positive length.
-
-    Parameters
-    ----------
-    raw
-        Text or number.
-    what : str
-        Its name for error messages.
-    unit : str
-        Unit of the result and of a number.
-
-    Returns
-    -------
-    tuple of float
-        Length and its standard deviation.
-
-    Raises
-    ------
-    FrictrackError
-        For a length that is not above 0.
-
-    Examples
-    --------
-    >>> parse_length("40 mm", "the target's size")
-    (0.04, 0.0)
-
-    """
-    value, std = parse_quantity(raw, unit, what)
-    if not value > 0:
-        raise FrictrackError(f"expected {what} above 0 {unit} but got {raw!r}")
-    return value, std
-
-
 def click_std(scale: Mapping[str, Any]) -> float:
     """Return the standard deviation of a click, px."""
-    return parse_length(scale.get("click", DEFAULT_CLICK), "click, the standard deviation of a click,", "px")[0]
+    return parse_quantity(
+        scale.get("click", DEFAULT_CLICK), "px", "click, the standard deviation of a click,", above=0.0
+    )[0]
 
 
 def _plane_points(scale: Mapping[str, Any]) -> tuple[Array, Array]:
@@ -448,10 +409,11 @@ def board_squares(scale: Mapping[str, Any]) -> tuple[int, int]:
 def check_board(scale: Mapping[str, Any]) -> None:
     """Check the description of a board; its pictures are read later."""
     board_squares(scale)
-    square, _ = parse_length(scale["square"], "the side of a square")
+    square, _ = parse_quantity(scale["square"], "m", "the side of a square", above=0.0)
     if ("dictionary" in scale) != ("marker" in scale):
         raise FrictrackError("expected both dictionary and marker for a ChArUco board, neither for a checkerboard")
-    if "marker" in scale and parse_length(scale["marker"], "the side of a marker")[0] >= square:
+    marker, _ = parse_quantity(scale.get("marker", 1e-3 * square), "m", "the side of a marker", above=0.0)
+    if marker >= square:
         raise FrictrackError(f"expected a marker smaller than its square but got {scale['marker']!r}")
     if type(scale.get("plane", 0)) is not int or scale.get("plane", 0) < 0:
         raise FrictrackError(f"expected plane as the number of a picture (the first is 0) but got {scale['plane']!r}")
@@ -469,7 +431,7 @@ def board_files(scale: Mapping[str, Any]) -> list[Path]:
 
 CHECKS: Mapping[str, Callable[[Any], Any]] = {
     "points": check_points,
-    "target": lambda scale: parse_length(scale["target"], "the target's size along the course"),
+    "target": lambda scale: parse_quantity(scale["target"], "m", TARGET_SIZE, above=0.0),
     "board": check_board,
 }
 
@@ -680,13 +642,7 @@ def from_points(scale: Mapping[str, Any], straight: Straight = as_seen) -> Plane
         pitch = np.sqrt(np.abs(np.linalg.det(fitted.map.jacobian(points))))
         sigma = np.sqrt(click**2 + np.mean(std**2, axis=1) / pitch**2)
         fitted = fit_view(points, places, sigma, straight)
-    return _with_misfit(fitted, click, points)
-
-
-def _with_misfit(fitted: Homography, click: float, points: Array) -> PlaneMap:
-    """Add the misfit of the points to the map: a description, or a note and a larger covariance."""
-    n, degrees = len(points), fitted.degrees
-    used = f"scale by {n} points of known place, clicked to {click:g} px"
+    used, degrees = f"scale by {len(points)} points of known place, clicked to {click:g} px", fitted.degrees
     if degrees == 0:
         return replace(fitted.map, used=f"{used}; a fifth point would show whether they fit")
     used += f"; they fit to {fitted.rms:.2g} px"

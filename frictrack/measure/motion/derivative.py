@@ -55,7 +55,7 @@ from frictrack.measure.motion.structure_search import (
     mean_shift,
     undetectable_amplitude,
 )
-from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion
+from frictrack.records import Array, CutoffTradeOff, Displacement, Filtered, Mask, Motion, mask_of_spans
 
 QUANTITIES = ("x", "v", "a")
 FRAMES_AT_ONCE = 1 << 16  # whose stencils are held
@@ -426,9 +426,8 @@ def best_smoothing(filtered: Filtered) -> Filtered:
 def _jump_deviation(a: Array, events: tuple[tuple[int, int], ...]) -> Array:
     """Standard deviation (n,) of an acceleration that jumps between its neighbours; 0 outside events."""
     change = np.abs(np.roll(a, -STENCIL_REACH) - np.roll(a, STENCIL_REACH)) / np.sqrt(12.0)
-    inside = np.zeros(len(a), dtype=bool)
-    for first, last in events:
-        inside[max(first - STENCIL_REACH, STENCIL_REACH) : min(last + STENCIL_REACH + 1, len(a) - STENCIL_REACH)] = True
+    reach, n = STENCIL_REACH, len(a)
+    inside = mask_of_spans([(max(first - reach, reach), min(last + reach, n - reach - 1)) for first, last in events], n)
     return np.where(inside, change, 0.0)
 
 
@@ -439,13 +438,9 @@ def _guard_frames(sigma_a: Array, period: float) -> int:
     """
     n = len(sigma_a)
     window = n if n <= MAX_WHOLE_FRAMES else n // 8
-    ragged = max(_uncertain_frames(sigma_a, window), _uncertain_frames(sigma_a[::-1], window))
+    ends = (sigma_a, sigma_a[::-1])
+    ragged = max(int(np.flatnonzero(end <= 2.0 * np.median(end[:window]))[0]) for end in ends)
     return int(min(max(np.ceil(period / 2.0), ragged), n // 8))
-
-
-def _uncertain_frames(sigma_a: Array, window: int) -> int:
-    """Frames at the beginning whose deviation exceeds twice the usual one of the first `window`."""
-    return int(np.flatnonzero(sigma_a <= 2.0 * np.median(sigma_a[:window]))[0])
 
 
 N_PROBES, PROBE_SEED = 24, 20261121  # random signs that estimate diagonals within a fifth (Hutchinson 1990)
@@ -621,9 +616,8 @@ def _undisturbed(best: Filtered, guard: int, grid: FrameGrid) -> Mask:
     """Frames (n,) away from the ends and from events, where the lost signal of a push would dominate."""
     out = grid.to_frames((best.sigma_x < MISSING_SIGMA).astype(float)) > 0
     out[:guard] = out[len(out) - guard :] = False
-    for first, last in best.events:
-        out[max(grid.frames[first] - EVENT_MARGIN_FRAMES, 0) : grid.frames[last] + EVENT_MARGIN_FRAMES + 1] = False
-    return out
+    ends = ((grid.frames[first], grid.frames[last]) for first, last in best.events)
+    return out & ~mask_of_spans([(max(i - EVENT_MARGIN_FRAMES, 0), j + EVENT_MARGIN_FRAMES) for i, j in ends], len(out))
 
 
 def _residual_and_lost(f: float, grid: FrameGrid, w: Array, both: Array, undisturbed: Mask) -> tuple[float, float]:

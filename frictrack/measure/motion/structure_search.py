@@ -97,12 +97,10 @@ class StructureSearch:
         bent = 0.5 * float(np.mean(structure.stiffness))
         self.remaining_work -= self.n * (1 + len(structure.lines)) ** 2
         likelihood = structure.factor_smoother(self.data).restricted_likelihood()[0]
-        return likelihood + float(steps @ steps) + bent + self._coincidence(structure)
-
-    def _coincidence(self, structure: Structure) -> float:
-        """Prior that keeps lines apart: two within a Rayleigh cell are one, and their amplitudes would only cancel."""
+        # two lines within a Rayleigh cell are one, and their amplitudes would only cancel
         cells = np.diff(np.sort([omega for omega, _ in structure.lines])) * self.n / (2 * np.pi)
-        return -2.0 * float(np.sum(np.log(np.maximum(-np.expm1(-(cells**2)), np.finfo(float).tiny))))
+        coincidence = -2.0 * float(np.sum(np.log(np.maximum(-np.expm1(-(cells**2)), np.finfo(float).tiny))))
+        return likelihood + float(steps @ steps) + bent + coincidence
 
     @cached_property
     def stiff(self) -> Structure:
@@ -221,18 +219,14 @@ class StructureSearch:
             return g
         s, limits = g.structure, self._bounds(g.structure)
 
-        def loss(numbers: Array) -> float:
-            return self.loss(self.bounded(numbers, s))
+        def loss(step: Array, start: Array | float = 0.0, scale: Array | float = 1.0) -> float:
+            return self.loss(self.bounded(start + step * scale, s))
 
         start, scale = self._scaled(loss, s, g.loss)
         bounds = list(zip(*((limit - start) / scale for limit in limits), strict=True))
         options: Any = {"eps": PARAMETER_STEP, "ftol": 3e-6, "maxiter": steps}
-
-        def scaled_loss(step: Array) -> float:
-            return loss(start + step * scale)
-
-        none = np.zeros(len(start))
-        found = scipy.optimize.minimize(scaled_loss, none, method="L-BFGS-B", bounds=bounds, options=options)
+        how: Any = {"method": "L-BFGS-B", "args": (start, scale), "bounds": bounds, "options": options}
+        found = scipy.optimize.minimize(loss, np.zeros(len(start)), **how)
         return self.scored(self.bounded(start + found.x * scale, s), float(found.fun))
 
     def _scaled(self, loss: Callable[[Array], float], s: Structure, now: float) -> tuple[Array, Array]:

@@ -62,29 +62,26 @@ def missing_incline(run: Run, path_angle: float | None = None) -> Finding | None
     if not _accelerates_by_itself(strokes):
         return None
     pull, both = _gravity_pull(strokes)
-    why = f"the mass speeds up by itself with {abs(pull):.3g} m/s^2"
+    line = _incline_line(pull)
     if run.radius:
         line = 'incline = "0 deg"'
-        return _finding(f"{why} on a circle; if that stands upright, give {line}", line, run.name)
-    if abs(pull) >= GRAVITY:
-        check = "more than gravity on any course; check scale and fps, or give the drive that pushes it"
-        return _finding(f"{why}, {check}", "", run.name)
-    line = _incline_line(pull)
-    if both:
-        words = f"{why} one way and slows down the other way, as on a course that falls; if so, give {line}"
+        rest = f" on a circle; if that stands upright, give {line}"
+    elif abs(pull) >= GRAVITY:
+        line, rest = "", ", more than gravity on any course; check scale and fps, or give the drive that pushes it"
+    elif both:
+        rest = f" one way and slows down the other way, as on a course that falls; if so, give {line}"
     elif path_angle is not None and abs(path_angle) > asin(abs(pull) / GRAVITY):
         fall = f"{degrees(abs(path_angle)):.3g} deg"
         line = f'incline = "{"-" if pull > 0 else ""}{fall}"'
-        words = (
-            f"{why}, and its path in the picture falls by {fall}; if the camera stood level, give {line} and "
-            'axis = "track"'
+        rest = (
+            f', and its path in the picture falls by {fall}; if the camera stood level, give {line} and axis = "track"'
         )
     else:
-        words = (
-            f"{why}, as on a course that falls by more than {degrees(asin(abs(pull) / GRAVITY)):.2g} deg (without "
+        rest = (
+            f", as on a course that falls by more than {degrees(asin(abs(pull) / GRAVITY)):.2g} deg (without "
             f"friction); measure the angle and give it as {line}, or give the drive that pushes it"
         )
-    return _finding(words, line, run.name)
+    return _finding(f"the mass speeds up by itself with {abs(pull):.3g} m/s^2{rest}", line, run.name)
 
 
 def wrong_incline(run: Run) -> Finding | None:
@@ -100,10 +97,42 @@ def wrong_incline(run: Run) -> Finding | None:
     slows_down = bool(strokes) and not any(stroke.is_accelerating for stroke in strokes)
     if not (slows_down or _accelerates_by_itself(every)):
         return None
-    pull, both = _gravity_pull(strokes)
-    if both:
-        return _check_both_directions(run, pull, strokes)
-    return _check_one_direction(run, pull, max(strokes, key=lambda stroke: stroke.distance), slows_down=slows_down)
+    (pull, both), stated = _gravity_pull(strokes), run.pull
+    entered, least = f"incline = {degrees(run.incline):.3g} deg", MIN_PUSH_SHARE * abs(stated)
+    toward = f"the mass speeds up toward {_toward_x(pull)} with {abs(pull):.3g} m/s^2 and nothing drives it"
+    contradiction, words, line = "", "", ""  # of the sign, or of the size alone
+    if both:  # friction must not push the mass in either direction
+        if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
+            contradiction = toward
+        elif abs(pull) < GRAVITY and any(_is_pushed(run, strokes, way, least) for way in (1.0, -1.0)):
+            line = _incline_line(pull)
+            words = (
+                f"{entered} gives {abs(stated):.3g} m/s^2 along the course, but the motion in both directions shows "
+                f"{abs(pull):.3g} m/s^2; check the angle ({line}), the scale and fps"
+            )
+    else:
+        longest = max(strokes, key=lambda stroke: stroke.distance)  # along which friction must not push the mass
+        way = longest.direction
+        if way * (stated - pull) >= -max(least, MIN_SIGMAS * longest.sigma_a):
+            return None
+        if slows_down:
+            slowing = f"toward {_toward_x(way)} the mass slows down by only {abs(pull):.3g} m/s^2"
+            contradiction = f"{slowing}, where gravity alone would slow it by {abs(stated):.3g}"
+        elif way * (-stated - pull) >= 0.0 and stated * pull < 0.0:
+            contradiction = toward
+        else:
+            words = f"the mass speeds up with {abs(pull):.3g} m/s^2, but {entered} gives only {abs(stated):.3g} m/s^2"
+            words += "; check the angle, the scale and fps"
+    if contradiction:
+        return _sign_error(run.incline, contradiction, run.name)
+    return _finding(words, line, run.name) if words else None
+
+
+def _is_pushed(run: Run, strokes: tuple[Stroke, ...], way: float, least: float) -> bool:
+    """Whether friction would have to push the mass in one direction of motion, by more than `least`, m/s^2."""
+    same = tuple(stroke for stroke in strokes if stroke.direction == way)
+    sigma = sum(stroke.sigma_a**-2.0 for stroke in same) ** -0.5 + GRAVITY * run.sigma_incline
+    return way * (mean_acceleration(same) - run.pull) > max(least, MIN_SIGMAS * sigma)
 
 
 def path_angle(track: Track) -> float | None:
@@ -197,48 +226,6 @@ def _gravity_pull(strokes: tuple[Stroke, ...]) -> tuple[float, bool]:
     return mean_acceleration(forth if longest.direction > 0 else back), False
 
 
-def _check_one_direction(run: Run, pull: float, longest: Stroke, *, slows_down: bool) -> Finding | None:
-    """Check a stated incline against a mass that moves one way: friction must not push it along its longest stroke."""
-    stated, way = run.pull, longest.direction
-    if way * (stated - pull) >= -max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * longest.sigma_a):
-        return None
-    if slows_down:
-        slowing = f"toward {_toward_x(way)} the mass slows down by only {abs(pull):.3g} m/s^2"
-        what = f"{slowing}, where gravity alone would slow it by {abs(stated):.3g}"
-        return _sign_error(run.incline, what, run.name)
-    if way * (-stated - pull) >= 0.0 and stated * pull < 0.0:
-        return _sign_error(run.incline, _acceleration_text(pull), run.name)
-    words = (
-        f"the mass speeds up with {abs(pull):.3g} m/s^2, but incline = {degrees(run.incline):.3g} deg gives only "
-        f"{abs(stated):.3g} m/s^2; check the angle, the scale and fps"
-    )
-    return _finding(words, "", run.name)
-
-
-def _check_both_directions(run: Run, pull: float, strokes: tuple[Stroke, ...]) -> Finding | None:
-    """Check a stated incline against motion in both directions: friction must not push the mass in either."""
-    stated = run.pull
-    if stated * pull < 0 and abs(pull) > abs(stated) / MAX_PULL_RATIO:
-        return _sign_error(run.incline, _acceleration_text(pull), run.name)
-    pushes = []
-    for way in (1.0, -1.0):
-        same = tuple(stroke for stroke in strokes if stroke.direction == way)
-        sigma = sum(stroke.sigma_a**-2.0 for stroke in same) ** -0.5 + GRAVITY * run.sigma_incline
-        pushes.append(way * (mean_acceleration(same) - stated) > max(MIN_PUSH_SHARE * abs(stated), MIN_SIGMAS * sigma))
-    if abs(pull) >= GRAVITY or not any(pushes):
-        return None
-    line = _incline_line(pull)
-    words = (
-        f"incline = {degrees(run.incline):.3g} deg gives {abs(stated):.3g} m/s^2 along the course, but the motion in "
-        f"both directions shows {abs(pull):.3g} m/s^2; check the angle ({line}), the scale and fps"
-    )
-    return _finding(words, line, run.name)
-
-
-def _acceleration_text(pull: float) -> str:
-    return f"the mass speeds up toward {_toward_x(pull)} with {abs(pull):.3g} m/s^2 and nothing drives it"
-
-
 def _toward_x(direction: float) -> str:
     return "+x" if direction > 0 else "-x"
 
@@ -296,20 +283,17 @@ def implausible_clocks(runs: Mapping[str, Run], stated: Mapping[str, float | Non
     ()
 
     """
-    records = {name: run.displacement for name, run in runs.items()}
-    steps = {name: np.diff(d.t) / np.median(np.diff(d.t)) for name, d in records.items()}
-    uneven = {name for name, one in steps.items() if np.mean(np.abs(one - 1) < MAX_RELATIVE_DIFFERENCE) < 0.5}
-    rates = {
-        name: d.stamped_rate or 1.0 / float(np.median(np.diff(d.t)))
-        for name, d in records.items()
-        if name not in uneven
-    }
+    rates = {}
+    for name, run in runs.items():
+        steps = np.diff(run.displacement.t)
+        usual = float(np.median(steps))
+        if not np.mean(np.abs(steps / usual - 1) < MAX_RELATIVE_DIFFERENCE) < 0.5:
+            rates[name] = run.displacement.stamped_rate or 1.0 / usual
     median_rate = float(np.median(list(rates.values()))) if len(rates) > 2 else float("nan")
     checked = (_check_rate(name, rate, stated.get(name), median_rate) for name, rate in rates.items())
-    found = tuple(finding for finding in checked if finding is not None)
-    if len(found) == len(runs) > 1 and len({f.words for f in found}) == 1:
-        return (replace(found[0], run=""),)
-    return found
+    found = tuple(filter(None, checked))
+    is_one = len(found) == len(runs) > 1 and len({f.words for f in found}) == 1
+    return (replace(found[0], run=""),) if is_one else found
 
 
 def _check_rate(run: str, rate: float, given: float | None, median_rate: float) -> Finding | None:
@@ -428,7 +412,7 @@ def implausible_sensors(clocks: Mapping[str, Mapping[str, Any]]) -> tuple[Findin
         common = _common(tried, with_delay=with_delay)
         if common is not None:
             found = (_sensor_finding(run, those, common, with_delay=with_delay) for run, those in tried.items())
-            return tuple(finding for finding in found if finding is not None)
+            return tuple(filter(None, found))
     if len(clear) < 2:
         return ()
     stated = ", ".join(f'{those[0].gain:.3g} in "{run}"' for run, those in clear.items())
@@ -509,7 +493,7 @@ def implausible_masses(runs: Sequence[Run]) -> tuple[Finding, ...]:
             _check_against_load(run, friction, [other for _, other in others])
             or _check_against_masses(run, [other.mass or 0.0 for other, _ in others])
         )
-    return tuple(finding for finding in found if finding is not None)
+    return tuple(filter(None, found))
 
 
 def _check_against_load(run: Run, friction: float, others: Sequence[float]) -> Finding | None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from frictrack.measure.friction import has_measured_force, is_moving, split_by_direction
-from frictrack.records import Array, Run, stretches
+from frictrack.records import Array, Run, mask_of_spans, stretches
 from frictrack.study import ANGLE_NOTE, COLUMNS
 
 WARNING, ERROR = "warning", "error"
@@ -249,9 +249,8 @@ class Stroke:
 
 def find_strokes(run: Run) -> tuple[Stroke, ...]:
     """Find the strokes of a run, in order; they exclude frames not found, events and rests."""
-    free = run.displacement.valid & is_moving(run)
-    for first, last in run.motion.events:
-        free[max(first - EVENT_REACH_FRAMES, 0) : last + EVENT_REACH_FRAMES + 1] = False
+    reach = [(max(first - EVENT_REACH_FRAMES, 0), last + EVENT_REACH_FRAMES) for first, last in run.motion.events]
+    free = run.displacement.valid & is_moving(run) & ~mask_of_spans(reach, len(run.motion))
     x, found = run.motion.x, []
     for s in split_by_direction(run, stretches(free)):
         top = s.start + int(np.argmax(np.abs(run.motion.v[s])))  # the highest speed
@@ -342,11 +341,6 @@ class SlideEstimate:
         return friction_is_possible and self.speed in SPEED and self.travel in USUAL_TRAVEL
 
     @property
-    def is_rare_braking(self) -> bool:
-        """Whether friction is above that of dry solids, and it and the speed as large as a wrong scale makes them."""
-        return self.friction is not None and self.friction > DRY_FRICTION.high and self.rarity > MAX_RARITY
-
-    @property
     def rarity(self) -> float:
         """Decades by which friction and speed differ from typical ones."""
         friction_term = 0.0 if self.friction is None else abs(log10(self.friction / USUAL_FRICTION))
@@ -406,13 +400,15 @@ def implausible_slide(run: Run, *, film: bool, header: Callable[[str], str] = st
 
 def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | None) -> Iterator[Finding]:
     """Check the speed, else the friction, the distance or the energy of a slide; a film has no header."""
-    kind = ""
+    kind, mu = "", slide.friction
+    # friction above that of dry solids, and it and the speed are as large as a wrong scale makes them
+    is_rare = mu is not None and mu > DRY_FRICTION.high and slide.rarity > MAX_RARITY
     if slide.speed not in SPEED:
         than = f"than anything on rails ({RAIL_SPEED:g} m/s)" if slide.speed > RAIL_SPEED else "than in a laboratory"
         kind, words = "speed", f"the mass would slide at {slide.speed:.3g} m/s, faster {than}"
-    elif slide.friction is not None and (slide.friction not in FRICTION or slide.is_rare_braking):
+    elif mu is not None and (mu not in FRICTION or is_rare):
         kind, words = "friction", _friction_text(run, slide)
-    elif slide.friction is not None and slide.travel not in TRAVEL:
+    elif mu is not None and slide.travel not in TRAVEL:
         kind, words = "scale", f"the mass would slide {slide.travel:.3g} m without a stop"
     if kind:
         hint, correction, grade = _correction(slide, header)
@@ -421,8 +417,16 @@ def _check_slide(run: Run, slide: SlideEstimate, header: Callable[[str], str] | 
         seconds, line = float(run.displacement.t[-1] - run.displacement.t[0]), _unit_text(MS_AND_MM, header)
         words = f"{_friction_text(run, slide)}, over {slide.travel:.3g} m in {seconds:.3g} s"
         yield Finding("friction", f"{words}; probably {line}", line)
-    elif slide.friction is not None and not run.has_incline and run.mass is not None:
-        yield from _check_energy(run.mass, slide)
+    elif mu is not None and not run.has_incline and run.mass is not None:
+        energy = run.mass * slide.speed**2 / 2
+        if energy not in BLOW_ENERGY:
+            grams = f'mass = "{run.mass:g} g"' if run.mass > 1.0 else ""
+            likely = f"; if grams were meant give {grams}" if grams else ""
+            words = (
+                f"a mass of {run.mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
+                f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
+            )
+            yield Finding("mass", words, grams)
 
 
 def _holds_ms_and_mm(slide: SlideEstimate) -> bool:
@@ -517,15 +521,3 @@ def _unit_text(units: Mapping[str, str], header: Callable[[str], str]) -> str:
     held = " and ".join(f"{header(k)} {'' if n else 'holds '}{unit}" for n, (k, unit) in enumerate(units.items()))
     given = ", ".join(f'{key} = "{header(key)} ({unit})"' for key, unit in units.items())
     return f"{held}: give columns = {{{given}}}"
-
-
-def _check_energy(mass: float, slide: SlideEstimate) -> Iterator[Finding]:
-    energy = mass * slide.speed**2 / 2
-    if energy not in BLOW_ENERGY:
-        grams = f'mass = "{mass:g} g"' if mass > 1.0 else ""
-        likely = f"; if grams were meant give {grams}" if grams else ""
-        words = (
-            f"a mass of {mass:g} kg at {slide.speed:.3g} m/s has {energy:.3g} J, more than a blow gives "
-            f"({BLOW_ENERGY.high:g} J){likely}; check mass, scale and fps"
-        )
-        yield Finding("mass", words, grams)
