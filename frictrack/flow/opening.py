@@ -216,49 +216,43 @@ class OpenStudy:
     models: TriedModels
 
 
-def _edit(opened: OpenStudy, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
-    """Rewrite the study file and record the command; return its arguments."""
-    with opened.history.record(command, **arguments) as change:
-        change.before, change.after = _rewrite(opened.study.path, rewrite)
-    return arguments
+Edit = Callable[..., dict[str, Any]]
+"""Function ``edit(opened, **arguments)`` that changes a study, records the command and returns what it did."""
 
 
-def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
+def _edit(command: str, rewrite: Callable[..., str]) -> Edit:
+    """Return an edit that rewrites the study file by ``rewrite(opened, text, **arguments)`` and returns these."""
+
+    def edit(opened: OpenStudy, /, **arguments: Any) -> dict[str, Any]:
+        with opened.history.record(command, **arguments) as change:
+            change.before, change.after = _rewrite(opened.study.path, partial(rewrite, opened, **arguments))
+        return arguments
+
+    return edit
+
+
+def _set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file."""
-
-    def rewrite(text: str) -> str:
-        after = study_files.with_key(text, table, key, value, which)
-        if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
-            request = opened.models.request(opened.models.current_group)
-            request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
-        return after
-
-    return _edit(opened, "edit", rewrite, table=table, which=which, key=key, value=value)
+    return _edit("edit", _with_key)(opened, table=table, which=which, key=key, value=value)
 
 
-def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
+def _with_key(opened: OpenStudy, text: str, table: str, which: str | None, key: str, value: Any) -> str:
+    after = study_files.with_key(text, table, key, value, which)
+    if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
+        request = opened.models.request(opened.models.current_group)
+        request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
+    return after
+
+
+def _with_recordings(opened: OpenStudy, text: str, recordings: Sequence[str]) -> str:
     """Add a run for each recording."""
-    folder = opened.study.folder
-    paths = [folder / name for name in recordings]
+    paths = [opened.study.folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
-    return _edit(
-        opened, "take_in", lambda text: study_files.writing.with_runs(text, folder, paths), recordings=recordings
-    )
+    return study_files.writing.with_runs(text, opened.study.folder, paths)
 
 
-def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
-    """Remove a run from the study file; its recording and its results stay where they are."""
-    return _edit(opened, "leave_out", lambda text: study_files.writing.without_run(text, run), run=run)
-
-
-def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
-    keys = dict(effect)
-    return _edit(opened, "define", lambda text: study_files.writing.with_effect(text, keys), effect=keys)
-
-
-def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
+def _select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
     """Make a model current that was tried before."""
     if model not in opened.models.groups:
         known = ", ".join(opened.models.groups) or "none"
@@ -286,12 +280,12 @@ def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
     return {"change": change.command, **change.arguments}
 
 
-EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
-    "edit": set_key,
-    "take_in": add_recordings,
-    "leave_out": remove_run,
-    "define": define_effect,
-    "use": select_model,
+EDITS: dict[str, Edit] = {
+    "edit": _set_key,
+    "take_in": _edit("take_in", _with_recordings),
+    "leave_out": _edit("leave_out", lambda _, text, run: study_files.writing.without_run(text, run)),
+    "define": _edit("define", lambda _, text, effect: study_files.writing.with_effect(text, effect)),
+    "use": _select_model,
     "undo": partial(_undo_or_redo, command="undo"),
     "redo": partial(_undo_or_redo, command="redo"),
 }

@@ -306,7 +306,6 @@ class ResultsReader:
     def __init__(self, *, with_budgets: bool = True) -> None:
         self.with_budgets = with_budgets
         self._kept: dict[Any, tuple[Any, Any]] = {}  # by what it is: what it depends on, and the object itself
-        self._attempts: dict[Path, ModelResults] = {}
 
     def _keep(self, what: Any, key: Any, make: Callable[[], Any]) -> Any:
         """Return the same object as the last time, unless its key is another one."""
@@ -373,17 +372,12 @@ class ResultsReader:
         """Return the fits of the current model with one more effect that `Session.attempt` stored, by effect."""
         models = stored_models(study)
         found: dict[str, ModelResults] = {}
-        kept: dict[Path, ModelResults] = {}
         with store.snapshot(models.path, *(pipeline.path for pipeline in models.pipelines)):
             group = models.current_group
             for name in names if group is not None else ():
-                request = models.request(str(group)).edited(f"+{name}")
-                path = models.attempt_path(request)  # its name is the hash of all that its content depends on
-                if path.exists() and path in self._attempts:
-                    found[name] = kept[path] = self._attempts[path]
-                elif stored := models.stored_attempt(request):
-                    found[name] = kept[path] = model_results(*stored)
-        self._attempts = kept
+                # the name of its file is the hash of all that its content depends on
+                if stored := models.stored_attempt(models.request(str(group)).edited(f"+{name}")):
+                    found[name] = self._keep(("attempt", name), stored, partial(model_results, *stored))
         return found
 
 
