@@ -64,11 +64,6 @@ class RequestGuard:
     names: tuple[str, ...] = ()
 
     @property
-    def is_local(self) -> bool:
-        """Whether the page is served on the loopback interface."""
-        return self.host in LOOPBACK
-
-    @property
     def secret(self) -> str:
         """Value of the cookie: a hash of the token, valid as long as the token."""
         return hmac.new(self.token.encode(), b"frictrack page", hashlib.sha256).hexdigest()
@@ -108,7 +103,7 @@ class RequestGuard:
         """Whether a host is a name or an address of this machine."""
         if host in LOOPBACK or host in self.names:
             return True
-        if self.is_local:
+        if self.host in LOOPBACK:
             return False
         own = {self.host, socket.gethostname(), socket.getfqdn()} - set(WILDCARD_HOSTS)
         return host in {name.lower() for name in own} or _is_address(host)

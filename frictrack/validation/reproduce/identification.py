@@ -170,7 +170,8 @@ SOURCE_TITLES = {
     "ATM2 tables": "from the ATM2 tables",
     "neither": "from neither model",
 }
-ORDERS = ("atm1:2", "atm1:3", "atm1:4", "atm2:2", "atm2:3")
+# laws by the figure of `orders` that shows them
+ORDERS = {"fig13_atm1_2": "atm1:2", "fig14_atm1_3": "atm1:3", "fig15_atm2_2": "atm2:2", "fig16_atm2_3": "atm2:3"}
 
 
 def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
@@ -206,15 +207,8 @@ def two_models(effort: Effort = FULL, seed: int = 0) -> Section:
         "two_models",
         [_table_errors("errors", results), *_tables_parameters(results, synthetic)],
         [
-            *(
-                figure(
-                    name, figures.traces, {t: _curves(results[g, source, law].fits) for g, t in method.GROUPS.items()}
-                )
-                for name, source, law in (
-                    ("fig09_10_atm1", "ATM1 tables", "atm1:2"),
-                    ("fig11_12_atm2", "ATM2 tables", "atm2:2"),
-                )
-            ),
+            _traces("fig09_10_atm1", results, {t: (g, "ATM1 tables", "atm1:2") for g, t in method.GROUPS.items()}),
+            _traces("fig11_12_atm2", results, {t: (g, "ATM2 tables", "atm2:2") for g, t in method.GROUPS.items()}),
             figure("errors_two_models", figures.bars, "sum of squared residuals / (m²/s⁴)", places, bars),
         ],
         *_claims_models(results, effort),
@@ -237,23 +231,10 @@ def orders(effort: Effort = FULL, seed: int = 0) -> Section:
     """
     rng = np.random.default_rng([seed, 33])
     synthetic = {("low", w): r for w, r in method.simulate_sources("low", rng).items()}
-    results = _identify_all(synthetic, ORDERS, effort)
-    return section(
-        "orders",
-        [_table_orders(results)],
-        [
-            figure(
-                name, figures.traces, {SOURCE_TITLES[w]: _curves(results["low", w, law].fits) for w in SOURCE_TITLES}
-            )
-            for name, law in (
-                ("fig13_atm1_2", "atm1:2"),
-                ("fig14_atm1_3", "atm1:3"),
-                ("fig15_atm2_2", "atm2:2"),
-                ("fig16_atm2_3", "atm2:3"),
-            )
-        ],
-        *_claims_orders(results),
-    )
+    results = _identify_all(synthetic, ("atm1:2", "atm1:3", "atm1:4", "atm2:2", "atm2:3"), effort)
+    panels = {name: {t: ("low", w, law) for w, t in SOURCE_TITLES.items()} for name, law in ORDERS.items()}
+    drawn = [_traces(name, results, keys) for name, keys in panels.items()]
+    return section("orders", [_table_orders(results)], drawn, *_claims_orders(results))
 
 
 def equation_4(effort: Effort = FULL, seed: int = 0) -> Section:
@@ -310,6 +291,11 @@ def _identify_all(
         for name in names:
             results[group, source, name] = method.identify(name, run, effort)
     return results
+
+
+def _traces(name: str, results: Mapping[Key, method.Identification], panels: Mapping[str, Key]) -> dict[str, Any]:
+    """Draw both fits of an identification in each panel of a figure."""
+    return figure(name, figures.traces, {title: _curves(results[key].fits) for title, key in panels.items()})
 
 
 def _curves(fits: Mapping[str, Fit]) -> tuple[Run, dict[str, Array]]:
@@ -379,8 +365,7 @@ def _table_orders(results: Mapping[Key, method.Identification]) -> ResultTable:
     rows: list[list[Any]] = []
     for (group, source, name), found in results.items():
         kind, _, n = name.partition(":")
-        base = results[group, source, f"{kind}:2"]
-        gain = 100 * (base.lowest / found.lowest - 1)
+        base, gain = results[group, source, f"{kind}:2"], _gain(results, source, name)
         by_search = 100 * float(np.median(base.errors) / np.median(found.errors) - 1)
         said = {"atm1:3": 100 * laws.GAIN_ATM1, "atm2:3": 100 * laws.GAIN_ATM2}.get(name)
         gains = [None] * 3 if n == "2" else [said, gain, by_search]
@@ -389,14 +374,13 @@ def _table_orders(results: Mapping[Key, method.Identification]) -> ResultTable:
     return table("orders", rows)
 
 
+def _gain(results: Mapping[Key, method.Identification], source: str, law: str) -> float:
+    """Relative fall of the error, %, from the law with two sines to another one, at low speed."""
+    return 100 * (results["low", source, f"{law[:4]}:2"].lowest / results["low", source, law].lowest - 1)
+
+
 def _claims_orders(results: Mapping[Key, method.Identification]) -> tuple[Claim, ...]:
-    gains = {
-        kind: {
-            w: 100 * (results["low", w, f"{kind}:2"].lowest / results["low", w, f"{kind}:3"].lowest - 1)
-            for w in SOURCE_TITLES
-        }
-        for kind in ("atm1", "atm2")
-    }
+    gains = {kind: {w: _gain(results, w, f"{kind}:3") for w in SOURCE_TITLES} for kind in ("atm1", "atm2")}
     told = {k: "; ".join(f"{SOURCE_TITLES[w]} {g:+.0f} %" for w, g in each.items()) for k, each in gains.items()}
     more = [gains["atm2"][w] > gains["atm1"][w] for w in SOURCE_TITLES]
     near = [4 < g < 20 for g in gains["atm1"].values()]

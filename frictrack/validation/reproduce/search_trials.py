@@ -250,10 +250,7 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
     n, hits = len(base.last), int(np.sum(base.cost <= -FOUND_VALUE))
     same = abs(y - laws.EQ8_MAXIMUM) < 5e-5 and abs(x - laws.EQ8_PLACE) < 6e-5
     said = laws.TABLE_5["MGA"][0] / laws.TABLE_5["GA"][0] - 1
-    change, interval = (
-        float(mga.last.mean() / base.last.mean() - 1),
-        change_interval(mga.last, base.last, rng),
-    )
+    change, interval = float(mga.last.mean() / base.last.mean() - 1), change_interval(mga.last, base.last, rng)
     chance = probability_by_chance(base.last, laws.RUNS, said, rng)
     first = float(np.nanmean(more.first) / np.nanmean(base.first) - 1)
     ratio = float(mga.seconds.mean() / base.seconds.mean())
@@ -357,15 +354,11 @@ def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: 
         local = int(np.sum(ratio > LOCAL_OPTIMUM_RATIO))
         low, high = binomtest(local, n).proportion_ci(method="wilson")
         said = None if setting not in laws.TABLE_7 else 100 * laws.TABLE_7[setting][2]
-        shares = (
-            said,
-            100 * local / n,
-            f"{100 * low:.0f} to {100 * high:.0f}",
-            100 * float(np.mean(ratio <= FOUND_RATIO)),
-        )
+        interval, reached_it = f"{100 * low:.0f} to {100 * high:.0f}", 100 * float(np.mean(ratio <= FOUND_RATIO))
         first = float(found.first[reached].mean()) if reached.any() else None
         counts = _printed(laws.TABLE_7, setting, 0), float(found.last.mean()), float(found.converged.mean()), first
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
+        shares = (said, 100 * local / n, interval, reached_it)
         rows.append([setting, *shares, *counts, _printed(laws.TABLE_7, setting, 1, "GA"), time])
     return table(name, rows, seeds=effort.seeds, budget=effort.budget)
 
