@@ -350,7 +350,8 @@ class ResultsReader:
         self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory
     ) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
-        measured = [pipeline for pipeline in pipelines if pipeline.run.name in states and _is_measured(pipeline)]
+        needed = {p.run.name: [name for name in p.stages if name not in OPTIONAL_STAGES] for p in pipelines}
+        measured = [p for p in pipelines if p.run.name in states and all(map(p.is_current, needed[p.run.name]))]
         runs: dict[str, RunResults] = {}
         for p in measured:
             make = partial(run_results, p, with_budget=self.with_budgets)
@@ -405,11 +406,6 @@ def preview_motion(run: RunResults, cutoff: float) -> Array:
     course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
     acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
     return measure.motion.derivatives(measure.motion.low_pass(course, method=choice, acceleration=acceleration))
-
-
-def _is_measured(pipeline: RunPipeline) -> bool:
-    """Return whether all stages that a fit needs are stored."""
-    return all(pipeline.is_current(name) for name in pipeline.stages if name not in OPTIONAL_STAGES)
 
 
 def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResults:

@@ -151,11 +151,11 @@ class UnknownHandler(Api):
 class AnswerHandler(Api):
     """A request that a function answers: GET changes nothing, POST has a JSON object."""
 
-    def initialize(self, live: LiveStudy, method: str, act: Act) -> None:  # type: ignore[override]
-        """Store what the table of addresses holds: the study, the method of the request, and what answers."""
+    def initialize(self, live: LiveStudy, answer: tuple[str, Act]) -> None:  # type: ignore[override]
+        """Store the study, and what `ANSWERS` holds: the method of the request, and what answers."""
         super().initialize(live)
+        method, self.act = answer
         self.SUPPORTED_METHODS = (method,)
-        self.act = act
 
     async def get(self) -> None:
         """Answer."""
