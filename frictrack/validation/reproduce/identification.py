@@ -20,6 +20,10 @@ from frictrack.records import Array, Run
 from frictrack.validation.reproduce import figures, laws, sections
 from frictrack.validation.reproduce import papers_method as method
 
+Key = tuple[str, str, str]  # group, source of the recording, law
+Identified = Mapping[Any, method.Identification]  # by group, by law, or by `Key`
+Recordings = Mapping[tuple[str, str], method.SyntheticRecording]  # by group and source
+Claims = tuple[sections.Claim, ...]
 SPEEDS = {"low": (4.0, 4.5, 5.0), "high": (7.0, 7.5, 8.0)}  # m/s, section 3.1
 DITHER_SHARE = 0.1  # of the printed sines, which are several times the friction that they would dither about
 MIN_STRAIGHTNESS = 0.99  # share of a law's variation that a straight line in v explains: then it is one
@@ -49,10 +53,7 @@ def time_units() -> sections.Section:
     units = "; ".join(f"{where}: per {' or '.join(units)}" for where, units in fits.items()) + "; others: none"
     never = f"no time unit gives a dither and a brake together for {' and '.join(without) or 'any'}"
     limits = {"slowest": method.MIN_SPEED, "longest": method.MAX_DURATION_S}
-    claims = (
-        sections.claim("time_units", False, units),
-        sections.claim("atm2_brakes", not without, never),
-    )
+    claims = sections.claim("time_units", False, units), sections.claim("atm2_brakes", not without, never)
     return sections.section("time_units", [sections.table("time_units", rows, **limits)], [], *claims)
 
 
@@ -91,13 +92,12 @@ def tustin_groups(effort: sections.Effort = sections.FULL, seed: int = 0) -> sec
         ours, reason = {}, str(e)
     moved = {f"{group} speed": made for group, made in synthetic.items()}
     over_speed = {method.GROUPS[g]: (*found.data[1:], _force_curves(found, g)) for g, found in results.items()}
-    rows = [
-        [g, name, said, p, method.range_over_seeds(found, i), method.estimate_text(ours.get(g), address)]
-        for g, found in results.items()
-        for i, (name, address, said, p) in enumerate(
-            zip(laws.STATIC, laws.STATIC.values(), laws.TM[g].values, found.parameters, strict=True)
-        )
-    ]
+    rows = []
+    for g, found in results.items():
+        values = zip(laws.STATIC.items(), laws.TM[g].values, found.parameters, strict=True)
+        for i, ((name, address), said, p) in enumerate(values):
+            estimate = method.estimate_text(ours.get(g), address)
+            rows.append([g, name, said, p, method.range_over_seeds(found, i), estimate])
     return sections.section(
         "tustin_groups",
         [sections.table("tustin_groups", rows, reason=reason and f" Ours: {reason}.")],
@@ -123,9 +123,7 @@ def straightness(p: Array, v: Array) -> float:
     return float(1 - rest.var() / max(force.var(), 1e-30))
 
 
-def _claims_tustin(
-    results: Mapping[str, method.Identification], ours: Mapping[str, Any], reason: str
-) -> tuple[sections.Claim, ...]:
+def _claims_tustin(results: Identified, ours: Mapping[str, Any], reason: str) -> Claims:
     straight = {g: straightness(d.parameters, d.data[1]) for g, d in results.items()}
     left = {g: method.BEAM.mass**2 * d.lowest / (d.data[2].var() * len(d.data[2])) for g, d in results.items()}
     undetermined = [g for g in results if g in ours and ours[g].parameters["stribeck.v_s"].value is None]
@@ -135,24 +133,17 @@ def _claims_tustin(
     lines = "; ".join(
         f"{g}: {100 * s:.2f} % straight, slowest {results[g].data[1].min():.1f} m/s" for g, s in straight.items()
     )
-    stated = ", ".join(
-        f"{d.parameters[1]:.3g} N ({g}, rendered {laws.TM[g].values[1]:.3g})" for g, d in results.items()
-    )
+    found = (f"{d.parameters[1]:.3g} N ({g}, rendered {laws.TM[g].values[1]:.3g})" for g, d in results.items())
     known = f"not determined in {' and '.join(undetermined)}" if undetermined else "determined"
+    stated, determined = f"MGA puts F_s at {', '.join(found)}; ours: {known}", "high" not in undetermined and not reason
+    change = 100 * (laws.TM["high"].values[1] / laws.TM["low"].values[1] - 1)
     return (
         sections.claim("tustin_unsuitable", min(left.values()) > 0.1, dithers),
         sections.claim("tustin_straight", straight["high"] > MIN_STRAIGHTNESS, lines),
-        sections.claim(
-            "tustin_groups",
-            "high" not in undetermined and not reason,
-            f"MGA puts F_s at {stated}; ours: {known}",
-            fails=False,
-            change=100 * (laws.TM["high"].values[1] / laws.TM["low"].values[1] - 1),
-        ),
+        sections.claim("tustin_groups", determined, stated, fails=False, change=change),
     )
 
 
-Key = tuple[str, str, str]  # group, source of the recording, law
 SOURCE_TITLES = {
     "ATM1 tables": "from the ATM1 tables",
     "ATM2 tables": "from the ATM2 tables",
@@ -253,9 +244,8 @@ def equation_4(effort: sections.Effort = sections.FULL, seed: int = 0) -> sectio
         f_c, f_s, f_v, _ = source.values[:4]
         braked = [100 * kept[group, reading] for reading in ("as printed", "with t")]
         rows.append([group, sliding, viscous, f_s - sliding * f_c, f_v * viscous, *braked])
-        told.append(
-            f"{group}: sums {sliding:.2f} and {viscous:.2f}, speed lost {braked[0]:.0f} % (with t {braked[1]:.0f} %)"
-        )
+        lost = f"speed lost {braked[0]:.0f} % (with t {braked[1]:.0f} %)"
+        told.append(f"{group}: sums {sliding:.2f} and {viscous:.2f}, {lost}")
     readings = {"as printed": "atm2_printed:2", "with t": "atm2:2"}
     panels = {
         title: _curves({label: results[group, "as printed", law].chosen for label, law in readings.items()})
@@ -269,9 +259,7 @@ def equation_4(effort: sections.Effort = sections.FULL, seed: int = 0) -> sectio
     )
 
 
-def _identify_all(
-    synthetic: Mapping[tuple[str, str], method.SyntheticRecording], names: tuple[str, ...], effort: sections.Effort
-) -> dict[Key, method.Identification]:
+def _identify_all(synthetic: Recordings, names: tuple[str, ...], effort: sections.Effort) -> Identified:
     """Identify laws on recordings, each by the papers' method."""
     results = {}
     for (group, source), recording in synthetic.items():
@@ -281,7 +269,7 @@ def _identify_all(
     return results
 
 
-def _traces(name: str, results: Mapping[Key, method.Identification], panels: Mapping[str, Key]) -> dict[str, Any]:
+def _traces(name: str, results: Identified, panels: Mapping[str, Key]) -> dict[str, Any]:
     """Draw both fits of an identification in each panel of a figure."""
     return sections.figure(name, figures.traces, {title: _curves(results[key].fits) for title, key in panels.items()})
 
@@ -291,7 +279,7 @@ def _curves(fits: Mapping[str, Fit]) -> tuple[Run, dict[str, Array]]:
     return next(iter(fits.values())).runs[0], {label: one.curves[0].F_model for label, one in fits.items()}
 
 
-def _table_errors(name: str, results: Mapping[Key, method.Identification]) -> sections.ResultTable:
+def _table_errors(name: str, results: Identified) -> sections.ResultTable:
     rows: list[list[Any]] = []
     for (group, source, law), found in results.items():
         said = (laws.ATM1 if law == "atm1:2" else laws.ATM2)[group].error
@@ -302,9 +290,7 @@ def _table_errors(name: str, results: Mapping[Key, method.Identification]) -> se
     return sections.table(name, rows)
 
 
-def _tables_parameters(
-    results: Mapping[Key, method.Identification], synthetic: Mapping[tuple[str, str], method.SyntheticRecording]
-) -> tuple[sections.ResultTable, ...]:
+def _tables_parameters(results: Identified, synthetic: Recordings) -> list[sections.ResultTable]:
     """Tables 1-4: printed (and simulated) parameters, those of MGA, and those of frictrack."""
     out = []
     for name, kind, sources in (("atm1:2", "ATM1", laws.ATM1), ("atm2:2", "ATM2", laws.ATM2)):
@@ -318,7 +304,7 @@ def _tables_parameters(
             chosen = found.parameters[_order_of_sines(found.parameters, truth, name)]
             columns = laws.addresses(name), source.values, truth, chosen, estimates
             out.append(sections.table(source.where.lower().replace(" ", ""), list(zip(*columns, strict=True))))
-    return tuple(out)
+    return out
 
 
 def _order_of_sines(p: Array, truth: Array, name: str) -> NDArray[np.intp]:
@@ -330,7 +316,7 @@ def _order_of_sines(p: Array, truth: Array, name: str) -> NDArray[np.intp]:
     return order
 
 
-def _claims_models(results: Mapping[Key, method.Identification], effort: sections.Effort) -> tuple[sections.Claim, ...]:
+def _claims_models(results: Identified, effort: sections.Effort) -> Claims:
     pairs = [(g, w) for g in method.GROUPS for w in SOURCE_TITLES]
     ratios = {(g, w): results[g, w, "atm2:2"].lowest / results[g, w, "atm1:2"].lowest for g, w in pairs}
     missed = {
@@ -349,7 +335,7 @@ def _claims_models(results: Mapping[Key, method.Identification], effort: section
     )
 
 
-def _table_orders(results: Mapping[Key, method.Identification]) -> sections.ResultTable:
+def _table_orders(results: Identified) -> sections.ResultTable:
     rows: list[list[Any]] = []
     for (group, source, name), found in results.items():
         kind, _, n = name.partition(":")
@@ -362,12 +348,12 @@ def _table_orders(results: Mapping[Key, method.Identification]) -> sections.Resu
     return sections.table("orders", rows)
 
 
-def _gain(results: Mapping[Key, method.Identification], source: str, law: str) -> float:
+def _gain(results: Identified, source: str, law: str) -> float:
     """Relative fall of the error, %, from the law with two sines to another one, at low speed."""
     return 100 * (results["low", source, f"{law[:4]}:2"].lowest / results["low", source, law].lowest - 1)
 
 
-def _claims_orders(results: Mapping[Key, method.Identification]) -> tuple[sections.Claim, ...]:
+def _claims_orders(results: Identified) -> Claims:
     gains = {kind: {w: _gain(results, w, f"{kind}:3") for w in SOURCE_TITLES} for kind in ("atm1", "atm2")}
     told = {k: "; ".join(f"{SOURCE_TITLES[w]} {g:+.0f} %" for w, g in each.items()) for k, each in gains.items()}
     more = [gains["atm2"][w] > gains["atm1"][w] for w in SOURCE_TITLES]
@@ -409,9 +395,7 @@ def sine_filter(effort: sections.Effort = sections.FULL, seed: int = 0) -> secti
     bounded = laws.tustin_below(*np.array(laws.WITHOUT_FILTER.values)[[0, 2]])
     rounded = method.identify("tustin", run, effort, "sga", bounded).over_seeds
     own = {name: method.fit_with_frictrack(name, recording.run) for name in results}
-    traces = {
-        what: _curves({"SGA": found.chosen}) for what, found in zip(("without", "with"), results.values(), strict=True)
-    }
+    traces = {what: _curves({"SGA": results[law].chosen}) for what, law in (("without", "tustin"), ("with", "atm1:2"))}
     strong, weak = 1e6 * truth[4::3] / method.STRUCK.mass / (2 * np.pi * truth[5::3]) ** 2  # F/(m omega^2), um
     return sections.section(
         "sine_filter",
@@ -429,20 +413,14 @@ def sine_filter(effort: sections.Effort = sections.FULL, seed: int = 0) -> secti
     )
 
 
-def _table_static(
-    results: dict[str, method.Identification], rounded: Array, own: dict[str, Any], truth: Array
-) -> sections.ResultTable:
+def _table_static(results: Identified, rounded: Array, own: dict[str, Any], truth: Array) -> sections.ResultTable:
     without, full = results["tustin"], results["atm1:2"]
     rows: list[list[Any]] = []
     for i, (name, address) in enumerate(laws.STATIC.items()):
         left = float(without.parameters[i]), method.range_over_seeds(without, i), float(np.median(rounded[:, i]))
-        right = (
-            float(full.parameters[i]),
-            method.range_over_seeds(full, i),
-            method.estimate_text(own["atm1:2"], address),
-        )
-        ours = method.estimate_text(own["tustin"], address)
-        rows.append([name, laws.WITHOUT_FILTER.values[i], *left, ours, truth[i], *right])
+        right = float(full.parameters[i]), method.range_over_seeds(full, i)
+        ours = {law: method.estimate_text(found, address) for law, found in own.items()}
+        rows.append([name, laws.WITHOUT_FILTER.values[i], *left, ours["tustin"], truth[i], *right, ours["atm1:2"]])
     return sections.table("second_tables_1_2", rows)
 
 
@@ -455,9 +433,7 @@ def _table_sines(found: method.Identification, truth: Array) -> sections.ResultT
     return sections.table("second_table_2_sines", rows)
 
 
-def _claims(
-    results: dict[str, method.Identification], rounded: Array, own: dict[str, Any], truth: Array
-) -> tuple[sections.Claim, ...]:
+def _claims(results: Identified, rounded: Array, own: dict[str, Any], truth: Array) -> Claims:
     without, full = results["tustin"], results["atm1:2"]
     t, v, force = full.data
     rest = force - method.law_force(*laws.to_effects("atm1:2", truth), v, t)
