@@ -332,9 +332,8 @@ def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapp
     for run in truth.runs:
         trajectory = truth.trajectory(run)
         t, acts = trajectory.t, acting(effect, run, trajectory, low_pass_half_width.get(run.name, 0.0))
-        within = [
-            (t >= first - 1e-9) & (t <= last + 1e-9) for first, last in (s["t"] for s in spans if s["run"] == run.name)
-        ]
+        ends = [s["t"] for s in spans if s["run"] == run.name]
+        within = [(t >= first - 1e-9) & (t <= last + 1e-9) for first, last in ends]
         reported = np.any([np.zeros(len(t), np.bool_), *within], axis=0)
         n_both += int((acts & reported).sum())
         n_reported += int(reported.sum())
