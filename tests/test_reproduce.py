@@ -300,7 +300,7 @@ def test_table_7_stands_in_full_and_quick(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_claims_are_filled_in() -> None:
-    told = claim("fewer_local_optima", HOLDS, "5 % against 9 %", more=3.0)
+    told = claim("fewer_local_optima", True, "5 % against 9 %", more=3.0)
     assert (told.where, told.verdict, told.ours) == ("Table 7", HOLDS, "5 % against 9 %")
     assert told.why == "Plain GA with more mutation (0.02 per bit) ends there in 3 %."
 

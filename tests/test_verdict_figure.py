@@ -14,7 +14,8 @@ from frictrack.diagnose.residual_curves import residual_series
 from frictrack.effects import models
 from frictrack.present import plots
 from frictrack.present.plots import failed_model
-from frictrack.present.plots.verdict import HeldOutError, _spans, data_of_diagnosis, data_of_study
+from frictrack.present.plots.model import HeldOutError
+from frictrack.present.plots.verdict import _spans, data_of_diagnosis, data_of_study
 from frictrack.present.report import tables
 from frictrack.results.candidates import candidate_rows
 

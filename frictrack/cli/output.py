@@ -18,6 +18,7 @@ from frictrack.base.glossary import symbols_in
 from frictrack.base.number_format import DASH, format_p_value, format_plain, format_plus_minus
 from frictrack.results import candidates, verdicts
 
+BOLD = "[bold]{}[/bold]"
 BRIEF_ERRORS = ("F", "held out", "force", "chi²")  # `short` in the rows of errors
 MAX_NAME_WIDTH = 20  # characters of a model's name in one line of a table
 NOT_IN_TABLE = ("reason", "smoothing", "guard_frames", "sigma_x_um", "noise_at_rest_um")  # as text, or only in JSON
@@ -53,7 +54,7 @@ def table(*headers: str, rows: Iterable[Sequence[str]] = ()) -> Table:
         longest = max((len(word) for word in words if len(word) <= MAX_NAME_WIDTH), default=None)
         new.add_column(header, overflow="fold", no_wrap=i == 0, min_width=longest)
     for row in rows:
-        new.add_row(*row)
+        new.add_row(*map(escape, row))
     return new
 
 
@@ -68,14 +69,14 @@ def cell(value: Any) -> str:
     if isinstance(value, float):
         return format_plain(value)
     if isinstance(value, list):
-        return escape(", ".join(map(str, value)))
-    return "" if value is None else escape(str(value))
+        return ", ".join(map(str, value))
+    return "" if value is None else str(value)
 
 
-def lines(out: Console, texts: Iterable[str], indent: str = "", **how: Any) -> None:
-    """Print texts, one a line; long ones are broken by the terminal alone, so that they can be copied."""
-    for text in texts:
-        out.print(f"{indent}{escape(text)}", soft_wrap=True, **how)
+def say(out: Console, *texts: str | None, form: str = "{}", **how: Any) -> None:
+    """Print texts that are not empty, one a line, each in a form with markup."""
+    for text in filter(None, texts):
+        out.print(form.format(escape(text)), **how)
 
 
 # --- measurements
@@ -88,8 +89,8 @@ def stages(out: Console, result: dict[str, Any]) -> None:
     heads = (k.replace("_", " ") for k in keys)
     out.print(table(*heads, rows=([cell(row.get(k)) for k in keys] for row in runs)))
     for row in runs:
-        notes = [*filter(None, [row.get("reason"), row.get("smoothing")]), *_happened(row), *row["notes"]]
-        lines(out, notes, f"{row['run']}: ")
+        notes = (row.get("reason"), row.get("smoothing"), *_happened(row), *row["notes"])
+        say(out, *(f"{row['run']}: {note}" for note in notes if note), soft_wrap=True)
     for row in runs:
         if row.get("budget"):
             _budget(out, row)
@@ -97,8 +98,7 @@ def stages(out: Console, result: dict[str, Any]) -> None:
 
 def _happened(row: dict[str, Any]) -> list[str]:
     """What happened in a run, and what a plain low-pass would have cost."""
-    events = [f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ())]
-    found = [", ".join(events)] if events else []
+    found = [", ".join(f"{e['kind']} at {1e3 * e['from_s']:.1f} ms" for e in row.get("events", ()))]
     if cutoff := row.get("cutoff"):
         plain = format_plain(math.hypot(cutoff["noise"], cutoff["lost"]), 2)
         error = f"error of {format_plain(cutoff['followed_apart'], 2)} {cutoff['unit']}"
@@ -115,7 +115,7 @@ def _budget(out: Console, row: dict[str, Any]) -> None:
         size = "not known" if unknown else f"{format_plain(part['size'], 2)} {part['unit']}" if part["unit"] else ""
         rows.add_row(part["source"], size, *(format_plain(part[key], 2) for key in ("mean_N", "frame_N")))
     out.print(rows)
-    lines(out, row["budget_says"], "  ")
+    say(out, *row["budget_says"], form="  {}", soft_wrap=True)
 
 
 def track(out: Console, result: dict[str, Any]) -> None:
@@ -123,7 +123,7 @@ def track(out: Console, result: dict[str, Any]) -> None:
     if not result["runs"]:
         out.print("no films in this study: its runs are tables")
         return
-    rows = [(escape(r["run"]), f"{r['found']}/{r['frames']}", *candidates.measurement_cells(r)) for r in result["runs"]]
+    rows = [(r["run"], f"{r['found']}/{r['frames']}", *candidates.measurement_cells(r)) for r in result["runs"]]
     out.print(filled_table(("run", "found", *candidates.MEASUREMENT_HEADS), rows))
     out.print(
         "σ: standard deviation per frame; locking: peak locking; back: rms difference to tracking from the last frame; "
@@ -132,7 +132,7 @@ def track(out: Console, result: dict[str, Any]) -> None:
     )
     for row in result["runs"]:
         out.print(f"[bold]{escape(row['run'])}[/bold]  {escape(row['target'])}", soft_wrap=True)
-        lines(out, _details(row), "  ")
+        say(out, *_details(row), form="  {}", soft_wrap=True)
 
 
 def _details(row: dict[str, Any]) -> list[str]:
@@ -142,8 +142,7 @@ def _details(row: dict[str, Any]) -> list[str]:
     lost = f"{verdicts.describe_lost(sum(row['lost'].values()), row['frames'])}: {reasons}" if reasons else ""
     pictures = ", ".join(filter(None, (row["contact_sheet"], row["overlay"])))
     look_at = [f"look at frames {span['first']} to {span['last']}: {span['words']}" for span in row.get("suspects", [])]
-    found = [f"time base: {audit}" if audit else "", lost, *look_at, *row["notes"], pictures]
-    return [line for line in found if line]
+    return [f"time base: {audit}" if audit else "", lost, *look_at, *row["notes"], pictures]
 
 
 # --- fits
@@ -156,23 +155,17 @@ def fit(out: Console, result: dict[str, Any]) -> None:
         out.print(escape(result["equation"]))
         out.print(f"{symbols_in(result['equation'])}.", style="dim")
     out.print(parameters(result["parameters"]))
-    if prior := result.get("prior"):
-        _prior(out, prior)
-    if result.get("misfit"):
-        out.print(f"[bold]† {escape(result['misfit']['words'])}[/bold]")
-    sentences(out, result, "remarks")
+    prior = result.get("prior") or {}
+    for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
+        said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
+        of = f"{group}: " if group else ""
+        say(out, f"{of}disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}")
+    say(out, (result.get("misfit") or {}).get("words"), form="[bold]† {}[/bold]")
+    say(out, *result.get("remarks") or ())
     if error := result.get("scale_error"):
         share = f"the scale has a standard deviation of {format_plain(100 * error, 2)} %"
         out.print(f"{share}, common to all runs of a camera and included in every ±")
     out.print(errors([("", result["errors"])]))
-
-
-def _prior(out: Console, prior: dict[str, Any]) -> None:
-    """Print how well the data agree with the prior; of several groups, group by group."""
-    for group, one in prior.items() if "chi2" not in prior else [("", prior)]:
-        said = "no direction determined by the runs" if one["p"] is None else f"p = {one['p']:.2g}"
-        of = f"{escape(group)}: " if group else ""
-        out.print(f"{of}disagreement of runs and prior: chi² {one['chi2']:.3g} in {one['dof']} directions, {said}")
 
 
 def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -> Table:
@@ -182,15 +175,15 @@ def parameters(values: dict[str, Any], *, brief: bool = False, more: str = "") -
     a brief table has one ± that includes the misfit, and the remark as far as it fits into a line; `more` says what it
     leaves out.
     """
-    found = {escape(name): candidates.parameter_row(p) for name, p in values.items()}
+    found = {name: candidates.parameter_row(p) for name, p in values.items()}
     if brief:
         new = table("parameter", "value ± std", more)
         new.columns[1].no_wrap = True
         for name, row in found.items():
-            new.add_row(name, row.short, Text(row.short_remark, no_wrap=True, overflow="ellipsis"))
+            new.add_row(escape(name), row.short, Text(row.short_remark, no_wrap=True, overflow="ellipsis"))
         return new
     heads = ("parameter", "value ± std", "† ± with misfit", "95 % interval", "from the prior", "")
-    cells = [(n, r.value, r.misfit, r.interval, r.from_prior, escape(r.remark)) for n, r in found.items()]
+    cells = [(n, r.value, r.misfit, r.interval, r.from_prior, r.remark) for n, r in found.items()]
     return filled_table(heads, cells)
 
 
@@ -201,16 +194,9 @@ def errors(columns: Iterable[tuple[str, dict[str, Any]]], *, brief: bool = False
     return table("error", *titles, "unit", rows=([r.name, *map(format_plain, r.values), r.unit] for r in found))
 
 
-def compare(out: Console, result: dict[str, Any]) -> None:
-    """Print the errors of every model, and where the current one fails."""
-    history(out, result)
-    fails_at(out, result["fails_at"])
-
-
-def sentences(out: Console, result: dict[str, Any], key: str = "words") -> None:
+def sentences(out: Console, result: dict[str, Any]) -> None:
     """Print the sentences of a result, one a line."""
-    for sentence in result.get(key) or ():
-        out.print(escape(sentence))
+    say(out, *result["words"])
 
 
 def history(out: Console, result: dict[str, Any]) -> None:
@@ -225,12 +211,12 @@ def history(out: Console, result: dict[str, Any]) -> None:
         words = escape("\n  ".join([name, *model.get("settings", [])]))
         rows.add_row(words, *(format_plain(row.values[k]) for row in found))
     out.print(rows)
-    sentences(out, {"words": (*verdicts.describe_tests(result), *verdicts.describe_predictions(result))})
+    say(out, *verdicts.describe_tests(result), *verdicts.describe_predictions(result))
 
 
-def fails_at(out: Console, spans: list[dict[str, Any]]) -> None:
+def fails_at(out: Console, result: dict[str, Any]) -> None:
     """Print spans of time, position and velocity with their share of the misfit."""
-    if spans:
+    if spans := result.get("fails_at"):
         out.print(table("fails in", *candidates.FAILING_HEADS, rows=candidates.failing_rows(spans)))
 
 
@@ -260,58 +246,51 @@ SHARES = (  # words, and where they stand
 
 def verdict(out: Console, result: dict[str, Any]) -> None:
     """Print the verdict and the candidates."""
-    for found in result.get("warnings") or []:
-        out.print(f"[bold]{verdicts.CHECK_FIRST}[/bold] {escape(found['words'])}")
-    out.print(f"[bold]{escape(verdicts.headline(result))}[/bold]")
+    warnings = (found["words"] for found in result.get("warnings") or [])
+    say(out, *warnings, form=f"[bold]{verdicts.CHECK_FIRST}[/bold] {{}}")
+    say(out, verdicts.headline(result), form=BOLD)
     chi2, p = format_plain(result.get("reduced_chi2"), 3), format_p_value(result.get("p_lack_of_fit"))
     key, unit = ("noise_um", "µm") if result.get("noise_um") is not None else ("noise_N", "N")
     out.print(f"reduced chi² {chi2}, lack of fit: p {p}, noise {format_plain(result.get(key), 3)} {unit}")
-    if rests := result.get("rests_on_repairs"):
-        out.print(f"[bold]{escape(rests)}[/bold]")
-    findings = result.get("findings") or []
-    for one in findings[:MAX_FINDINGS]:
-        out.print(escape(f"{one['run']}: {one['words']}"))
+    say(out, result.get("rests_on_repairs"), form=BOLD)
+    findings = [f"{one['run']}: {one['words']}" for one in result.get("findings") or []]
+    say(out, *findings[:MAX_FINDINGS])
     if (more := len(findings) - MAX_FINDINGS) > 0:
         out.print(f"and {more} more findings in the records; the report lists them")
     for gap in result.get("undetermined") or []:
         advice = f"; to settle it: {gap['settled_by']}" if gap["settled_by"] else ""
-        out.print(escape(f"open: {gap['what']}, {gap['why']}{advice}"))
+        say(out, f"open: {gap['what']}, {gap['why']}{advice}")
     rows = candidates.candidate_rows(result)
     for row in (one for one in rows if one.passes or one.kind in candidates.MAIN_KINDS):
         out.print(f"[bold]{escape(row.effect)}[/bold]: {escape(row.standing)}")
         out.print(f"  {escape(row.line)}")
-    if others := candidates.not_passing(rows):
-        out.print(others)
+    say(out, candidates.not_passing(rows))
 
 
 def diagnosis_rest(out: Console, result: dict[str, Any]) -> None:
     """Print what follows from the verdict: where the model fails, how much each effect explains, what to film next."""
     result = result.get("diagnose", result)  # of `frictrack run`
-    for one in result.get("evidence") or []:
-        out.print(f"[bold]evidence:[/bold] {escape(one['words'])}")
-    for row in (one for one in candidates.candidate_rows(result) if one.kind in candidates.MAIN_KINDS and one.share):
-        out.print(escape(f"{row.effect} alone explains {row.share} of the misfit"))
-    fails_at(out, result.get("fails_at") or [])
-    words = [result["repeats_words"]] if result.get("repeats_words") else []
-    sentences(out, {"words": [*words, *verdicts.describe_alternatives(result)]})
+    say(out, *(one["words"] for one in result.get("evidence") or []), form="[bold]evidence:[/bold] {}")
+    rows = [one for one in candidates.candidate_rows(result) if one.kind in candidates.MAIN_KINDS and one.share]
+    say(out, *(f"{row.effect} alone explains {row.share} of the misfit" for row in rows))
+    fails_at(out, result)
+    say(out, result.get("repeats_words"), *verdicts.describe_alternatives(result))
     unexplained(out, verdicts.force_without_effect(result))
-    sentences(out, result, "remarks")
+    say(out, *result.get("remarks") or ())
     next_experiment(out, result)
-    if not result.get("complete", True):
-        out.print(verdicts.VERDICT_ONLY)
+    say(out, None if result.get("complete", True) else verdicts.VERDICT_ONLY)
 
 
 def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
     """Print the variable on which the misfit depends, formulas for it, and text for the study file."""
     if not left:
         return
-    out.print(escape(verdicts.describe_unexplained(left)))
+    say(out, verdicts.describe_unexplained(left))
     for k, f in enumerate(left["formulas"], 1):
         others = f" with {', '.join(f['beside'])}" if f.get("beside") else ""
         evidence = "; ".join([verdicts.formula_evidence(f), *verdicts.describe_formula(f)[: 1 if k > 1 else None]])
-        out.print(escape(f"  {k}. {f['formula']}{others}  ({evidence})"))
-    if unnamed := verdicts.describe_unnamed(left):
-        out.print(unnamed)
+        say(out, f"  {k}. {f['formula']}{others}  ({evidence})")
+    say(out, verdicts.describe_unnamed(left))
     if left["formulas"] and left["formulas"][0].get("toml"):
         out.print("to use the first formula, add it with `frictrack add STUDY formula:1`, which writes this table:")
         out.print(escape(left["formulas"][0]["toml"]), highlight=False, soft_wrap=True)
@@ -319,10 +298,10 @@ def unexplained(out: Console, left: Mapping[str, Any] | None) -> None:
 
 def next_experiment(out: Console, result: dict[str, Any]) -> None:
     """Print the next experiments, best first, with the expected evidence."""
-    for k, step in enumerate(verdicts.next_experiments(result), 1):
-        if k == 1:
-            out.print("[bold]Next experiment[/bold]")
-        out.print(f"  {k}. {escape(step.what)}", soft_wrap=True)
+    steps = verdicts.next_experiments(result)
+    say(out, *["Next experiment"] * bool(steps), form=BOLD)
+    for k, step in enumerate(steps, 1):
+        say(out, step.what, form=f"  {k}. {{}}", soft_wrap=True)
         if step.separates:
             out.print(f"     {step.words}", soft_wrap=True, style="dim")
 
@@ -343,15 +322,13 @@ def plan(out: Console, result: dict[str, Any]) -> None:
 
 def plan_details(out: Console, result: dict[str, Any]) -> None:
     """Print what is filmed and assumed, what no run settles and why, and the detection limits."""
-    if result["done"]:
-        out.print(f"filmed already: {escape('; '.join(result['done']))}", soft_wrap=True)
-    lines(out, result["assumed"], "assumed: ", style="dim")
+    say(out, "; ".join(result["done"]), form="filmed already: {}", soft_wrap=True)
+    say(out, *result["assumed"], form="assumed: {}", soft_wrap=True, style="dim")
     left = [(" and ".join(one["effects"]), "separated", one) for one in result["left"]]
     for what, done, one in (*left, *((one["effect"], "detected", one) for one in result["unseen"])):
-        why = f"{escape(one['why'])}; {escape(one['settle'])}"
-        out.print(f"[bold]{what}[/bold] cannot be {done}: {why}", soft_wrap=True)
+        say(out, f"{one['why']}; {one['settle']}", form=f"[bold]{what}[/bold] cannot be {done}: {{}}", soft_wrap=True)
     not_planned = (f"{name} was not planned for: it {why}" for name, why in result["not_planned"].items())
-    lines(out, not_planned, style="dim")
+    say(out, *not_planned, soft_wrap=True, style="dim")
     rows = table("effect", "detection limit", "at")
     for name, limit in result["detection_limits"].items():
         unit = "" if limit["unit"] == "1" else limit["unit"]
@@ -364,16 +341,17 @@ def _film_now(out: Console, result: dict[str, Any]) -> None:
     """Print the run to film now with its settings, cost and expected evidence, or why there is none."""
     named = result.get("next")
     if named is None:
-        lines(out, filter(None, [result.get("next_reason")]), "[bold]Next run[/bold]: no run; ")
+        say(out, result.get("next_reason"), form="[bold]Next run[/bold]: no run; {}", soft_wrap=True)
         return
     own, about = named["settings"], ", ".join(named["separates"])
     set_up = (
         f"speed {own['speed']:.3g} m/s, mass {own['mass']:.3g} kg, incline {own['incline_deg']:.2g} degrees, "
         f"{own['fps']:.4g} frames/s; cost {format_plain(named['cost'], 3)}"
     )
-    lines(out, [named["what"]], "[bold]Next run[/bold]: ")
-    lines(out, [set_up], "  ")
-    lines(out, [f"about {about}; expected delta BIC {verdicts.expected_evidence(named)}"], "  ", style="dim")
+    evidence = f"about {about}; expected delta BIC {verdicts.expected_evidence(named)}"
+    say(out, named["what"], form="[bold]Next run[/bold]: {}", soft_wrap=True)
+    say(out, set_up, form="  {}", soft_wrap=True)
+    say(out, evidence, form="  {}", soft_wrap=True, style="dim")
 
 
 # --- the whole analysis
@@ -390,7 +368,7 @@ def run_brief(out: Terminal, result: dict[str, Any]) -> None:
     fitted = result["fit"]
     _brief_verdict(out, result["diagnose"])
     found = [row for row in candidates.error_rows([fitted["errors"]]) if row.short in BRIEF_ERRORS][-3:]
-    out.print(escape("; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found)))
+    say(out, "; ".join(f"{e.name} {format_plain(e.values[0], 3)} {e.unit}".rstrip() for e in found))
     _brief_parameters(out, fitted)
 
 
@@ -400,13 +378,13 @@ def _brief_parameters(out: Terminal, result: dict[str, Any], after: int = LAST_L
     Those that the data do not determine are left out first. `after` is the number of lines that will follow.
     """
     fitted = {name: one for name, one in result["parameters"].items() if one.get("reason") != "fixed"}
-    most = max(MAX_LINES - out.lines - after - 1 - bool(result.get("misfit")), MIN_PARAMETERS)
+    misfit = (result.get("misfit") or {}).get("words", "").partition(". ")[0]
+    most = max(MAX_LINES - out.lines - after - 1 - bool(misfit), MIN_PARAMETERS)
     shared = sorted((name for name in fitted if "[" not in name), key=lambda name: fitted[name].get("value") is None)
     shown = {name: one for name, one in fitted.items() if name in shared[:most]}
     left_out = len(fitted) - len(shown)
     out.print(parameters(shown, brief=True, more=f"and {left_out} more in the report" * (left_out > 0)))
-    if result.get("misfit"):
-        out.print(escape(f"† {result['misfit']['words'].partition('. ')[0]}"))
+    say(out, misfit, form="† {}")
 
 
 def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
@@ -414,16 +392,13 @@ def _brief_verdict(out: Console, found: dict[str, Any]) -> None:
     warnings = [f"{verdicts.CHECK_FIRST} {one['words']}" for one in found.get("warnings") or []]
     warnings += [found["rests_on_repairs"]] if found.get("rests_on_repairs") else []
     warnings += [f"{one['run']}: {one['words']}" for one in found.get("findings") or []]
-    for line in warnings[:1]:
-        more = f" (and {len(warnings) - 1} more in the report)" if len(warnings) > 1 else ""
-        out.print(f"[bold]{escape(line)}[/bold]{more}")
-    out.print(f"[bold]{escape(verdicts.headline(found))}[/bold]")
+    say(out, *warnings[:1], form=BOLD + f" (and {len(warnings) - 1} more in the report)" * (len(warnings) > 1))
+    say(out, verdicts.headline(found), form=BOLD)
     if found["verdict"] == "undetermined":
-        out.print(escape(verdicts.describe_open_question(found)))
-    for row in [one for one in candidates.candidate_rows(found) if one.kind in ("named", "lead")][:MAX_NAMED]:
-        out.print(escape(f"{row.effect}: {row.line}"))
-    if (left := verdicts.force_without_effect(found)) and left.get("words"):
-        out.print(escape(left["words"]))
+        say(out, verdicts.describe_open_question(found))
+    rows = [row for row in candidates.candidate_rows(found) if row.kind in ("named", "lead")]
+    say(out, *(f"{row.effect}: {row.line}" for row in rows[:MAX_NAMED]))
+    say(out, (verdicts.force_without_effect(found) or {}).get("words"))
 
 
 def demo(out: Terminal, result: dict[str, Any]) -> None:
@@ -455,19 +430,17 @@ def blind(out: Console, result: dict[str, Any]) -> None:
             share = (format_plain(100 * hits["share"], 3), f"{low:.1f}-{high:.1f}")
             rows.add_row(words, str(hits["hits"]), str(hits["of"]), *share)
     out.print(rows)
-    for failed in result["failed"]:
-        out.print(f"{failed['study']} failed: {escape(failed['reason'])}")
+    say(out, *(f"{failed['study']} failed: {failed['reason']}" for failed in result["failed"]))
 
 
 def crate(out: Console, result: dict[str, Any]) -> None:
     """Print size and content of a crate, and what is missing in it."""
     out.print(f"{result['files']} files, {result['bytes'] / 1e6:.1f} MB")
     if result["by_hash"]:
-        files = ((escape(f["file"]), f"{f['bytes'] / 1e6:.1f}", f["sha256"][:12]) for f in result["by_hash"])
+        files = ((f["file"], f"{f['bytes'] / 1e6:.1f}", f["sha256"][:12]) for f in result["by_hash"])
         out.print(table("not included, only its hash", "MB", "SHA-256", rows=files))
-        out.print("to include them: --include-recordings; publish them elsewhere otherwise", markup=False)
-    for name in result["not_given"]:
-        out.print(f"not given: {NOT_GIVEN[name]}; give --{name}", markup=False)
+        out.print("to include them: --include-recordings; publish them elsewhere otherwise")
+    say(out, *(f"not given: {NOT_GIVEN[name]}; give --{name}" for name in result["not_given"]))
 
 
 def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
@@ -482,8 +455,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
     differ = [one for group in result["groups"] for one in group["differences"][:MAX_DIFFERENCES]]
     places = [(f"{one['file']}:/{one['group']} {one['value']}".rstrip(), one) for one in differ]
     places += [(one["name"], one) for one in result["versions"]]
-    lines(out, (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places))
-    lines(out, result["altered"], "altered since the crate was written: ")
+    differences = (f"{what}: {one['stored']} in the crate, {one['computed']} here" for what, one in places)
+    say(out, *differences, soft_wrap=True)
+    say(out, *result["altered"], form="altered since the crate was written: {}", soft_wrap=True)
     if not result["equal"]:
         same = "are the same" if result["same_conclusions"] else "differ, too"
         out.print(f"models, verdicts, parameters and errors {same}")
@@ -493,9 +467,9 @@ def reproduced_crate(out: Console, result: dict[str, Any]) -> None:
 
 def init(out: Console, result: dict[str, Any]) -> None:
     """Print what was found in a folder, what was left out, and what the user must give."""
-    out.print(table("found", "", rows=((escape(one["file"]), escape(one["words"])) for one in result["found"])))
-    if skipped := result["skipped"]:
-        out.print(table("left out", "", rows=((escape(one["file"]), escape(one["reason"])) for one in skipped)))
+    out.print(table("found", "", rows=((one["file"], one["words"]) for one in result["found"])))
+    if result["skipped"]:
+        out.print(table("left out", "", rows=((one["file"], one["reason"]) for one in result["skipped"])))
     needed = f"fill in {', '.join(result['fill_in'])} (marked FILL IN)" if result["fill_in"] else "look it over"
     path = result["study"]
     out.print(f"next: open {path}, {needed}, then `frictrack run {shlex.quote(path)}`", markup=False)
@@ -508,34 +482,30 @@ def prior(out: Console, result: dict[str, Any]) -> None:
         scales = "" if one["scales_with"] == "nothing" else one["scales_with"]
         rows.add_row(escape(name), format_plus_minus(one["value"], one["std"]), one["unit"], scales)
     out.print(rows)
-    for name, reason in result["left_out"].items():
-        out.print(f"left out: {escape(name)}, {escape(reason)}")
+    say(out, *(f"left out: {name}, {reason}" for name, reason in result["left_out"].items()))
 
 
 def export(out: Console, result: dict[str, Any]) -> None:
     """Print what the format could not hold."""
-    lines(out, result["lost"], "not in these files: ")
+    say(out, *result["lost"], form="not in these files: {}", soft_wrap=True)
 
 
 def reproduce(out: Console, result: dict[str, Any]) -> None:
     """Print every claim of the papers with its verdict."""
     for part in result["parts"]:
-        out.print(f"[bold]{escape(part['title'])}[/bold]")
+        say(out, part["title"], form=BOLD)
         for c in part["claims"]:
             out.print(f"  {c['where']}: {c['claim']}: [bold]{c['verdict']}[/bold]", soft_wrap=True)
             out.print(f"    printed: {escape(c['printed'])}; here: {escape(c['ours'])}", soft_wrap=True)
     n = result["counts"]
     out.print(f"{n['holds']} claims hold, {n['fails']} do not, {n['open']} cannot be decided")
-    if result["quick"]:
-        out.print("quick run with few seeds: no statistics")
+    say(out, "quick run with few seeds: no statistics" if result["quick"] else None)
 
 
 def effects(out: Console, result: dict[str, Any]) -> None:
     """Print one line per effect."""
     width = out.width - max(len(e["name"]) for e in result["effects"]) - 2
-    named = (
-        (escape(e["name"]), escape(textwrap.shorten(e["what"], width, placeholder=" …"))) for e in result["effects"]
-    )
+    named = ((e["name"], textwrap.shorten(e["what"], width, placeholder=" …")) for e in result["effects"])
     out.print(table("effect", "what it is", rows=named))
     out.print("`frictrack effects EFFECT` describes an effect; `frictrack add STUDY EFFECT` adds it to the model")
 
@@ -547,7 +517,7 @@ def explain(out: Console, result: dict[str, Any]) -> None:
         also = f" ({', '.join(others)})" if others else ""
         out.print(f"[bold]{escape(word)}[/bold]{escape(also)}: {escape(term['meaning'])}")
     described_effects(out, result)
-    lines(out, (f"the same: `frictrack effects {e['name']}`" for e in result["effects"]))
+    say(out, *(f"the same: `frictrack effects {e['name']}`" for e in result["effects"]), soft_wrap=True)
 
 
 def described_effects(out: Console, result: dict[str, Any]) -> None:
@@ -557,9 +527,8 @@ def described_effects(out: Console, result: dict[str, Any]) -> None:
         symbols = symbols_in(e["equation"], {p["name"] for p in e["parameters"]})
         said = e | {"parameters": "; ".join(units), "symbols": symbols, "needs": "; ".join(e["needs"])}
         out.print(f"[bold]{escape(e['name'])}[/bold]: {escape(e['what'])}")
-        for key in ("equation", "parameters", "symbols", "needs", "looks_like", "mistaken_for", "confirm", "source"):
-            if said[key]:
-                out.print(f"  {key.replace('_', ' ')}: {escape(said[key])}")
+        keys = ("equation", "parameters", "symbols", "needs", "looks_like", "mistaken_for", "confirm", "source")
+        say(out, *(f"{key.replace('_', ' ')}: {said[key]}" for key in keys if said[key]), form="  {}")
 
 
 def batch(out: Console, result: dict[str, Any]) -> None:
@@ -567,28 +536,25 @@ def batch(out: Console, result: dict[str, Any]) -> None:
     rows = table("study", "runs", "verdict", "missing", "failed because")
     rows.columns[0].no_wrap = False  # a path may be longer than the terminal
     for row in result["studies"][:MAX_STUDIES]:
-        rows.add_row(*(cell(row.get(k)) for k in ("study", "runs", "verdict", "missing", "reason")))
+        rows.add_row(*(escape(cell(row.get(k))) for k in ("study", "runs", "verdict", "missing", "reason")))
     out.print(rows)
     if (more := len(result["studies"]) - MAX_STUDIES) > 0:
         out.print(f"and {more} more")
-    for failed in (one for one in result["failed"] if one["run"]):
-        out.print(f"left out of {failed['study']}: {failed['reason']}", markup=False)
+    say(out, *(f"left out of {failed['study']}: {failed['reason']}" for failed in result["failed"] if failed["run"]))
     for trend in (one for one in result["trends"] if one["holds"]):
         change = format_plus_minus(trend["change"], trend["change_std"])
         unit = f" {trend['unit']}".removesuffix(" 1")
-        out.print(f"over the series, {trend['name']} changes by {change}{unit}", markup=False)
-    for line in (line for one in result.get("conditions", ()) for line in one["words"]):
-        out.print(line, markup=False)
+        say(out, f"over the series, {trend['name']} changes by {change}{unit}")
+    say(out, *(line for one in result.get("conditions", ()) for line in one["words"]))
 
 
 def verify(out: Console, result: dict[str, Any]) -> None:
     """Print one line per fault, then what was verified."""
-    lines(out, (f"{fault['kind']}: {fault['words']}" for fault in result["faults"]))
+    say(out, *(f"{fault['kind']}: {fault['words']}" for fault in result["faults"]), soft_wrap=True)
     if old := result["without_checksums"]:
         out.print(f"{len(old)} files of an earlier schema have no checksums; they get them when they are next written")
     if old := result["partly_hashed"]:
         words = "identify their film by the hash of 3 MB of it; to have all of it hashed, delete them and run again"
         out.print(f"{len(old)} results of an earlier version {words}")
-    lines(out, result["at_work"], "another frictrack process is writing in ")
-    if result["sound"]:
-        out.print(f"{result['files']} result files are sound")
+    say(out, *result["at_work"], form="another frictrack process is writing in {}", soft_wrap=True)
+    say(out, f"{result['files']} result files are sound" if result["sound"] else None)

@@ -289,7 +289,7 @@ def compare(study: Study = STUDY_HERE, parameter: str | None = None, as_json: Js
     """
     with open_session(study) as session:
         result = session.compare() if parameter is None else session.compare_groups(parameter)
-    show = "compare" if parameter is None else "sentences"
+    show = "history fails_at" if parameter is None else "sentences"
     print_result(result, as_json, show, session.path, look_at("compare") if parameter is None else "")
 
 

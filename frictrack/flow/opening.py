@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.files import replace_text
 from frictrack.base.workers import WorkerPool
 from frictrack.flow import stages, stored_results
-from frictrack.flow.command_history import CommandHistory
 from frictrack.flow.pipeline import Progress, RunPipeline
 from frictrack.flow.plausibility_checks import Findings
 from frictrack.flow.tried_models import FitRequest, TriedModels
@@ -207,91 +205,76 @@ class MeasuredRuns:
 FORMULA = re.compile(r"formula:(\d+)")
 
 
-@dataclass(frozen=True)
-class OpenStudy:
-    """The three parts of an open study that an edit may change."""
-
-    study: Study
-    history: CommandHistory
-    models: TriedModels
+Edit = Callable[..., dict[str, Any]]
+"""Function ``edit(models, **arguments)`` that changes a study, records the command and returns what it did."""
 
 
-def _edit(opened: OpenStudy, command: str, rewrite: Callable[[str], str], **arguments: Any) -> dict[str, Any]:
-    """Rewrite the study file and record the command; return its arguments."""
-    with opened.history.record(command, **arguments) as change:
-        change.before, change.after = _rewrite(opened.study.path, rewrite)
-    return arguments
+def _edit(command: str, rewrite: Callable[..., str]) -> Edit:
+    """Return an edit that rewrites the study file by ``rewrite(models, text, **arguments)`` and returns these."""
+
+    def edit(models: TriedModels, /, **arguments: Any) -> dict[str, Any]:
+        with models.commands.record(command, **arguments) as change:
+            change.before, change.after = _rewrite(models.study.path, partial(rewrite, models, **arguments))
+        return arguments
+
+    return edit
 
 
-def set_key(opened: OpenStudy, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
+def _set_key(models: TriedModels, table: str, key: str, value: Any, which: str | None = None) -> dict[str, Any]:
     """Set one key of the study file."""
-
-    def rewrite(text: str) -> str:
-        after = study_files.with_key(text, table, key, value, which)
-        if table == "effect" and opened.models.current_group is not None:  # else only the next fit would fail
-            request = opened.models.request(opened.models.current_group)
-            request.model(parse(opened.study.path, after, allow_incomplete=True).effects)
-        return after
-
-    return _edit(opened, "edit", rewrite, table=table, which=which, key=key, value=value)
+    return _edit("edit", _with_key)(models, table=table, which=which, key=key, value=value)
 
 
-def add_recordings(opened: OpenStudy, recordings: Sequence[str]) -> dict[str, Any]:
+def _with_key(models: TriedModels, text: str, table: str, which: str | None, key: str, value: Any) -> str:
+    after = study_files.with_key(text, table, key, value, which)
+    if table == "effect" and models.current_group is not None:  # else only the next fit would fail
+        request = models.request(models.current_group)
+        request.model(parse(models.study.path, after, allow_incomplete=True).effects)
+    return after
+
+
+def _with_recordings(models: TriedModels, text: str, recordings: Sequence[str]) -> str:
     """Add a run for each recording."""
-    folder = opened.study.folder
-    paths = [folder / name for name in recordings]
+    paths = [models.study.folder / name for name in recordings]
     if missing := [str(path) for path in paths if not path.exists()]:
         raise UsageError(f"expected a recording {', '.join(missing)} but there is no such file")
-    return _edit(
-        opened, "take_in", lambda text: study_files.writing.with_runs(text, folder, paths), recordings=recordings
-    )
+    return study_files.writing.with_runs(text, models.study.folder, paths)
 
 
-def remove_run(opened: OpenStudy, run: str) -> dict[str, Any]:
-    """Remove a run from the study file; its recording and its results stay where they are."""
-    return _edit(opened, "leave_out", lambda text: study_files.writing.without_run(text, run), run=run)
-
-
-def define_effect(opened: OpenStudy, effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Write an ``[[effect]]`` into the study file; it replaces one of the same name."""
-    keys = dict(effect)
-    return _edit(opened, "define", lambda text: study_files.writing.with_effect(text, keys), effect=keys)
-
-
-def select_model(opened: OpenStudy, model: str) -> dict[str, Any]:
+def _select_model(models: TriedModels, model: str) -> dict[str, Any]:
     """Make a model current that was tried before."""
-    if model not in opened.models.groups:
-        known = ", ".join(opened.models.groups) or "none"
+    if model not in models.groups:
+        known = ", ".join(models.groups) or "none"
         raise UsageError(f'expected a model that was tried but got "{model}"; there are {known}')
-    with opened.history.record("use", model=model) as change:
-        change.before, change.after = {"current": opened.models.current_group}, {"current": model}
-        opened.models.select(model)
+    with models.commands.record("use", model=model) as change:
+        change.before, change.after = {"current": models.current_group}, {"current": model}
+        models.select(model)
     return {"model": model}
 
 
-def _undo_or_redo(opened: OpenStudy, command: str) -> dict[str, Any]:
+def _undo_or_redo(models: TriedModels, command: str) -> dict[str, Any]:
     """Undo the last change, or redo the change that was undone last; the models tried stay in the history."""
-    with opened.history.record(command) as record:
-        done, undone = opened.history.undo_stacks()
+    with models.commands.record(command) as record:
+        done, undone = models.commands.undo_stacks()
         stack = done if command == "undo" else undone
         if not stack:
             raise FrictrackError(f"there is nothing to {command}")
         change = stack[-1]
         old, new = (change.after, change.before) if command == "undo" else (change.before, change.after)
         if "toml" in new:
-            _rewrite(opened.study.path, lambda text: _swap(text, old["toml"], new["toml"]))
+            _rewrite(models.study.path, lambda text: _swap(text, old["toml"], new["toml"]))
         else:
-            opened.models.select(new["current"])
+            models.select(new["current"])
         record.arguments = {"of": change.revision}
     return {"change": change.command, **change.arguments}
 
 
-EDITS: dict[str, Callable[..., dict[str, Any]]] = {  # command -> function that changes the study
-    "edit": set_key,
-    "take_in": add_recordings,
-    "leave_out": remove_run,
-    "define": define_effect,
-    "use": select_model,
+EDITS: dict[str, Edit] = {
+    "edit": _set_key,
+    "take_in": _edit("take_in", _with_recordings),
+    "leave_out": _edit("leave_out", lambda _, text, run: study_files.writing.without_run(text, run)),
+    "define": _edit("define", lambda _, text, effect: study_files.writing.with_effect(text, effect)),
+    "use": _select_model,
     "undo": partial(_undo_or_redo, command="undo"),
     "redo": partial(_undo_or_redo, command="redo"),
 }

@@ -139,8 +139,7 @@ class Session:
         return models[command](**arguments)
 
     def _edit_study(self, command: str, **arguments: Any) -> dict[str, Any]:
-        opened = opening.OpenStudy(self.study, self.commands, self.models)
-        result = opening.EDITS[command](opened, **arguments)
+        result = opening.EDITS[command](self.models, **arguments)
         self._load(open_study(self.study.path, allow_incomplete=True))
         return result
 

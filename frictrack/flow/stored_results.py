@@ -306,7 +306,6 @@ class ResultsReader:
     def __init__(self, *, with_budgets: bool = True) -> None:
         self.with_budgets = with_budgets
         self._kept: dict[Any, tuple[Any, Any]] = {}  # by what it is: what it depends on, and the object itself
-        self._attempts: dict[Path, ModelResults] = {}
 
     def _keep(self, what: Any, key: Any, make: Callable[[], Any]) -> Any:
         """Return the same object as the last time, unless its key is another one."""
@@ -351,7 +350,8 @@ class ResultsReader:
         self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory
     ) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
-        measured = [pipeline for pipeline in pipelines if pipeline.run.name in states and _is_measured(pipeline)]
+        needed = {p.run.name: [name for name in p.stages if name not in OPTIONAL_STAGES] for p in pipelines}
+        measured = [p for p in pipelines if p.run.name in states and all(map(p.is_current, needed[p.run.name]))]
         runs: dict[str, RunResults] = {}
         for p in measured:
             make = partial(run_results, p, with_budget=self.with_budgets)
@@ -373,17 +373,12 @@ class ResultsReader:
         """Return the fits of the current model with one more effect that `Session.attempt` stored, by effect."""
         models = stored_models(study)
         found: dict[str, ModelResults] = {}
-        kept: dict[Path, ModelResults] = {}
         with store.snapshot(models.path, *(pipeline.path for pipeline in models.pipelines)):
             group = models.current_group
             for name in names if group is not None else ():
-                request = models.request(str(group)).edited(f"+{name}")
-                path = models.attempt_path(request)  # its name is the hash of all that its content depends on
-                if path.exists() and path in self._attempts:
-                    found[name] = kept[path] = self._attempts[path]
-                elif stored := models.stored_attempt(request):
-                    found[name] = kept[path] = model_results(*stored)
-        self._attempts = kept
+                # the name of its file is the hash of all that its content depends on
+                if stored := models.stored_attempt(models.request(str(group)).edited(f"+{name}")):
+                    found[name] = self._keep(("attempt", name), stored, partial(model_results, *stored))
         return found
 
 
@@ -411,11 +406,6 @@ def preview_motion(run: RunResults, cutoff: float) -> Array:
     course = replace(run.displacement, y=np.full(len(run.displacement), np.nan))  # y would double the time
     acceleration = None if run.sensors is None else fused_acceleration(run.sensors)
     return measure.motion.derivatives(measure.motion.low_pass(course, method=choice, acceleration=acceleration))
-
-
-def _is_measured(pipeline: RunPipeline) -> bool:
-    """Return whether all stages that a fit needs are stored."""
-    return all(pipeline.is_current(name) for name in pipeline.stages if name not in OPTIONAL_STAGES)
 
 
 def run_results(pipeline: RunPipeline, *, with_budget: bool = True) -> RunResults:

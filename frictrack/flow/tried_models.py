@@ -278,7 +278,7 @@ class TriedModels:
             from frictrack.fit import PRIOR_NEEDS_NOISE  # noqa: PLC0415
 
             raise UsageError(PRIOR_NEEDS_NOISE)
-        entry = self._attempted(request) or self._fitted(request, current=True)
+        entry = self._fitted(request, current=True)
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
@@ -324,12 +324,15 @@ class TriedModels:
             store.write(self.path, {"papers": self._fitted(request, current=False)})
 
     def _fitted(self, request: FitRequest, *, current: bool) -> GroupContent:
-        """Fit a model; return the content of its group, with the fit as it will be restored.
+        """Fit a model, or take its fit if it was attempted; return the content of its group, as it will be restored.
 
         So one process or several give the same bits.
         """
         from frictrack.fit import fit, generation_limit, restore, state  # noqa: PLC0415
 
+        made = self.provenance(self.fit_key(request), request.to_json())
+        if attempted := self.stored_attempt(request):
+            return GroupContent(_read_fit(attempted[0], f"models/{attempted[1]}") | {"current": current}, made)
         self.progress(0, 0, f"fitting {request.name} ({request.domain} domain, {request.search})")
         limit = 1000 if request.search == "varpro" else generation_limit(request.method) or 1000  # else not known
 
@@ -352,39 +355,29 @@ class TriedModels:
             "motion": {motion.run: motion for motion in fitted.motion},
             **({"convergence": fitted.convergence} if fitted.convergence else {}),
         }
-        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+        return GroupContent(content, made)
 
     # --- fits of the current model with one more effect, each in a file of its own
 
-    def attempt_path(self, request: FitRequest) -> Path:
-        """Return the file that holds the fit of a request if it was attempted; its name is the key of the fit."""
-        name = f"{self.fit_key(request)[:KEY_LENGTH]}.h5"
-        return self.study.output / INTERNAL_FOLDER / ATTEMPTS_FOLDER / name
+    def _attempt_place(self, request: FitRequest) -> tuple[Path, str]:
+        """Return file and group of the fit of a request that is attempted; the file has the key of the fit as name."""
+        folder = self.study.output / INTERNAL_FOLDER / ATTEMPTS_FOLDER
+        return folder / f"{self.fit_key(request)[:KEY_LENGTH]}.h5", f"attempt_{request.name}"
 
     def stored_attempt(self, request: FitRequest) -> tuple[Path, str] | None:
         """Return file and group of the attempted fit of a request; None if there is none, or it cannot be read."""
-        path, group = self.attempt_path(request), f"attempt_{request.name}"
-        made = result_or_none(store.provenance, path, f"models/{group}")
-        return (path, group) if made is not None else None
+        path, group = self._attempt_place(request)
+        return (path, group) if result_or_none(store.provenance, path, f"models/{group}") else None
 
     def attempt(self, request: FitRequest) -> dict[str, Any]:
         """Fit a model into a file of its own, unless it is there already: JSON of `fit`."""
-        found = self.stored_attempt(request)
-        if found is None:
+        path, group = self._attempt_place(request)
+        if self.stored_attempt(request) is None:
             entry = self._fitted(request, current=False)
-            standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
             _make_room_for_attempt(self.study.output)
-            found = self.attempt_path(request), f"attempt_{request.name}"
-            store.write(found[0], {f"models/{found[1]}": standalone})
-        return model_results(*found).summary
-
-    def _attempted(self, request: FitRequest) -> GroupContent | None:
-        """Return what was stored of a request if it was attempted before, else None; every bit of it is kept."""
-        found = self.stored_attempt(request)
-        if found is None:
-            return None
-        content = _read_fit(found[0], f"models/{found[1]}") | {"current": True}
-        return GroupContent(content, self.provenance(self.fit_key(request), request.to_json()))
+            standalone = replace(entry, provenance=replace(entry.provenance, inputs="[]"))
+            store.write(path, {f"models/{group}": standalone})
+        return model_results(path, group).summary
 
     # --- what is stored beside a fit: its JSON, and that of all that follows from it
 

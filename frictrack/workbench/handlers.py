@@ -10,7 +10,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import BytesIO
 from mimetypes import guess_type
 from pathlib import Path
@@ -30,7 +30,6 @@ from frictrack.workbench.live_study import LiveStudy, to_json
 
 if TYPE_CHECKING:
     from frictrack.results import Results
-    from frictrack.study import Study
 
 MAX_UNREAD_S = 20.0  # that a tab may leave a message unread
 STATIC = Path(__file__).parent / "static"
@@ -152,11 +151,11 @@ class UnknownHandler(Api):
 class AnswerHandler(Api):
     """A request that a function answers: GET changes nothing, POST has a JSON object."""
 
-    def initialize(self, live: LiveStudy, method: str, act: Act) -> None:  # type: ignore[override]
-        """Store what the table of addresses holds: the study, the method of the request, and what answers."""
+    def initialize(self, live: LiveStudy, answer: tuple[str, Act]) -> None:  # type: ignore[override]
+        """Store the study, and what `ANSWERS` holds: the method of the request, and what answers."""
         super().initialize(live)
+        method, self.act = answer
         self.SUPPORTED_METHODS = (method,)
-        self.act = act
 
     async def get(self) -> None:
         """Answer."""
@@ -358,15 +357,11 @@ def make_download(what: str, snapshot: Any, form: str = "svg", outdated: str | N
         raise MissingError(f"expected results for {what} but there are none; press Run first")
     if what.startswith("report") and outdated:
         raise OutdatedError(f"{outdated.rstrip('.')}; write it again or download it as it is")
-    return _content(what, snapshot.study, snapshot.results, form)
-
-
-def _content(what: str, study: Study, results: Results, form: str) -> Content:
-    """Make one of the files that exist or can be made of the results."""
     from frictrack.present import export  # noqa: PLC0415
 
+    results: Results = snapshot.results
     if what == "repeat.py":
-        return BytesIO(flow.replay_script(study).encode())
+        return BytesIO(flow.replay_script(snapshot.study).encode())
     if what == "tables.zip":
         return zip_files((path.name, path) for path in export.write(results, "csv"))
     if what == "hdf5.zip":
@@ -376,7 +371,7 @@ def _content(what: str, study: Study, results: Results, form: str) -> Content:
     if what == "figures.zip":
         figures = plots.study_figures(results)
         return zip_files((f"{name}.{form}", plots.file_content(draw(), form)) for name, draw in figures)
-    path = study.output / "report.html"
+    path = results.output / "report.html"
     if not path.exists():
         raise MissingError(f"expected the report {path} but it does not exist; write it first")
     return (report.print_pdf(path) if what == "report.pdf" else path).open("rb")
@@ -475,8 +470,13 @@ MAX_NAME_BYTES = 200  # file systems allow 255
 WRITE_BYTES = 1_000_000  # that are collected before they are written
 
 
-class UploadFile:
-    """A file that arrives in parts. It appears under its name when it is complete, or not at all.
+class _SameFileError(Exception):
+    """The file that arrived is there already."""
+
+
+@contextmanager
+def receive_file(folder: Path, name: str) -> Iterator[BinaryIO]:
+    """Open a file that arrives in parts. It appears in a folder when the block ends, or not at all.
 
     Parameters
     ----------
@@ -489,46 +489,20 @@ class UploadFile:
     ------
     FrictrackError
         If it is no valid file name.
+    OutdatedError
+        If another file of that name exists.
 
     """
-
-    def __init__(self, folder: Path, name: str) -> None:
-        self.path = folder / stored_name(name)
-        if self.path.is_symlink() or self.path.is_dir():
-            raise FrictrackError(f'expected the file name of a recording but got "{name}"')
-        self._stack = ExitStack()
-        self._part = self._stack.enter_context(atomic_write(self.path))
-        self._file: BinaryIO = self._part.open("wb")
-
-    def write(self, part: bytes) -> None:
-        """Write the next part."""
-        self._file.write(part)
-
-    def commit(self) -> str:
-        """Give the complete file its name; return the name.
-
-        Raises
-        ------
-        OutdatedError
-            If another file of that name exists.
-
-        """
-        self._file.close()
-        if self.path.exists():
-            same = filecmp.cmp(self._part, self.path, shallow=False)
-            self.discard()
-            if not same:
-                raise OutdatedError(f"{self.path.name} exists with different content; rename one of the files")
-            return self.path.name
-        self._stack.close()
-        return self.path.name
-
-    def discard(self) -> None:
-        """Remove what has arrived."""
-        self._file.close()
-        error = InterruptedError("the upload was not completed")
-        with suppress(InterruptedError, FrictrackError):
-            self._stack.__exit__(InterruptedError, error, None)
+    path = folder / stored_name(name)
+    if path.is_symlink() or path.is_dir():
+        raise FrictrackError(f'expected the file name of a recording but got "{name}"')
+    with suppress(_SameFileError), atomic_write(path) as part:
+        with part.open("wb") as file:
+            yield file
+        if path.exists():
+            if not filecmp.cmp(part, path, shallow=False):
+                raise OutdatedError(f"{path.name} exists with different content; rename one of the files")
+            raise _SameFileError
 
 
 def stored_name(name: str) -> str:
@@ -563,9 +537,8 @@ class UploadHandler(Api):
 
     async def prepare(self) -> None:
         """Check name and size before the first part."""
-        self.file: UploadFile | None = None
-        self._parts: list[bytes] = []
-        self._held = 0
+        self._file: BinaryIO | None = None
+        self._held, self._stack = bytearray(), ExitStack()
         if self.request.method != "POST":
             return
         self.request.connection.set_max_body_size(MAX_UPLOAD_BYTES + 1)  # type: ignore[union-attr]
@@ -574,35 +547,32 @@ class UploadHandler(Api):
             raise UsageError(f'expected the number of bytes as Content-Length but got "{length[:40]}"')
         size = int(length)
         free = await asyncio.to_thread(lambda: shutil.disk_usage(folder).free)
-        name = stored_name(self.get_query_argument("name", ""))
+        self._name = name = stored_name(self.get_query_argument("name", ""))
         if size > MAX_UPLOAD_BYTES:
             raise FrictrackError(f"{name} is larger than 2 GB; copy it into {folder} instead")
         if size > free:
             raise FrictrackError(
                 f"{name} needs {size / 1e6:.0f} MB but the disk of {folder} has {free / 1e6:.0f} MB free"
             )
-        self.file = await asyncio.to_thread(UploadFile, folder, name)
+        self._file = await asyncio.to_thread(self._stack.enter_context, receive_file(folder, name))
 
     async def data_received(self, chunk: bytes) -> None:
         """Write the next part; the connection waits for the disk."""
-        self._parts.append(chunk)
-        self._held += len(chunk)
-        if self._held >= WRITE_BYTES:
+        self._held += chunk
+        if len(self._held) >= WRITE_BYTES:
             await self._flush()
 
     async def _flush(self) -> None:
-        part, self._parts, self._held = b"".join(self._parts), [], 0
-        if self.file is not None and part:
-            await asyncio.to_thread(self.file.write, part)
+        part, self._held = self._held, bytearray()
+        if self._file is not None:
+            await asyncio.to_thread(self._file.write, part)
 
     async def post(self) -> None:
         """Answer with the name of the stored file."""
-        assert self.file is not None
         await self._flush()
-        file, self.file = self.file, None
-        name = await asyncio.to_thread(file.commit)
+        await asyncio.to_thread(self._stack.close)
         self.live.look_now()
-        self.answer({"name": name})
+        self.answer({"name": self._name})
 
     def on_connection_close(self) -> None:
         """Remove what has arrived of a file that will not be completed."""
@@ -610,6 +580,6 @@ class UploadHandler(Api):
 
     def on_finish(self) -> None:
         """Remove what has arrived if an error ended the request."""
-        file, self.file = getattr(self, "file", None), None
-        if file is not None:
-            file.discard()
+        with suppress(InterruptedError, FrictrackError):
+            error = InterruptedError("the upload was not completed")
+            getattr(self, "_stack", ExitStack()).__exit__(InterruptedError, error, None)

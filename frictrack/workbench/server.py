@@ -26,15 +26,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 
 from frictrack.base.errors import FrictrackError, UsageError
-from frictrack.workbench.handlers import (
-    ANSWERS,
-    STATIC,
-    AnswerHandler,
-    EventsHandler,
-    PageFiles,
-    UnknownHandler,
-    UploadHandler,
-)
+from frictrack.workbench import handlers
 from frictrack.workbench.live_study import LiveStudy
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -62,11 +54,6 @@ class RequestGuard:
     token: str
     host: str = LOOPBACK[0]
     names: tuple[str, ...] = ()
-
-    @property
-    def is_local(self) -> bool:
-        """Whether the page is served on the loopback interface."""
-        return self.host in LOOPBACK
 
     @property
     def secret(self) -> str:
@@ -108,7 +95,7 @@ class RequestGuard:
         """Whether a host is a name or an address of this machine."""
         if host in LOOPBACK or host in self.names:
             return True
-        if self.is_local:
+        if self.host in LOOPBACK:
             return False
         own = {self.host, socket.gethostname(), socket.getfqdn()} - set(WILDCARD_HOSTS)
         return host in {name.lower() for name in own} or _is_address(host)
@@ -280,11 +267,11 @@ def application(live: LiveStudy, guard: RequestGuard) -> Application:
     logging.getLogger("tornado.access").setLevel(logging.ERROR)  # refusals and missing films are told to the page
     more: dict[str, Any] = {"live": live}
     addresses: list[Any] = [
-        *((rf"/api/{n}", AnswerHandler, more | {"method": how, "act": act}) for n, (how, act) in ANSWERS.items()),
-        (r"/api/events", EventsHandler, more),
-        (r"/api/upload", UploadHandler, more),
-        (r"/static/(.*)", PageFiles, {"path": str(STATIC)}),
-        (r"/()", PageFiles, {"path": str(STATIC), "default_filename": "index.html"}),
-        (r".*", UnknownHandler, more),
+        *((rf"/api/{n}", handlers.AnswerHandler, more | {"answer": one}) for n, one in handlers.ANSWERS.items()),
+        (r"/api/events", handlers.EventsHandler, more),
+        (r"/api/upload", handlers.UploadHandler, more),
+        (r"/static/(.*)", handlers.PageFiles, {"path": str(handlers.STATIC)}),
+        (r"/()", handlers.PageFiles, {"path": str(handlers.STATIC), "default_filename": "index.html"}),
+        (r".*", handlers.UnknownHandler, more),
     ]
     return GuardedApplication(guard, addresses, websocket_ping_interval=PING_INTERVAL_S)

@@ -298,17 +298,12 @@ def find_studies(patterns: Sequence[str]) -> list[Path]:
     found: dict[Path, None] = {}
     for pattern in patterns:
         matches = glob.glob(pattern, recursive=True) or [pattern]
-        studies = [study for match in matches for study in _studies(Path(match))]
+        found_here = (path.rglob("study.toml") if path.is_dir() else [path] for path in map(Path, matches))
+        studies = [study for each in found_here for study in each if study.exists()]
         if not studies:
             raise UsageError(f"expected study files in {pattern} but found none")
         found |= dict.fromkeys(sorted(studies, key=_natural))
     return list(found)
-
-
-def _studies(path: Path) -> list[Path]:
-    if path.is_dir():
-        return list(path.rglob("study.toml"))
-    return [path] if path.exists() else []
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

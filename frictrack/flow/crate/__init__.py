@@ -40,16 +40,7 @@ from frictrack.base import imported
 from frictrack.base.errors import UsageError, os_errors_as
 from frictrack.base.files import atomic_write
 from frictrack.flow import Session
-from frictrack.flow.crate.payload import (
-    FRICTRACK,
-    MACHINE,
-    METADATA,
-    MOVED,
-    Part,
-    Payload,
-    list_payload,
-    platform_versions,
-)
+from frictrack.flow.crate import payload
 from frictrack.flow.crate.reproducing import reproduce_crate
 from frictrack.results import Results
 
@@ -169,21 +160,21 @@ def _one_or_several(references: Iterable[Entity]) -> Any:
     return found if len(found) > 1 else next(iter(found), None)
 
 
-def describe_crate(session: Session, results: Results, payload: Payload, authorship: Authorship) -> dict[str, Any]:
+def describe_crate(session: Session, results: Results, content: payload.Payload, authorship: Authorship) -> Entity:
     """Return the content of ``ro-crate-metadata.json``."""
     graph = _Graph()
-    files = [(part.role, _add_file(graph, part)) for part in payload.parts]
+    files = [(part.role, _add_file(graph, part)) for part in content.parts]
     moved = [
-        graph.add(f"#path-{number}", "PropertyValue", propertyID=MOVED, name=text, value=place)
-        for number, (text, place) in enumerate(payload.moved.items(), 1)
+        graph.add(f"#path-{number}", "PropertyValue", propertyID=payload.MOVED, name=text, value=place)
+        for number, (text, place) in enumerate(content.moved.items(), 1)
     ]
     authors = graph.add_all(authorship.authors)
     action = graph.add(
         "#analysis",
         "CreateAction",
         name=f"Analysis of {results.name} with frictrack",
-        description=f"frictrack run {payload.parts[0].place}; the models tried are in the history of the results.",
-        instrument=_add_software(graph, platform_versions()),
+        description=f"frictrack run {content.parts[0].place}; the models tried are in the history of the results.",
+        instrument=_add_software(graph, payload.platform_versions()),
         object=_one_or_several([*(file for role, file in files if role != "result"), *moved]),
         result=_one_or_several(file for role, file in files if role == "result"),
         startTime=next((change.time for change in session.commands.changes), None),
@@ -208,11 +199,11 @@ def describe_crate(session: Session, results: Results, payload: Payload, authors
         mentions=action,
         variableMeasured=_one_or_several(_add_parameters(graph, results)),
     )
-    graph.add(METADATA, "CreativeWork", conformsTo={"@id": SPECIFICATION}, about=root)
+    graph.add(payload.METADATA, "CreativeWork", conformsTo={"@id": SPECIFICATION}, about=root)
     return {"@context": list(CONTEXT), "@graph": list(graph.entities.values())}
 
 
-def file_address(part: Part) -> str:
+def file_address(part: payload.Part) -> str:
     """Return the address of a file in the metadata: its path, or its hash if the crate does not contain it."""
     if part.is_included:
         return quote(part.place)
@@ -220,7 +211,7 @@ def file_address(part: Part) -> str:
     return f"ni:///sha-256;{digest}?name={quote(part.place, safe='')}"
 
 
-def _add_file(graph: _Graph, part: Part) -> Entity:
+def _add_file(graph: _Graph, part: payload.Part) -> Entity:
     suffix = part.source.suffix.lower()
     return graph.add(
         file_address(part),
@@ -241,9 +232,10 @@ def _add_software(graph: _Graph, versions: Mapping[str, str]) -> Entity:
         kind, url = "SoftwareApplication", address.rstrip("#")
         return graph.add(f"{address}{quote(number, safe='')}", kind, name=name, softwareVersion=number, url=url, **more)
 
-    required = [add(name) for name in versions if name not in (FRICTRACK, *MACHINE)]
-    system, processor = (versions[name] for name in MACHINE)
-    return add(FRICTRACK, softwareRequirements=required, operatingSystem=system, processorRequirements=processor)
+    required = [add(name) for name in versions if name not in (payload.FRICTRACK, *payload.MACHINE)]
+    keys = ("operatingSystem", "processorRequirements")
+    machine = {key: versions[name] for key, name in zip(keys, payload.MACHINE, strict=True)}
+    return add(payload.FRICTRACK, softwareRequirements=required, **machine)
 
 
 def ucum(unit: str) -> str:
@@ -343,27 +335,27 @@ def write_crate(session: Session, path: Path | None = None, options: CrateOption
     _check_target(target)
     session.report(anew=False)
     results = session.results()
-    payload = list_payload(session, include_recordings=options.include_recordings)
+    content = payload.list_payload(session, include_recordings=options.include_recordings)
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch)
         tables = imported("frictrack.present.export.tables:summary_tables")(results)
         for name, table in tables.items():
             table.to_csv(path := made / f"{name}.csv", index=False, lineterminator="\n")
-            part = Part.read(path, f"{payload.results}/{TABLES}/{path.name}", "result")
-            payload = replace(payload, parts=(*payload.parts, part))
-        metadata = describe_crate(session, results, payload, authorship)
+            part = payload.Part.read(path, f"{content.results}/{TABLES}/{path.name}", "result")
+            content = replace(content, parts=(*content.parts, part))
+        metadata = describe_crate(session, results, content, authorship)
         text = json.dumps(metadata, indent=1, ensure_ascii=False, allow_nan=False)
-        (made / METADATA).write_text(text, encoding="utf-8")
-        included = [part for part in payload.parts if part.is_included]
+        (made / payload.METADATA).write_text(text, encoding="utf-8")
+        included = [part for part in content.parts if part.is_included]
         session.progress(0, 0, f"writing {target.name}")
-        _write(target, [*included, Part.read(made / METADATA, METADATA, "metadata")])
+        _write(target, [*included, payload.Part.read(made / payload.METADATA, payload.METADATA, "metadata")])
     return {
         "crate": str(target),
         "files": len(included) + 1,
         "bytes": target.stat().st_size if target.is_file() else sum(part.size for part in included),
         "included": [part.place for part in included],
         "by_hash": [
-            {"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in payload.parts if not one.is_included
+            {"file": one.place, "bytes": one.size, "sha256": one.sha256} for one in content.parts if not one.is_included
         ],
         "not_given": ["license"] * (authorship.licence is None) + ["author"] * (not authorship.authors),
         "output": str(target.parent),
@@ -381,7 +373,7 @@ def _check_target(target: Path) -> None:
         raise UsageError(f"expected the name of a zip file but {target} is a folder; choose another name")
 
 
-def _write(target: Path, parts: Sequence[Part]) -> None:
+def _write(target: Path, parts: Sequence[payload.Part]) -> None:
     """Write the files of a crate, which gets its name when it is complete."""
     if target.suffix == ".zip":
         with atomic_write(target) as unfinished, zipfile.ZipFile(unfinished, "w", strict_timestamps=False) as file:

@@ -22,16 +22,7 @@ from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError, os_errors_as
 from frictrack.base.number_format import first_words
 from frictrack.base.remote import is_address, local_path, locate, only_listed
-from frictrack.flow.crate.payload import (
-    FRICTRACK,
-    MACHINE,
-    METADATA,
-    MOVED,
-    platform_versions,
-    safe_place,
-    texts_in,
-    unpack,
-)
+from frictrack.flow.crate import payload
 from frictrack.flow.pipeline import hash_path
 from frictrack.flow.verification import EXCLUDED, Values, stored_values
 from frictrack.flow.workflows import recorded_models, repeat_models
@@ -68,7 +59,7 @@ class Crate:
 
 def read_crate(folder: Path) -> Crate:
     """Read the description of an unpacked crate."""
-    path = _inside(folder, METADATA)
+    path = _inside(folder, payload.METADATA)
     try:
         if path.stat().st_size > MAX_METADATA_BYTES:
             raise FrictrackError(f"expected at most {MAX_METADATA_BYTES / 1e6:.0f} MB of metadata in {path}")
@@ -76,7 +67,7 @@ def read_crate(folder: Path) -> Crate:
     except FrictrackError:
         raise
     except FileNotFoundError as e:
-        raise UsageError(f"expected an RO-Crate but {folder} has no {METADATA}") from e
+        raise UsageError(f"expected an RO-Crate but {folder} has no {payload.METADATA}") from e
     except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as e:
         raise FrictrackError(f"{path} cannot be read: {e}; fetch the crate again") from e
     except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as e:
@@ -108,7 +99,7 @@ def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
     objects = [entities[name] for name in _ids(action["object"])]
     inputs = tuple(_file(one) for one in objects if one["@type"] == "File" and one["@id"] != study)
     results = tuple(_file(entities[name]) for name in _ids(action["result"]))
-    moved = {one["name"]: safe_place(one["value"]) for one in objects if one.get("propertyID") == MOVED}
+    moved = {one["name"]: payload.safe_place(one["value"]) for one in objects if one.get("propertyID") == payload.MOVED}
     versions = _versions(entities, entities[action["instrument"]["@id"]])
     return Crate(folder, _file(entities[study]), inputs, results, moved, versions)
 
@@ -116,16 +107,16 @@ def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
 def _file(entity: Mapping[str, Any]) -> CrateFile:
     is_included = not entity["@id"].startswith(ABSENT)
     place = unquote(entity["@id"]) if is_included else entity["localPath"]
-    return CrateFile(safe_place(place), int(entity["contentSize"]), str(entity["sha256"]), is_included)
+    return CrateFile(payload.safe_place(place), int(entity["contentSize"]), str(entity["sha256"]), is_included)
 
 
 def _versions(entities: Mapping[str, Any], software: Mapping[str, Any]) -> dict[str, str]:
     required = [entities[name] for name in _ids(software["softwareRequirements"])]
     found = {one["name"]: str(one["softwareVersion"]) for one in (software, *required)}
-    if software["name"] != FRICTRACK:
+    if software["name"] != payload.FRICTRACK:
         raise ValueError(software["name"])
     machine = (software["operatingSystem"], software["processorRequirements"])
-    return found | dict(zip(MACHINE, map(str, machine), strict=True))
+    return found | dict(zip(payload.MACHINE, map(str, machine), strict=True))
 
 
 def _ids(values: Any) -> list[str]:
@@ -203,7 +194,7 @@ def _with_places(text: bytes, moved: Mapping[str, str]) -> bytes:
         document = tomlkit.parse(text.decode())
     except (TOMLKitError, UnicodeDecodeError) as e:
         raise FrictrackError(f"the study file of the crate is not valid TOML: {e}") from e
-    for container, key, value in list(texts_in(document)):
+    for container, key, value in list(payload.texts_in(document)):
         if value in moved:
             container[key] = moved[value]
     return tomlkit.dumps(document).encode()
@@ -381,7 +372,7 @@ def reproduce_crate(
     except FrictrackError:
         shutil.rmtree(out, ignore_errors=True)  # so that the command can be given again
         raise
-    versions = compare_versions(crate.versions, platform_versions())
+    versions = compare_versions(crate.versions, payload.platform_versions())
     for one in versions:
         progress(0, 0, f"{one['name']}: {one['stored']} in the crate, {one['computed']} here")
     stored = _stored_files(crate)
@@ -403,7 +394,7 @@ def _unpacked(path: Path, out: Path, progress: flow.Progress) -> Crate:
     if not path.is_dir():
         progress(0, 0, f"unpacking {path.name}")
         folder = out / UNPACKED
-        unpack(path, _made(folder))
+        payload.unpack(path, _made(folder))
     return read_crate(folder)
 
 
@@ -427,7 +418,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, 
     return {
         "equal": all(row["equal"] for row in rows),
         "same_conclusions": all(same),
-        "version": crate.versions[FRICTRACK],
+        "version": crate.versions[payload.FRICTRACK],
         "same_platform": not versions,
         "versions": versions,
         "tolerance": RELATIVE_TOLERANCE if versions else 0.0,

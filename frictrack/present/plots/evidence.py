@@ -16,7 +16,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.base.number_format import format_change, format_number, format_unit, join_words
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnySummary, as_summary
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, one_panel, styled
 from frictrack.records import Array, Mask
 from frictrack.results.candidates import AXES, STANDINGS, CandidateRow, candidate_rows
 
@@ -48,8 +48,7 @@ def candidates(diagnosis: AnySummary) -> Figure:
     """
     rows = candidate_rows(as_summary(diagnosis))
     shown = rows[:MAX_CANDIDATES]
-    figure = new_figure(0.36 * max(len(shown), 2) + 1.5, _candidates_title(rows))
-    ax = figure.subplots()
+    figure, ax = one_panel(0.36 * max(len(shown), 2) + 1.5, _candidates_title(rows))
     gains = np.array([max(row.delta_bic, 0.0) for row in shown])
     positive = gains[gains > 1]
     logarithmic = len(positive) > 1 and float(positive.max() / positive.min()) > LOG_AXIS_RATIO
@@ -147,8 +146,7 @@ def scan(effect: str, curves: Mapping[str, Array], width: float = style.PAGE_WID
     factor, shown = style.axis_scale(at, written)
     where = f"{format_number(factor * best, 2)} {format_unit(shown)}".strip()
     title = f"{effect} fits best at a {_setting_name(name)} near {where}"
-    figure = new_figure(3.2, title if width == style.PAGE_WIDTH_IN else f"{_setting_name(name)} near {where}", width)
-    ax = figure.subplots()
+    figure, ax = one_panel(3.2, title if width == style.PAGE_WIDTH_IN else f"{_setting_name(name)} near {where}", width)
     ax.fill_between(factor * at, rise, color=style.SKY, alpha=0.4, lw=0)
     ax.plot(factor * at, rise, color=style.BLUE, lw=1.2)
     ax.plot(factor * best, rise.max(), marker="v", color=style.VERMILION, markersize=8)
@@ -409,8 +407,7 @@ def unexplained(found: Mapping[str, Any]) -> Figure:
 
     """
     curve, axis = np.asarray(found["curve"], dtype=float), found["axis"]
-    figure = new_figure(3.4, f"Unexplained force over {AXES[axis].name}, {SIDES[found.get('factor', '')]}")
-    ax = figure.subplots()
+    figure, ax = one_panel(3.4, f"Unexplained force over {AXES[axis].name}, {SIDES[found.get('factor', '')]}")
     ax.axhline(0, color="#666666", lw=0.7)
     if found.get("band"):
         draw_band(ax, curve[:, 0], curve[:, 1], np.asarray(found["band"]), color=style.VERMILION, alpha=0.2)
@@ -434,8 +431,7 @@ def correlated_signal(evidence: Mapping[str, Any], curve: Mapping[str, Array]) -
 
     """
     source = evidence["name"] or SIGNAL_NAMES[evidence["kind"]]
-    figure = new_figure(3.0, f"{evidence['shown']}: residual, and the part that {source} predicts")
-    ax = figure.subplots()
+    figure, ax = one_panel(3.0, f"{evidence['shown']}: residual, and the part that {source} predicts")
     factor, unit = style.axis_scale(np.asarray(curve["left"]), "m")
     ax.axhline(0, color="#666666", lw=0.7)
     ax.plot(curve["t"], factor * curve["left"], color="#777777", lw=1.0, label="residual")
@@ -467,8 +463,7 @@ def pair_separation(plan: Mapping[str, Any]) -> Figure:
     hidden = np.isin(names, [one["effect"] for one in plan["unseen"]])
     table[hidden | hidden[:, None]] = UNSEEN
     table[np.triu_indices(len(names))] = np.nan
-    figure = new_figure(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs")
-    ax = figure.subplots()
+    figure, ax = one_panel(0.29 * len(names) + 2.2, "Expected evidence between any two effects with these runs")
     picture = ax.imshow(
         table[1:, :-1],
         cmap=ListedColormap(list(SEPARATION_COLOURS)),
@@ -510,8 +505,7 @@ def next_experiments(steps: Sequence[Mapping[str, Any]]) -> Figure:
         Proposed experiments, best first: `key`, and `expected_if_true`, the expected difference of BIC by effect.
 
     """
-    figure = new_figure(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
-    ax = figure.subplots()
+    figure, ax = one_panel(0.36 * len(steps) + 1.5, f"Best next: {steps[0]['key']}")
     names = list(dict.fromkeys(name for step in steps for name in step["expected_if_true"]))
     for row, step in enumerate(steps):
         ends = [max(e, MIN_SHOWN_BIC) for e in step["expected_if_true"].values()]

@@ -203,7 +203,7 @@ def _title(model: ModelResults) -> str:
     return f"{plain_name(model.name)}: error {format_number(100 * error, 2)} % of the measured friction force"
 
 
-HEIGHT_RATIOS = (3, 1.2, 3)
+SEARCH_LABELS, HEIGHT_RATIOS = ("misfit", "diversity", "place within the bounds"), (3, 1.2, 3)  # of its panels
 HEADROOM = 10.0  # of the axis of misfits above the first best: the mean of a young population may be far higher
 
 
@@ -235,10 +235,7 @@ def convergence(model: AnyModel, runs: Sequence[AnyRun] = ()) -> Figure:
             f"expected a fit by a global search to draw its convergence but got {model.summary['search']}; fit with "
             'search = "mga", for example'
         )
-    title, labels = (
-        _convergence_title(model.summary, found),
-        ("generation", "misfit", "diversity", "place within the bounds"),
-    )
+    title, labels = _convergence_title(model.summary, found), ("generation", *SEARCH_LABELS)
     figure, cells = panel_grid(len(found), (6.2, 0.0), title, labels, sharex="col", height_ratios=HEIGHT_RATIOS)
     for cell, (group, one) in zip(cells, found.items(), strict=True):
         _draw_search(cell, one)

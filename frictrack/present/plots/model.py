@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from frictrack.base.number_format import describe_change, format_number, format_share
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyModel, AnyRun, as_model, as_run, as_runs
-from frictrack.present.plots.style import axis_label, draw_band, new_figure, panel_grid, styled
+from frictrack.present.plots.style import axis_label, draw_band, new_figure, one_panel, panel_grid, styled
 from frictrack.records import Array, Curve, ModelledMotion, stretches
 from frictrack.results import ModelResults, RunResults
 from frictrack.results.candidates import plain_name
@@ -126,8 +126,7 @@ def routes(default: AnyModel, papers: AnyModel, run: AnyRun) -> Figure:
 
     """
     default, papers, run = as_model(default), as_model(papers), as_run(run)
-    figure = new_figure(3.4, f"{run.name}: measured force and both fits")
-    ax = figure.subplots()
+    figure, ax = one_panel(3.4, f"{run.name}: measured force and both fits")
     _draw_measured_force(ax, run)
     _draw_modelled_force(ax, default, run, label="displacement domain")
     _draw_modelled_force(ax, papers, run, label="papers' route", color=style.BLUE, linestyle=(0, (1, 1)))

@@ -12,18 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from frictrack.base.number_format import format_number
+from frictrack.present.plots import model as of_models
 from frictrack.present.plots import style
 from frictrack.present.plots.evidence import at_reference_load, draw_missing_force, draw_runs, force_title, worst_runs
 from frictrack.present.plots.inputs import AnyModel, Summarised, as_model
-from frictrack.present.plots.model import (
-    MAX_STEPS_NAMED,
-    HeldOutError,
-    draw_held_out,
-    errors_of_models,
-    noise_um,
-    residual_unit,
-    residuals,
-)
 from frictrack.present.plots.style import axis_label, motion_label, new_figure, styled
 from frictrack.records import Array
 from frictrack.results import ModelResults, Results
@@ -84,7 +76,7 @@ class VerdictData:
     figures: Figures
     before: Residuals | None
     after: Residuals | None
-    errors: list[HeldOutError]
+    errors: list[of_models.HeldOutError]
     noise: float | None
     unit: str
 
@@ -146,15 +138,15 @@ def data_of_study(results: Results) -> VerdictData:
     if current is None:
         raise ValueError("expected a study with a fitted model but got none")
     shown = failed_model(results) or current
-    diagnosis, unit, name = shown.diagnosis or {}, residual_unit(current), plain_name(shown.name)
+    diagnosis, unit, name = shown.diagnosis or {}, of_models.residual_unit(current), plain_name(shown.name)
     figures, runs = shown.figures if diagnosis else {}, {run.name: run for run in results.runs}
     before = _stored(figures, "before", name, unit, shown) or _of_model(shown, runs, figures)
     later = None if shown is current else _of_model(current, runs, figures, shown.summary["model"])
-    errors = errors_of_models(results.models, unit)
+    errors = of_models.errors_of_models(results.models, unit)
     tried = _errors_tried(diagnosis, unit) if shown is current else []
     if tried and errors:  # the errors of a diagnosis are compared with each other: frames may be held out differently
         errors = [*errors[:-1], replace(tried[0], label=errors[-1].label), *tried[1:]]
-    noise = noise_um(current) if unit == "µm" else diagnosis.get("noise_N")
+    noise = of_models.noise_um(current) if unit == "µm" else diagnosis.get("noise_N")
     return VerdictData(name, diagnosis, figures, before, later or _tried(diagnosis, figures, unit), errors, noise, unit)
 
 
@@ -166,7 +158,8 @@ def data_of_diagnosis(found: Summarised, better: AnyModel | None = None) -> Verd
     before, after = _stored(figures, "before", name, unit), _tried(diagnosis, figures, unit)
     if better is not None:
         later = as_model(better)
-        after, errors = _of_model(later, {}, figures, diagnosis["model"]), errors[:1] + errors_of_models([later], unit)
+        after = _of_model(later, {}, figures, diagnosis["model"])
+        errors = errors[:1] + of_models.errors_of_models([later], unit)
     return VerdictData(name, diagnosis, figures, before, after, errors, noise, unit)
 
 
@@ -197,7 +190,7 @@ def _stored(figures: Figures, which: str, name: str, unit: str, model: ModelResu
 
 def _named(effects: Sequence[str]) -> str:
     """Some effects in a legend, where long names have no room."""
-    return " + ".join(effects) if 0 < len(effects) <= MAX_STEPS_NAMED else f"{len(effects) or 'some'} effects"
+    return " + ".join(effects) if 0 < len(effects) <= of_models.MAX_STEPS_NAMED else f"{len(effects) or 'some'} effects"
 
 
 def _of_model(
@@ -214,7 +207,7 @@ def _of_model(
     for k, name in enumerate(fitted):
         curves = [c for c in model.curves if c.run == name]
         # of a run that is not known only the name matters, for a residual of displacement
-        found = residuals(model, runs.get(name, SimpleNamespace(name=name, friction=None)))
+        found = of_models.residuals(model, runs.get(name, SimpleNamespace(name=name, friction=None)))
         begins = float(np.min(kept["t"][kept["run"] == k], initial=np.inf)) if "t" in kept else 0.0
         shift = (begins if np.isfinite(begins) else 0.0) - min((float(c.t[0]) for c in curves), default=0.0)
         for curve, part in zip(curves, found, strict=len(found) == len(curves)):
@@ -229,10 +222,10 @@ def _of_model(
     if not np.any(rows["force"]):
         rows.pop("force")
     name = f"with {_named(added)}" if added else plain_name(model.name)
-    return Residuals(name, rows, _rms(model, residual_unit(model), rows["values"]))
+    return Residuals(name, rows, _rms(model, of_models.residual_unit(model), rows["values"]))
 
 
-def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]:
+def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[of_models.HeldOutError]:
     """Held-out errors of the diagnosed model and of the effects found on top of it, one after another."""
     key = "um" if unit == "µm" else "N"
     best: Mapping[str, Any] = next(iter(diagnosis.get("candidates") or []), {})
@@ -242,8 +235,8 @@ def _errors_tried(diagnosis: Mapping[str, Any], unit: str) -> list[HeldOutError]
     found = [row for row in diagnosis.get("importance") or [] if row.get(f"heldout_rms_after_{key}") is not None]
     if not found and best.get(f"heldout_rms_after_{key}") is not None:
         found = [best]
-    after = [HeldOutError(f"+ {row['effect']}", row[f"heldout_rms_after_{key}"], tried=True) for row in found]
-    return [HeldOutError(joined_name(diagnosis["model"]), bare), *after]
+    after = [of_models.HeldOutError(f"+ {row['effect']}", row[f"heldout_rms_after_{key}"], tried=True) for row in found]
+    return [of_models.HeldOutError(joined_name(diagnosis["model"]), bare), *after]
 
 
 HEIGHT_IN = 3.3
@@ -285,7 +278,7 @@ def verdict(found: Results | Summarised, better: AnyModel | None = None, *, titl
     if data.before is not None and "residual_force" in data.figures:
         middle.set_xlim(left.get_xlim())
     if data.errors:
-        draw_held_out(right, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
+        of_models.draw_held_out(right, data.errors, data.noise, data.unit, ERRORS_WIDTH_IN)
         right.set_title(_errors_title(data))
     else:
         _say(right, "No held-out error was computed")

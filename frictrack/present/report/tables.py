@@ -21,19 +21,7 @@ from frictrack.base.number_format import DASH, MINUS, format_number, format_size
 from frictrack.present import plots
 from frictrack.present.plots import parameter_unit
 from frictrack.present.plots.style import axis_label
-from frictrack.results import ModelResults, RunResults
-from frictrack.results.candidates import (
-    FAILING_HEADS,
-    MAIN_KINDS,
-    MEASUREMENT_HEADS,
-    CandidateRow,
-    error_rows,
-    failing_rows,
-    interval_with_unit,
-    measurement_cells,
-    parameter_row,
-    plain_name,
-)
+from frictrack.results import ModelResults, RunResults, candidates
 
 Cell = str | Markup
 
@@ -113,7 +101,7 @@ def parameter_table(model: ModelResults, scale_error: float = 0.0) -> TextTable:
     rows = []
     for name, p in model.summary["parameters"].items():
         if not PER_RUN_NAME.match(name):
-            row = parameter_row(p)
+            row = candidates.parameter_row(p)
             remark = UNRESOLVED if name in unresolved else row.remark
             rows.append((code_cell(name), row.value, row.misfit, _scale_contribution(p, scale_error), remark))
     return make_table(("parameter", "value ± std", "† ± with the misfit", "± of the scale", ""), rows, (1, 2, 3))
@@ -130,7 +118,7 @@ def short_parameter_table(model: ModelResults) -> TextTable:
         The fitted model.
 
     """
-    shared = [(code_cell(name), parameter_row(p)) for name, p in shared_parameters(model).items()]
+    shared = [(code_cell(name), candidates.parameter_row(p)) for name, p in shared_parameters(model).items()]
     rows = [(name, row.short, row.short_remark) for name, row in shared[:MAX_FIRST_PARAMETERS]]
     return make_table(("parameter", "value ± std", ""), rows, (1,))
 
@@ -157,12 +145,12 @@ def interval_table(model: ModelResults) -> TextTable:
     for name, p in summary["parameters"].items():
         profile, drawn, unit = profiles.get(name), bootstrap.get(name), p["unit"]
         if (profile or drawn) and not PER_RUN_NAME.match(name):
-            by_profile = interval_with_unit((profile["low"], profile["high"]), unit) if profile else ""
-            by_draws = (
-                (interval_with_unit(drawn["interval"], unit), format_size(drawn["std"], unit)) if drawn else ("", "")
-            )
+            by_profile = candidates.interval_with_unit((profile["low"], profile["high"]), unit) if profile else ""
+            by_draws = ("", "")
+            if drawn:
+                by_draws = candidates.interval_with_unit(drawn["interval"], unit), format_size(drawn["std"], unit)
             why = "; ".join((profile or {})[key] for key in ("why_low", "why_high") if key in (profile or {}))
-            rows.append((code_cell(name), parameter_row(p).value, by_profile, *by_draws, why))
+            rows.append((code_cell(name), candidates.parameter_row(p).value, by_profile, *by_draws, why))
     heads = ("parameter", "value ± std", "95 % by profile", "95 % by bootstrap", "std of the draws", "")
     return make_table(heads, rows, (1, 2, 3, 4))
 
@@ -172,7 +160,7 @@ def run_table(model: ModelResults) -> TextTable:
     per_run: dict[str, dict[str, str]] = {}
     for name, p in model.summary["parameters"].items():
         if m := PER_RUN_NAME.match(name):
-            per_run.setdefault(m["name"], {})[m["run"]] = parameter_row(p).value
+            per_run.setdefault(m["name"], {})[m["run"]] = candidates.parameter_row(p).value
     rows = []
     for row in model.summary["per_run"]:
         share = row["errors"].get("relative_force_error")
@@ -188,29 +176,29 @@ def run_table(model: ModelResults) -> TextTable:
 
 def history_table(models: Sequence[ModelResults]) -> TextTable:
     """Table of the models in the order in which they were fitted, with their errors and verdicts."""
-    errors = error_rows(m.summary["errors"] for m in models)
+    errors = candidates.error_rows(m.summary["errors"] for m in models)
     heads = ("model", *(axis_label(e.name, e.unit) for e in errors), "verdict")
     rows = []
     for k, m in enumerate(models):
-        name = Markup("{}. {}{}").format(k + 1, plain_name(m.name), " (current)" if m.current else "")
+        name = Markup("{}. {}{}").format(k + 1, candidates.plain_name(m.name), " (current)" if m.current else "")
         rows.append((name, *(format_number(e.values[k]) for e in errors), (m.diagnosis or {}).get("verdict", "")))
     return make_table(heads, rows, range(1, len(errors) + 1))
 
 
 def failing_table(spans: Sequence[Mapping[str, Any]]) -> TextTable:
     """Table of the spans in which a model fails."""
-    return make_table(("run", *FAILING_HEADS), failing_rows(spans), range(1, 6))
+    return make_table(("run", *candidates.FAILING_HEADS), candidates.failing_rows(spans), range(1, 6))
 
 
 def route_table(default: ModelResults, papers: ModelResults) -> TextTable:
     """Table of the parameters and errors of the default fit and of the papers' route."""
     both = [m.summary["parameters"] for m in (default, papers)]
     rows: list[Sequence[Cell]] = [
-        (code_cell(name), *(parameter_row(one[name]).short if name in one else DASH for one in both))
+        (code_cell(name), *(candidates.parameter_row(one[name]).short if name in one else DASH for one in both))
         for name in default.summary["parameters"]
         if not PER_RUN_NAME.match(name)
     ]
-    for e in error_rows(m.summary["errors"] for m in (default, papers)):
+    for e in candidates.error_rows(m.summary["errors"] for m in (default, papers)):
         rows.append((e.name, *(f"{format_number(value)} {e.unit}".strip() for value in e.values)))
     heads = ("", *(f"{m.summary['domain']} domain, {m.summary['search']}" for m in (default, papers)))
     return make_table(heads, rows, (1, 2))
@@ -233,19 +221,19 @@ def track_table(runs: Sequence[RunResults]) -> TextTable:
 
 def measurement_table(runs: Sequence[RunResults]) -> TextTable:
     """Table of the measurement self-checks of each film: noise, peak locking, shake, blur."""
-    rows = [(run.name, *measurement_cells(run.quality)) for run in runs if run.quality]
-    return make_table(("run", *MEASUREMENT_HEADS), rows, range(1, len(MEASUREMENT_HEADS) + 1))
+    rows = [(run.name, *candidates.measurement_cells(run.quality)) for run in runs if run.quality]
+    return make_table(("run", *candidates.MEASUREMENT_HEADS), rows, range(1, len(candidates.MEASUREMENT_HEADS) + 1))
 
 
 MAX_OTHERS_SHOWN = 3  # where no candidate was found
 
 
-def candidate_table(rows: Sequence[CandidateRow]) -> tuple[TextTable, TextTable]:
+def candidate_table(rows: Sequence[candidates.CandidateRow]) -> tuple[TextTable, TextTable]:
     """Tables of the candidates that were found or cannot be told from those, and of the others."""
     heads = ("effect", "", "held-out error", "explains alone", "p", "delta BIC")
-    shown = [row for row in rows if row.kind in MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
+    shown = [row for row in rows if row.kind in candidates.MAIN_KINDS] or list(rows[:MAX_OTHERS_SHOWN])
 
-    def table(listed: Sequence[CandidateRow]) -> TextTable:
+    def table(listed: Sequence[candidates.CandidateRow]) -> TextTable:
         name = Markup('<span class="mark {}"></span><code>{}</code>').format
         cells = (
             (name(row.kind, row.effect), row.standing, row.held_out, row.share, row.p, format_number(row.delta_bic))
@@ -365,7 +353,7 @@ def sentences(macro: str, *arguments: Any) -> list[Markup]:
     return [Markup(line) for line in lines if line.strip()]
 
 
-def describe_evidence(row: CandidateRow) -> str:
+def describe_evidence(row: candidates.CandidateRow) -> str:
     """What a candidate effect is, and the evidence for it."""
     return f"{lower_first(row.source['words'].get('what', ''))}; {row.evidence}"
 

@@ -72,9 +72,7 @@ def render_run(truth: Truth, run: RunTruth, path: Path, rng: np.random.Generator
 def _camera(truth: Truth, run: RunTruth) -> Camera:
     """Camera of one run, with its shake."""
     shake = run.values.get("camera_shake")
-    shake_x = None
-    if shake is not None:
-        shake_x = Oscillation(shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
+    own = None if shake is None else (shake["amplitude"] / truth.pitch, shake["frequency"], shake["phase"])
     return Camera(
         fps=truth.fps,
         width=FILM_WIDTH_PX,
@@ -82,7 +80,7 @@ def _camera(truth: Truth, run: RunTruth) -> Camera:
         scale=truth.pitch,
         full_well=FULL_WELL_E,
         read_noise=READ_NOISE_E,
-        shake_x=shake_x,
+        shake_x=None if own is None else Oscillation(*own),
     )
 
 

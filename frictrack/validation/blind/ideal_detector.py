@@ -29,6 +29,7 @@ from frictrack.simulate import Trajectory
 from frictrack.simulate.dynamics import LinearResponse, Panels, solve_motion
 from frictrack.validation.blind.truth import EffectValues, RunTruth, Truth, effect_named
 
+RunValues = list[EffectValues]  # of one effect, run by run; empty in a run without it
 ALPHA = 0.005  # false-alarm probability of the candidates' half of a diagnosis
 N_CANDIDATES = 25  # effects that are tried; they share alpha equally
 FORMS_PER_CELL = 4  # forms of a scan per independent one: its steps are a quarter of a resolution cell
@@ -147,7 +148,7 @@ class IdealDetector:
         split = self._remove_starts(changes, both_move)
         return self._unexplained(*split), self._rise_with_unknown_scatter(*split)
 
-    def linear_trace(self, effect: Effect, values: list[EffectValues]) -> Array:
+    def linear_trace(self, effect: Effect, values: RunValues) -> Array:
         """Compute the trace of an effect to first order in its size.
 
         `values`: its parameter values in each run; empty in runs without it. Returns the trace as in `trace_and_rise`,
@@ -156,20 +157,21 @@ class IdealDetector:
         moved = [self._response(linearised, effect, own) for linearised, own in zip(self._runs, values, strict=True)]
         return self._unexplained(*self._remove_starts(moved, [linearised.moving for linearised in self._runs]))
 
-    def trace_derivatives(self, effect: Effect, values: list[EffectValues]) -> Array:
+    def trace_derivatives(self, effect: Effect, values: RunValues) -> Array:
         """Derivative of the linear trace with respect to each free parameter of an effect, (N + runs, k)."""
         trace, out = self.linear_trace(effect, values), []
         there = [i for i, own in enumerate(values) if own]
         for p in (p for p in effect.parameters if p.fixed is None):
             for rows in [[i] for i in there] if p.per_run else [there]:
                 step = 1.0 if p.linear else EFFECT_STEP * max(abs(values[rows[0]][effect.name][p.name]), EFFECT_STEP)
-                moved = [
-                    _with_step(own, effect.name, p.name, step) if i in rows else own for i, own in enumerate(values)
-                ]
+                moved = list(values)
+                for i in rows:
+                    own = values[i][effect.name]
+                    moved[i] = {effect.name: own | {p.name: own[p.name] + step}}
                 out.append((self.linear_trace(effect, moved) - trace) / step)
         return np.column_stack(out)
 
-    def sensitivities(self, effect: Effect, values: list[EffectValues]) -> list[tuple[Trajectory, Mask, Array, Array]]:
+    def sensitivities(self, effect: Effect, values: RunValues) -> list[tuple[Trajectory, Mask, Array, Array]]:
         """For each run: motion, moving frames (n,), and derivatives of x at those m frames.
 
         The derivatives are with respect to start, law and level, (m, 2 + P + 1), and to the effect, (m,); m per unit.
@@ -177,7 +179,7 @@ class IdealDetector:
         pairs = zip(self._runs, values, strict=True)
         return [(s.trajectory, s.moving, s.sensitivity, self._response(s, effect, own)[s.moving]) for s, own in pairs]
 
-    def force_share(self, effect: Effect, values: list[EffectValues]) -> float:
+    def force_share(self, effect: Effect, values: RunValues) -> float:
         """Root mean square of a hidden force over that of the base law, along the motion of the base law."""
         linearised = self._runs
         more = [self._force(run, effect, own) for run, own in zip(linearised, values, strict=True)]
@@ -256,11 +258,6 @@ def unexplained_part(trace: Array, columns: Array) -> Array:
     return np.asarray(trace - columns @ np.linalg.lstsq(columns, trace, rcond=1e-11)[0])
 
 
-def _with_step(own: EffectValues, effect: str, name: str, step: float) -> EffectValues:
-    """Parameter values of an effect with one of them changed."""
-    return {effect: own[effect] | {name: own[effect][name] + step}}
-
-
 def _moving_frames(trajectory: Trajectory) -> Mask:
     """Frames (n,) from the first motion to the first stop."""
     rows = np.flatnonzero(np.abs(trajectory.v) > MIN_SPEED)
@@ -282,17 +279,13 @@ def _linearise_run(truth: Truth, run: RunTruth) -> _LinearisedRun:
         return (push(t) - base.force(conditions.path(x, v, t, s), truth.law)) / conditions.mass
 
     panels = Panels(t)
-    motion, linear = solve_motion(
-        law, panels, (float(x[0]), float(v[0])), np.interp(panels.t, trajectory.t, trajectory.a)
-    )
+    start, a = (float(x[0]), float(v[0])), np.interp(panels.t, trajectory.t, trajectory.a)
+    motion, linear = solve_motion(law, panels, start, a)
     path = conditions.path(motion.x, motion.v, panels.t, s)
     inputs = np.column_stack([*_force_sensitivities(base, truth.law, path)]) / -conditions.mass
-    start = np.zeros((2, inputs.shape[1] + 2))
-    start[0, 0] = start[1, 1] = 1.0
-    _, edges = linear.respond(np.column_stack([np.zeros((len(inputs), 2)), inputs]), start)
-    return _LinearisedRun(
-        run, trajectory, moving, path, conditions.path(x, v, t, s), linear, conditions.mass, edges[:, 0, :]
-    )
+    _, edges = linear.respond(np.column_stack([np.zeros((len(inputs), 2)), inputs]), np.eye(2, inputs.shape[1] + 2))
+    at_frames = conditions.path(x, v, t, s)
+    return _LinearisedRun(run, trajectory, moving, path, at_frames, linear, conditions.mass, edges[:, 0, :])
 
 
 def _force_sensitivities(base: Model, law: EffectValues, path: Path) -> list[Array]:
@@ -352,7 +345,7 @@ def ideal_detection_limit(detector: IdealDetector, effect: Effect, at: dict[str,
     return float(np.sqrt(detector.limit(effect) / rise)) if rise > 1e-12 else None
 
 
-def _rise(detector: IdealDetector, effect: Effect, form: list[EffectValues]) -> float:
+def _rise(detector: IdealDetector, effect: Effect, form: RunValues) -> float:
     """Rise of chi-squared by an effect of size one that its further coefficients cannot compensate."""
     first, *others = [p.name for p in effect.linear] or [""]
     left = detector.linear_trace(effect, form)
@@ -363,7 +356,7 @@ def _rise(detector: IdealDetector, effect: Effect, form: list[EffectValues]) -> 
     return float(left @ left)
 
 
-def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> list[EffectValues]:
+def unit_values(effect: Effect, at: dict[str, float], phases: Mapping[str, float], runs: int) -> RunValues:
     """Parameter values of an effect of size one in each run; its first coefficient is the size.
 
     `at`, `phases`: values of non-linear parameters and of phases, by name. Returns the values by effect and parameter,

@@ -210,15 +210,17 @@ def _diagnose(truth: Truth, folder: Path, seed: int, blank: Outcome) -> Outcome:
     begin = time.process_time()
     diagnosis = session.diagnose(seed)
     seconds = time.process_time() - begin
-    named = tuple(diagnosis["missing"])
+    named, rivals = tuple(diagnosis["missing"]), dict[str, Sequence[str] | None]()
+    for one in diagnosis["candidates"]:
+        rivals.setdefault(one["effect"], one["indistinguishable_from"])
     fit: Fit = session.models.fit(session.models.current()[0])
     low_pass_half_width = {run.name: 0.5 / run.motion.cutoff for run in fit.runs if np.isfinite(run.motion.cutoff)}
     out = replace(
         blank,
         verdict=diagnosis["verdict"],
         named=named,
-        group=_first_group(diagnosis),
-        sets=_stated_sets(diagnosis),
+        group=(*named[:1], *(rivals.get(named[0]) or () if named else ())),
+        sets=_stated_sets(diagnosis, rivals),
         equivalents=_equivalents_of_hidden(truth, fit, named),
         noted=_faults_in_notes(session),
         overlap=overlap(truth, diagnosis["fails_at"], low_pass_half_width),
@@ -255,21 +257,10 @@ def _tracking_error(session: Session, truth: Truth) -> float | None:
     return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
-def _first_group(diagnosis: dict[str, Any]) -> tuple[str, ...]:
-    """The first named effect, and those that the diagnosis cannot distinguish from it."""
-    if not diagnosis["missing"]:
-        return ()
-    first = diagnosis["missing"][0]
-    rivals = [c["indistinguishable_from"] for c in diagnosis["candidates"] if c["effect"] == first]
-    return (first, *(rivals[0] if rivals else ()))
-
-
-def _stated_sets(diagnosis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+def _stated_sets(diagnosis: dict[str, Any], rivals: Mapping[str, Sequence[str] | None]) -> tuple[tuple[str, ...], ...]:
     """The effects named, these with one of them exchanged for a rival, and the alternative sets."""
-    named = diagnosis["missing"]
-    if not named:
+    if not (named := diagnosis["missing"]):
         return ()
-    rivals = {c["effect"]: c["indistinguishable_from"] for c in diagnosis["candidates"]}
     exchanged = [[rival if n == name else n for n in named] for name in named for rival in rivals.get(name) or []]
     others = [one["effects"] for one in diagnosis["alternatives"]]
     return tuple(dict.fromkeys(tuple(sorted(one)) for one in [named, *exchanged, *others]))
@@ -332,9 +323,8 @@ def overlap(truth: Truth, spans: list[dict[str, Any]], low_pass_half_width: Mapp
     for run in truth.runs:
         trajectory = truth.trajectory(run)
         t, acts = trajectory.t, acting(effect, run, trajectory, low_pass_half_width.get(run.name, 0.0))
-        within = [
-            (t >= first - 1e-9) & (t <= last + 1e-9) for first, last in (s["t"] for s in spans if s["run"] == run.name)
-        ]
+        ends = [s["t"] for s in spans if s["run"] == run.name]
+        within = [(t >= first - 1e-9) & (t <= last + 1e-9) for first, last in ends]
         reported = np.any([np.zeros(len(t), np.bool_), *within], axis=0)
         n_both += int((acts & reported).sum())
         n_reported += int(reported.sum())

@@ -95,10 +95,7 @@ def foreign_effect(name: str) -> Effect:
         name=name,
         acts_on="force",
         equation=f"amplitude {name}",
-        parameters=(
-            Parameter("amplitude", "N", linear=True),
-            *(Parameter(n, UNITS[n], signed=True) for n in needs),
-        ),
+        parameters=(Parameter("amplitude", "N", linear=True), *(Parameter(n, UNITS[n], signed=True) for n in needs)),
         columns=lambda path, nonlinear: np.asarray(shape(path, dict(nonlinear)))[:, None],
         scales_with="load",
     )

@@ -17,7 +17,7 @@ from frictrack.base.errors import FrictrackError
 from frictrack.effects import Effect, Parameter, Span
 from frictrack.measure.friction import after_run
 from frictrack.records import Array, EarlierRuns
-from frictrack.validation.blind.ideal_detector import IdealDetector, is_event, unexplained_part
+from frictrack.validation.blind.ideal_detector import IdealDetector, RunValues, is_event, unexplained_part
 from frictrack.validation.blind.truth import FOREIGN, EffectValues, RunTruth, Truth, effect_named, parameter_range
 
 SIZE_RANGE = (2.0, 6.0)  # size over what the ideal detector sees in 95 of 100 repeats
@@ -29,6 +29,9 @@ EVENT_RUN_SHARE = 0.6  # share of the runs in which events happen
 SHAKE_RANGE_PX = (0.05, 0.5)  # of a film, whose background shows the shake
 MAX_MOMENTUM_SHARE = 0.3  # of the momentum at the start that a collision may take
 
+Rng = np.random.Generator
+Names = tuple[str, ...]  # of effects
+Range = tuple[float, float]
 PlacedEffect = tuple[Truth, Array]  # the study with one hidden effect, and its whitened trace (N,)
 KINDS = ("one", "none", "two", "three", "foreign", "fault")
 N_HIDDEN = {"none": 0, "two": 2, "three": 3}  # effects of a study, by kind; one in all others
@@ -49,7 +52,7 @@ FILM_CAMERA = {"pitch": 5e-4, "noise_px": 0.0047}  # m; px, as measured on such 
 
 
 def place_effect(
-    detector: IdealDetector, name: str, rng: np.random.Generator, sizes: tuple[float, float] = SIZE_RANGE
+    detector: IdealDetector, name: str, rng: Rng, sizes: Range = SIZE_RANGE
 ) -> tuple[PlacedEffect, float] | None:
     """Put one effect into a study at a random size.
 
@@ -71,7 +74,7 @@ def place_effect(
 # --- parameters
 
 
-def _draw_values(detector: IdealDetector, effect: Effect, rng: np.random.Generator) -> list[EffectValues]:
+def _draw_values(detector: IdealDetector, effect: Effect, rng: Rng) -> RunValues:
     """Parameter values of an effect in each run at size one; empty in runs without the event."""
     base_study, trajectories = detector.base_study, detector.trajectories
     span = base_study.span(trajectories)
@@ -84,11 +87,10 @@ def _draw_values(detector: IdealDetector, effect: Effect, rng: np.random.Generat
         present = rng.random(len(trajectories)) < EVENT_RUN_SHARE
         present[rng.integers(len(trajectories))] = True
     shake_amplitude = base_study.pitch * float(np.exp(rng.uniform(*np.log(SHAKE_RANGE_PX))))
-    out: list[EffectValues] = []
+    out: RunValues = []
     for run, trajectory, is_present in zip(base_study.runs, trajectories, present, strict=True):
-        per_run = {
-            p.name: _draw_value(effect, p, base_study.span([trajectory]), rng) for p in effect.parameters if p.per_run
-        }
+        own = base_study.span([trajectory])
+        per_run = {p.name: _draw_value(effect, p, own, rng) for p in effect.parameters if p.per_run}
         values_of_run = {p.name: (shared | per_run)[p.name] for p in effect.parameters}
         if effect.moves_picture and base_study.film:
             values_of_run["amplitude"] = shake_amplitude
@@ -107,7 +109,7 @@ def size_parameters(effect: Effect) -> list[Parameter]:
     return sizes or [effect.nonlinear[0]]
 
 
-def _draw_value(effect: Effect, p: Parameter, span: Span, rng: np.random.Generator) -> float:
+def _draw_value(effect: Effect, p: Parameter, span: Span, rng: Rng) -> float:
     """Draw one parameter between the grid points of its scan; sizes are 1, second coefficients at most comparable."""
     if p.fixed is not None:
         return p.fixed
@@ -126,9 +128,9 @@ def _draw_value(effect: Effect, p: Parameter, span: Span, rng: np.random.Generat
 # --- size
 
 
-def _scale_values(effect: Effect, shape: list[EffectValues], factor: float) -> list[EffectValues] | None:
+def _scale_values(effect: Effect, shape: RunValues, factor: float) -> RunValues | None:
     """Multiply the size of an effect; return None if a parameter leaves its bounds."""
-    out: list[EffectValues] = []
+    out: RunValues = []
     for values_of_run in shape:
         scaled = dict(values_of_run.get(effect.name, {}))
         for p in size_parameters(effect) if scaled else ():
@@ -139,7 +141,7 @@ def _scale_values(effect: Effect, shape: list[EffectValues], factor: float) -> l
     return out
 
 
-def _checked_placement(detector: IdealDetector, effect: Effect, values: list[EffectValues]) -> PlacedEffect | None:
+def _checked_placement(detector: IdealDetector, effect: Effect, values: RunValues) -> PlacedEffect | None:
     """Place an effect and compute its trace; None if it is too large or impossible, or its trace is not linear.
 
     The trace is shortened to the rise that remains when the scatter of the levels must be estimated, as in a
@@ -161,9 +163,7 @@ def _checked_placement(detector: IdealDetector, effect: Effect, values: list[Eff
     return truth, trace * min(np.sqrt(rise) / max(size, 1e-300), 1.0)
 
 
-def _scale_to_size(
-    detector: IdealDetector, effect: Effect, shape: list[EffectValues], size: float
-) -> PlacedEffect | None:
+def _scale_to_size(detector: IdealDetector, effect: Effect, shape: RunValues, size: float) -> PlacedEffect | None:
     """Scale an effect until its rise of chi-squared is `size` squared times the limit."""
     target = size * np.sqrt(detector.limit(effect))
     factor = target / max(float(np.linalg.norm(detector.linear_trace(effect, shape))), 1e-12)
@@ -184,11 +184,9 @@ def _scale_to_size(
     return None
 
 
-def _scale_events(
-    detector: IdealDetector, effect: Effect, shape: list[EffectValues], size: float
-) -> PlacedEffect | None:
+def _scale_events(detector: IdealDetector, effect: Effect, shape: RunValues, size: float) -> PlacedEffect | None:
     """Scale the event of each run so that it is visible by itself."""
-    values: list[EffectValues] = []
+    values: RunValues = []
     for i, values_of_run in enumerate(shape):
         if not values_of_run:
             values.append({})
@@ -210,7 +208,7 @@ def _exceeds_momentum(truth: Truth, effect: Effect, i: int) -> bool:
     return abs(impulse) > MAX_MOMENTUM_SHARE * truth.mass * run.mass_ratio * abs(run.speed)
 
 
-def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[str]:
+def candidates(kind: str, law: Names, *, film: bool = False) -> list[str]:
     """List the effects that a study can hide, in a fixed order.
 
     `kind`: kind of the study, one of `KINDS`; `film`: whether the study consists of films. Returns the names of
@@ -236,9 +234,7 @@ def candidates(kind: str, law: tuple[str, ...], *, film: bool = False) -> list[s
     ]
 
 
-def draw_truth(
-    seed: int, kind: str, turn: int = 0, *, film: bool = False, sizes: tuple[float, float] = SIZE_RANGE
-) -> Truth:
+def draw_truth(seed: int, kind: str, turn: int = 0, *, film: bool = False, sizes: Range = SIZE_RANGE) -> Truth:
     """Draw the truth of one study.
 
     `kind`: "none", "one", "two", "three", "foreign" or "fault": how many effects are hidden, and which; `turn`: number
@@ -263,9 +259,7 @@ def draw_truth(
     raise FrictrackError(f"no visible study of kind {kind} was found for seed {seed}; give another seed")
 
 
-def _try_draw(
-    base_study: Truth, names: tuple[str, ...], rng: np.random.Generator, sizes: tuple[float, float]
-) -> Truth | None:
+def _try_draw(base_study: Truth, names: Names, rng: Rng, sizes: Range) -> Truth | None:
     """Draw runs and hide effects; return None if a run is too short or an effect is not visible."""
     try:
         base_study = replace(base_study, runs=tuple(_draw_runs(base_study, rng)))
@@ -281,9 +275,7 @@ def effects_in_order(kind: str, *, film: bool = False) -> list[str]:
     return list(dict.fromkeys(n for law, _ in LAWS for n in candidates(kind, law, film=film)))
 
 
-def _hidden_effects(
-    kind: str, law: tuple[str, ...], first: str | None, rng: np.random.Generator, *, film: bool
-) -> tuple[str, ...]:
+def _hidden_effects(kind: str, law: Names, first: str | None, rng: Rng, *, film: bool) -> Names:
     """Names of the effects to hide: the first one, and random further ones."""
     names = () if first is None else (first,)
     while len(names) < N_HIDDEN.get(kind, 1):
@@ -292,20 +284,18 @@ def _hidden_effects(
     return names
 
 
-def _can_join(name: str, hidden: tuple[str, ...]) -> bool:
+def _can_join(name: str, hidden: Names) -> bool:
     """Whether an effect can be simulated beside others: only the first may have a memory, and then none modifies."""
     effect = effect_named(name)
     return not effect.memory and not (effect.modifies and any(effect_named(n).memory for n in hidden))
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def _log_uniform(rng: Rng, low: float, high: float) -> float:
     """Draw from a log-uniform distribution."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _draw_base(
-    seed: int, kind: str, law: tuple[str, ...], names: tuple[str, ...], rng: np.random.Generator, *, film: bool
-) -> Truth:
+def _draw_base(seed: int, kind: str, law: Names, names: Names, rng: Rng, *, film: bool) -> Truth:
     """Draw law and camera, before runs and hidden effects."""
     mass = _log_uniform(rng, 0.05, 2.0)
     needs = {need for name in names for need in effect_named(name).needs}
@@ -335,7 +325,7 @@ def _draw_base(
     )
 
 
-def _draw_law(names: tuple[str, ...], level: float, rng: np.random.Generator) -> EffectValues:
+def _draw_law(names: Names, level: float, rng: Rng) -> EffectValues:
     """Draw the parameters of a base law with a Coulomb friction of `level` N."""
     possible: EffectValues = {
         "coulomb": {"F_c": level},
@@ -346,7 +336,7 @@ def _draw_law(names: tuple[str, ...], level: float, rng: np.random.Generator) ->
     return {name: possible[name] for name in names}
 
 
-def _draw_runs(base_study: Truth, rng: np.random.Generator) -> Iterator[RunTruth]:
+def _draw_runs(base_study: Truth, rng: Rng) -> Iterator[RunTruth]:
     """Draw five to eight runs: slow to fast, to a stop if the course is long enough, another mass, reversed."""
     friction = base_study.law["coulomb"]["F_c"]
     stopping_speed = np.sqrt(1.6 * friction / base_study.mass * base_study.course)  # stops within the course
@@ -378,9 +368,7 @@ def _count_frames(base_study: Truth, run: RunTruth) -> int:
     return min(ends)
 
 
-def _hide_effects(
-    base_study: Truth, names: tuple[str, ...], rng: np.random.Generator, sizes: tuple[float, float]
-) -> Truth | None:
+def _hide_effects(base_study: Truth, names: Names, rng: Rng, sizes: Range) -> Truth | None:
     """Put the effects into the study; return None if one is not visible, alone or with the other ones free."""
     truth, detector = base_study, IdealDetector(base_study)
     hidden = []

@@ -80,8 +80,7 @@ def motions(title: str, recordings: Mapping[str, Sequence[SyntheticRecording]]) 
 @style.styled
 def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Sequence[float]]) -> Figure:
     """Errors on a logarithmic axis: one cluster per group, one bar per method."""
-    figure = style.new_figure(3.6, title)
-    ax, width, places = figure.subplots(), 0.8 / len(series), np.arange(len(groups))
+    (figure, ax), width, places = style.one_panel(3.6, title), 0.8 / len(series), np.arange(len(groups))
     look: dict[str, Any] = {"edgecolor": "#333333", "linewidth": 0.7}
     for i, (name, values) in enumerate(series.items()):
         x = places + (i - (len(series) - 1) / 2) * width
@@ -97,8 +96,7 @@ def bars(title: str, label: str, groups: Sequence[str], series: Mapping[str, Seq
 @style.styled
 def humps(title: str, cost: Callable[[Array], Array], place: tuple[float, float]) -> Figure:
     """Fig. 17: the test function, whose sign `cost` turns, with its maximum."""
-    figure, x = style.new_figure(2.9, title), np.linspace(-1, 2, 3001)
-    ax = figure.subplots()
+    (figure, ax), x = style.one_panel(2.9, title), np.linspace(-1, 2, 3001)
     ax.plot(x, -cost(x[:, None]), color=style.BLUE, linewidth=1.2)
     ax.plot(*place, "o", color=style.VERMILION, markersize=6)
     ax.annotate(f"{place[1]:.6f} at x = {place[0]:.6f}", place, (-8, 6), textcoords="offset points", ha="right")
@@ -125,8 +123,7 @@ def generations(title: str, runs: Mapping[str, Array], printed: Mapping[str, flo
 @style.styled
 def lengths(title: str, curves: Mapping[str, Array]) -> Figure:
     """Code length over the generations, Eq. 7 as read and as printed."""
-    figure = style.new_figure(2.7, title, width=6.0)
-    ax = figure.subplots()
+    figure, ax = style.one_panel(2.7, title, width=6.0)
     for (name, bits), look in zip(curves.items(), CURVE_STYLES, strict=False):
         ax.plot(bits, label=f"{name}, mean {bits.mean():.1f}", **look)
     ax.set(xlabel="generation G", ylabel="code length L / bits", ylim=(0, 62))
@@ -137,8 +134,7 @@ def lengths(title: str, curves: Mapping[str, Array]) -> Figure:
 @style.styled
 def ends(title: str, finals: Mapping[str, Array], local: float) -> Figure:
     """Cumulative shares of the final errors over the lowest error known, for each setting."""
-    figure = style.new_figure(3.2, title, width=7.5)
-    ax = figure.subplots()
+    figure, ax = style.one_panel(3.2, title, width=7.5)
     for (name, ratio), run, dash in zip(finals.items(), style.RUN_STYLES, DASHES, strict=False):
         share = np.arange(1, len(ratio) + 1) / len(ratio)
         ax.step(np.sort(ratio), share, where="post", label=name, color=run["color"], linestyle=dash)

@@ -35,6 +35,8 @@ from frictrack.validation.reproduce import laws
 from frictrack.validation.reproduce.laws import PrintedLaw
 from frictrack.validation.reproduce.sections import Effort
 
+Rng = np.random.Generator
+
 FPS = 4000.0
 TRACKING_NOISE = 1e-5  # m, standard deviation per frame
 PIXEL_PITCH = 5e-4  # m/px
@@ -63,7 +65,7 @@ class SyntheticRecording:
     truth: Trajectory
 
 
-def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: np.random.Generator) -> SyntheticRecording:
+def record_printed(source: PrintedLaw, unit: str, bench: TestRig, rng: Rng) -> SyntheticRecording:
     """Simulate a recording of a printed law."""
     law = laws.to_effects(source.law, laws.read_printed(source, unit))
     return record_law(*law, bench, start_speed(source, bench), rng)
@@ -75,7 +77,7 @@ def start_speed(source: PrintedLaw, bench: TestRig) -> float:
 
 
 def record_with_dither(
-    static: PrintedLaw, sines: PrintedLaw, share: float, speed: float, rng: np.random.Generator
+    static: PrintedLaw, sines: PrintedLaw, share: float, speed: float, rng: Rng
 ) -> SyntheticRecording:
     """Simulate a recording of a printed Tustin model plus a share of printed sines."""
     p = laws.read_printed(sines, "sample")
@@ -84,9 +86,7 @@ def record_with_dither(
     return record_law(*laws.to_effects(sines.law, p), BEAM, speed, rng)
 
 
-def record_law(
-    model: Model, values: Values, bench: TestRig, speed: float, rng: np.random.Generator
-) -> SyntheticRecording:
+def record_law(model: Model, values: Values, bench: TestRig, speed: float, rng: Rng) -> SyntheticRecording:
     """Simulate a recording of any law: motion in view, white tracking noise, and the papers' filter and differences."""
     trajectory = _simulate_in_view(model, values, bench, speed)
     n = len(trajectory.t)
@@ -284,7 +284,7 @@ def mechanism_of_neither() -> tuple[models.Model, dict[str, dict[str, float]]]:
     }
 
 
-def simulate_sources(group: str, rng: np.random.Generator) -> dict[str, SyntheticRecording]:
+def simulate_sources(group: str, rng: Rng) -> dict[str, SyntheticRecording]:
     """Simulate the recordings of one speed group."""
     speed = laws.ATM1[group].speed or 0.0
     return {

@@ -19,21 +19,7 @@ from scipy.stats import binomtest, fisher_exact
 from frictrack.fit import fit
 from frictrack.records import Array, Run
 from frictrack.search import GA, MGA, SGA, SearchMethod, SearchResult, code_length, code_length_as_printed, minimise
-from frictrack.validation.reproduce import figures, laws, papers_method
-from frictrack.validation.reproduce.sections import (
-    FULL,
-    QUICK,
-    Claim,
-    Effort,
-    ResultTable,
-    Section,
-    claim,
-    decided,
-    figure,
-    section,
-    table,
-    verdict,
-)
+from frictrack.validation.reproduce import figures, laws, papers_method, sections
 
 N_BOOTSTRAP = 4000
 
@@ -174,7 +160,7 @@ def maximum() -> tuple[float, float]:
     return x, x * float(np.sin(w * x)) + 2
 
 
-def eq8_trials(effort: Effort = FULL) -> Section:
+def eq8_trials(effort: sections.Effort = sections.FULL) -> sections.Section:
     """Reproduce Figs. 17-19 and Tables 5 and 6.
 
     Parameters
@@ -195,13 +181,13 @@ def eq8_trials(effort: Effort = FULL) -> Section:
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
     }
     last = {name: results[name].last for name in ("GA", "MGA")}
-    return section(
+    return sections.section(
         "test_function",
         [_table_5(results), _table_6(results, bits)],
         [
-            figure("fig17_test_function", figures.humps, eq8, maximum()),
-            figure("fig18_19_generations", figures.generations, last, {n: laws.TABLE_5[n][0] for n in last}),
-            figure("eq7_code_length", figures.lengths, bits),
+            sections.figure("fig17_test_function", figures.humps, eq8, maximum()),
+            sections.figure("fig18_19_generations", figures.generations, last, {n: laws.TABLE_5[n][0] for n in last}),
+            sections.figure("eq7_code_length", figures.lengths, bits),
         ],
         *_claims_5(results),
         *_claims_6(results, bits),
@@ -219,7 +205,7 @@ def _printed(table: Mapping[str, tuple[float, ...]], name: str, column: int, ove
     return table[name][column] / (table[over][column] if over else 1) if name in table else None
 
 
-def _table_5(results: dict[str, SearchTrials]) -> ResultTable:
+def _table_5(results: dict[str, SearchTrials]) -> sections.ResultTable:
     rng, base, rows = np.random.default_rng(5), results["GA"], []
     for name in ("GA", "MGA", "GA, more mutation", "MGA, Eq. 6 as printed"):
         found = results[name]
@@ -229,10 +215,10 @@ def _table_5(results: dict[str, SearchTrials]) -> ResultTable:
         generations = _printed(laws.TABLE_5, name, 0), float(found.last.mean()), mean, change
         times = _printed(laws.TABLE_5, name, 1, "GA"), float(found.seconds.mean() / base.seconds.mean())
         rows.append([name, *generations, float(np.nanmean(found.first)), hits, *times])
-    return table("table5", rows)
+    return sections.table("table5", rows)
 
 
-def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> ResultTable:
+def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> sections.ResultTable:
     length = {"10 bits": 10.0, "20 bits": 20.0, "adaptive": bits["as read"].mean()}
     length["adaptive, as printed"] = bits["as printed"].mean()
     rows: list[list[Any]] = []
@@ -241,19 +227,16 @@ def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> Result
         optima = _printed(laws.TABLE_6, name, 0), float(-np.median(found.cost)), float(-found.cost.max())
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
         rows.append([name, *optima, float(n), _printed(laws.TABLE_6, name, 1, "20 bits"), time])
-    return table("table6", rows)
+    return sections.table("table6", rows)
 
 
-def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
+def _claims_5(results: dict[str, SearchTrials]) -> tuple[sections.Claim, ...]:
     rng, (x, y) = np.random.default_rng(55), maximum()
     base, mga, more = results["GA"], results["MGA"], results["GA, more mutation"]
     n, hits = len(base.last), int(np.sum(base.cost <= -FOUND_VALUE))
     same = abs(y - laws.EQ8_MAXIMUM) < 5e-5 and abs(x - laws.EQ8_PLACE) < 6e-5
     said = laws.TABLE_5["MGA"][0] / laws.TABLE_5["GA"][0] - 1
-    change, interval = (
-        float(mga.last.mean() / base.last.mean() - 1),
-        change_interval(mga.last, base.last, rng),
-    )
+    change, interval = float(mga.last.mean() / base.last.mean() - 1), change_interval(mga.last, base.last, rng)
     chance = probability_by_chance(base.last, laws.RUNS, said, rng)
     first = float(np.nanmean(more.first) / np.nanmean(base.first) - 1)
     ratio = float(mga.seconds.mean() / base.seconds.mean())
@@ -261,13 +244,13 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[Claim, ...]:
     fewer = f"{100 * change:+.1f} % ({_interval(interval, '%')}), {n} runs"
     told = {"change": 100 * said, "scatter": base.last.std(), "chance": chance, "first": 100 * first}
     return (
-        claim("maximum", verdict(same and hits >= 0.95 * n), found),
-        claim("iterations", decided(verdict(interval[1] < 0, interval[0] >= 0), n), fewer, **told),
-        claim("little_time", decided(verdict(ratio < 1.05, ratio > 1.2), n), f"{100 * (ratio - 1):+.0f} %"),
+        sections.claim("maximum", same and hits >= 0.95 * n, found),
+        sections.claim("iterations", interval[1] < 0, fewer, fails=interval[0] >= 0, seeds=n, **told),
+        sections.claim("little_time", ratio < 1.05, f"{100 * (ratio - 1):+.0f} %", fails=ratio > 1.2, seeds=n),
     )
 
 
-def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple[Claim, ...]:
+def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple[sections.Claim, ...]:
     grid = float(-eq8(np.arange(1024)[:, None] / 1023 * 3 - 1).min())
     ten, adaptive = results["10 bits"], results["adaptive"]
     n, reached = len(ten.cost), int(np.sum(-ten.cost > laws.TABLE_6["10 bits"][0] + 1e-3))
@@ -276,10 +259,10 @@ def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple
     better = f"median {-np.median(ten.cost):.6f}; {reached} of {n} runs did better than print"
     length = f"{bits['as printed'][0]:.0f} bits at first, {bits['as printed'].mean():.1f} on average"
     return (
-        claim("ten_bits", verdict(reached <= n / 2), better, grid=grid),
-        claim("adaptive_code", verdict(kept >= 0.95 * n), f"{kept} of {n} runs, as read"),
-        claim("adaptive_time", decided(verdict(time < 0.8), n), f"{time:.2f}; bits {mean / 20:.2f}", bits=mean),
-        claim("code_length", verdict(False), length),
+        sections.claim("ten_bits", reached <= n / 2, better, grid=grid),
+        sections.claim("adaptive_code", kept >= 0.95 * n, f"{kept} of {n} runs, as read"),
+        sections.claim("adaptive_time", time < 0.8, f"{time:.2f}; bits {mean / 20:.2f}", seeds=n, bits=mean),
+        sections.claim("code_length", False, length),
     )
 
 
@@ -306,7 +289,7 @@ def atm1_error(run: Run) -> Callable[[Array], Array]:
     return cost
 
 
-def genetic_searches(effort: Effort = FULL, seed: int = 0) -> Section:
+def genetic_searches(effort: sections.Effort = sections.FULL, seed: int = 0) -> sections.Section:
     """Reproduce Table 7: searches of ATM1 with n = 2 in the force domain, ten parameters, 1000 generations.
 
     The same with the effort of a quick run stands next to it.
@@ -330,19 +313,19 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0) -> Section:
     cost = atm1_error(run)
     floor = float(cost(papers_method.parameters_of("atm1:2", fit("atm1:2", [run]))[None])[0])
 
-    def trials(of: Effort) -> dict[str, SearchTrials]:
+    def trials(of: sections.Effort) -> dict[str, SearchTrials]:
         limit = LOCAL_OPTIMUM_RATIO * floor
         return _run_settings(FRICTION_SETTINGS, (cost, ATM1_BOX, of.seeds, limit, of.budget))
 
     results = trials(effort)
     tables = [_table_7("table7", results, floor, effort)]
-    if effort != QUICK:
-        tables.append(_table_7("table7_quick", trials(QUICK), floor, QUICK))
+    if effort != sections.QUICK:
+        tables.append(_table_7("table7_quick", trials(sections.QUICK), floor, sections.QUICK))
     finals = {name: np.maximum(found.cost / floor, 1.0) for name, found in results.items()}
-    return section(
+    return sections.section(
         "friction_problem",
         tables,
-        [figure("table7_ends", figures.ends, finals, LOCAL_OPTIMUM_RATIO)],
+        [sections.figure("table7_ends", figures.ends, finals, LOCAL_OPTIMUM_RATIO)],
         *_claims_7(results, finals),
         seeds=effort.seeds,
         budget=effort.budget,
@@ -350,31 +333,29 @@ def genetic_searches(effort: Effort = FULL, seed: int = 0) -> Section:
     )
 
 
-def _table_7(name: str, results: dict[str, SearchTrials], floor: float, effort: Effort) -> ResultTable:
+def _table_7(
+    name: str, results: dict[str, SearchTrials], floor: float, effort: sections.Effort
+) -> sections.ResultTable:
     rows: list[list[Any]] = []
     for setting, found in results.items():
         n, ratio, reached = len(found.cost), found.cost / floor, np.isfinite(found.first)
         local = int(np.sum(ratio > LOCAL_OPTIMUM_RATIO))
         low, high = binomtest(local, n).proportion_ci(method="wilson")
         said = None if setting not in laws.TABLE_7 else 100 * laws.TABLE_7[setting][2]
-        shares = (
-            said,
-            100 * local / n,
-            f"{100 * low:.0f} to {100 * high:.0f}",
-            100 * float(np.mean(ratio <= FOUND_RATIO)),
-        )
+        interval, reached_it = f"{100 * low:.0f} to {100 * high:.0f}", 100 * float(np.mean(ratio <= FOUND_RATIO))
         first = float(found.first[reached].mean()) if reached.any() else None
         counts = _printed(laws.TABLE_7, setting, 0), float(found.last.mean()), float(found.converged.mean()), first
         time = float(found.seconds.mean() / results["GA"].seconds.mean())
+        shares = (said, 100 * local / n, interval, reached_it)
         rows.append([setting, *shares, *counts, _printed(laws.TABLE_7, setting, 1, "GA"), time])
-    return table(name, rows, seeds=effort.seeds, budget=effort.budget)
+    return sections.table(name, rows, seeds=effort.seeds, budget=effort.budget)
 
 
-def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[Claim, ...]:
+def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[sections.Claim, ...]:
     local = {name: int(np.sum(ratio > LOCAL_OPTIMUM_RATIO)) for name, ratio in finals.items()}
     base, mga, n = results["GA"], results["MGA"], len(results["GA"].cost)
     p = float(fisher_exact(np.array([[local[name], n - local[name]] for name in ("GA", "MGA")])).pvalue)
-    fewer = verdict(local["MGA"] < local["GA"] and p < 0.05, local["MGA"] > local["GA"] and p < 0.05)
+    fewer, more = p < 0.05 and local["MGA"] < local["GA"], p < 0.05 and local["MGA"] > local["GA"]
     best = min(local, key=lambda name: local[name])
     low, said = binomtest(local[best], n).proportion_ci(method="wilson").low, laws.TABLE_7["MGA"][2]
     ratios = {
@@ -386,14 +367,13 @@ def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tup
     time, share = float(mga.seconds.mean() / base.seconds.mean()), laws.TABLE_7["MGA"][0] / laws.TABLE_7["GA"][0]
     shares = {name: f"{100 * count / n:.0f} %" for name, count in local.items()}
     against = f"{shares['MGA']} against {shares['GA']} (p = {p:.2g})"
-    reached = decided(verdict(local[best] / n <= said, bool(low > said)), n)
-    iterations = decided(verdict(met == len(ratios), not met), n)
+    reached = f"{shares[best]} by the best setting tried ({best})"
     told = "; ".join(f"{name} {r:.2f}" for name, r in ratios.items())
     return (
-        claim("fewer_local_optima", fewer, against, more=100 * local["GA, more mutation"] / n),
-        claim("six_per_cent", reached, f"{shares[best]} by the best setting tried ({best})"),
-        claim("fewer_iterations", iterations, told, share=share),
-        claim("less_time", decided(verdict(time < 0.8), n), f"{time:.2f} per run of the same number of generations"),
+        sections.claim("fewer_local_optima", fewer, against, fails=more, more=100 * local["GA, more mutation"] / n),
+        sections.claim("six_per_cent", local[best] / n <= said, reached, fails=bool(low > said), seeds=n),
+        sections.claim("fewer_iterations", met == len(ratios), told, fails=not met, seeds=n, share=share),
+        sections.claim("less_time", time < 0.8, f"{time:.2f} per run of the same number of generations", seeds=n),
     )
 
 

@@ -163,10 +163,14 @@ def _texts() -> dict[str, dict[str, dict[str, Any]]]:
     return tomllib.loads((Path(__file__).parent / "texts.toml").read_text(encoding="utf-8"))
 
 
-def claim(name: str, verdict: str, ours: str, **values: Any) -> Claim:
-    """Build a claim: its texts from ``texts.toml``, filled in with values, and what came out here."""
+def claim(name: str, holds: bool | None, ours: str, *, fails: bool = True, seeds: int = RUNS, **values: Any) -> Claim:
+    """Build a claim: its texts from ``texts.toml``, filled in with values, what came out here, and our verdict.
+
+    It is open where it neither holds nor fails, or was tried with fewer seeds than the 50 runs of the papers.
+    """
     texts = _texts()["claims"][name]
     printed, why = (texts[key].format(**values) for key in ("printed", "why"))
+    verdict = OPEN if holds is None or seeds < RUNS else HOLDS if holds else FAILS if fails else OPEN
     return Claim(texts["where"], texts["claim"], printed, ours, verdict, why)
 
 
@@ -190,16 +194,6 @@ def section(
     texts = _texts()["sections"][name]
     text = tuple(line.format(**values) for line in texts["text"])
     return Section(name, texts["title"], text, tuple(tables), dict(ChainMap(*reversed(figures))), claims)
-
-
-def decided(verdict: str, seeds: int) -> str:
-    """The verdict, or `OPEN` with fewer seeds than the 50 runs of the papers."""
-    return verdict if seeds >= RUNS else OPEN
-
-
-def verdict(holds: bool, fails: bool = True) -> str:
-    """The verdict on a claim: `OPEN` where it neither holds nor fails."""
-    return HOLDS if holds else FAILS if fails else OPEN
 
 
 VERDICT_CLASSES = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}

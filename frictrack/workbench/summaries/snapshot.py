@@ -10,19 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from frictrack import flow
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_number, format_plus_minus
 from frictrack.base.units import lacks_unit, parse_quantity
-from frictrack.flow import (
-    Change,
-    CommandHistory,
-    ResultsReader,
-    SignificanceBudget,
-    Surveyed,
-    open_study,
-    start_study,
-    survey_recording,
-)
 from frictrack.measure.calibration import parse_scale
 from frictrack.measure.plausibility import EnteredValues, implausible_entries
 from frictrack.results import ModelResults, Results
@@ -62,9 +53,9 @@ class Snapshot:
     study: Study | None = None
     results: Results | None = None
     raw: dict[str, Any] = field(default_factory=dict)
-    changes: tuple[Change, ...] = ()
+    changes: tuple[flow.Change, ...] = ()
     tests: Mapping[str, Any] = field(default_factory=dict)
-    recordings: tuple[Surveyed, ...] = ()
+    recordings: tuple[flow.Surveyed, ...] = ()
     attempted: Mapping[str, ModelResults] = field(default_factory=dict)
     error: str | None = None
 
@@ -74,7 +65,7 @@ class SnapshotReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._results = ResultsReader(with_budgets=False)
+        self._results = flow.ResultsReader(with_budgets=False)
         self._last = Snapshot(path)
 
     def read(self) -> Snapshot:
@@ -87,12 +78,12 @@ class SnapshotReader:
             return replace(self._last)
         try:
             raw = read_toml(self.path.name, self.path.read_text(encoding="utf-8"))
-            study = open_study(self.path, allow_incomplete=True)
-            history = CommandHistory(study.output)
+            study = flow.open_study(self.path, allow_incomplete=True)
+            history = flow.CommandHistory(study.output)
             results = self._results.read(study)
             names = [candidate["effect"] for candidate in (results.diagnosis or {}).get("candidates", [])]
             attempted = self._results.attempts(study, names)
-            changes, tests = tuple(history.changes), SignificanceBudget(study.output).summary()
+            changes, tests = tuple(history.changes), flow.SignificanceBudget(study.output).summary()
             self._last = Snapshot(self.path, study, results, raw, changes, tests, recordings, attempted)
         except (FrictrackError, OSError, UnicodeDecodeError) as e:
             return replace(self._last, recordings=recordings, error=str(e))
@@ -106,25 +97,25 @@ def _recordings(folder: Path) -> list[Path]:
         return []
 
 
-def _survey(path: Path) -> Surveyed:
+def _survey(path: Path) -> flow.Surveyed:
     """Look at a recording, unless it was looked at before and has not changed."""
     try:
         state = path.stat()
     except OSError as e:
-        return Surveyed(path, problem=e.strerror or str(e))
+        return flow.Surveyed(path, problem=e.strerror or str(e))
     pictures = len(os.listdir(path)) if path.is_dir() else 0
     return _surveyed(path, state.st_mtime_ns, state.st_size, pictures)
 
 
 @lru_cache(maxsize=MAX_RECORDINGS)
-def _surveyed(path: Path, *_: int) -> Surveyed:
+def _surveyed(path: Path, *_: int) -> flow.Surveyed:
     try:
-        return survey_recording(path)
+        return flow.survey_recording(path)
     except (FrictrackError, OSError) as e:
-        return Surveyed(path, problem=str(e))
+        return flow.Surveyed(path, problem=str(e))
 
 
-def surveyed_source(path: Any) -> Surveyed | None:
+def surveyed_source(path: Any) -> flow.Surveyed | None:
     """Return what is known of the recording of a run; None for one at an address, or one that is gone."""
     return _survey(path) if isinstance(path, Path) and path.exists() else None
 
@@ -236,7 +227,7 @@ def new_study(path: Path, recordings: Sequence[str], fields: Mapping[str, Any]) 
     if "fps" in typed:
         rate = read_frame_rate(typed["fps"])
         typed["fps"] = int(rate) if rate == int(rate) else rate
-    start_study(path, [path.parent / name for name in recordings], typed, allow_incomplete=True)
+    flow.start_study(path, [path.parent / name for name in recordings], typed, allow_incomplete=True)
 
 
 def refuse_implausible(table: str, key: str, value: Any) -> None:

@@ -302,6 +302,12 @@ def new_figure(height: float, title: str, width: float = PAGE_WIDTH_IN) -> Figur
     return figure
 
 
+def one_panel(height: float, title: str, width: float = PAGE_WIDTH_IN) -> tuple[Figure, Axes]:
+    """Create a figure with one panel; see `new_figure`."""
+    figure = new_figure(height, title, width)
+    return figure, figure.subplots()
+
+
 HANDLE_IN, LETTER_IN = 0.62, 0.082  # inches of a legend: a sample with its gaps, a letter of the mean width
 
 
