@@ -270,6 +270,7 @@ class Model:
             Columns (n, k) by effect, N per unit coefficient.
 
         """
+        path = self.pressed(path, values)
 
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
@@ -287,6 +288,13 @@ class Model:
                 parts = np.split(columns(modifier, inner), ends, axis=1)
                 made |= dict(zip(modified, parts, strict=True))
         return made
+
+    def pressed(self, path: Path, values: Values) -> Path:
+        """Return a path on a circle that stands upright with the load of the gravity and the slope of the model."""
+        if not path.upright or "gravity" not in self or "g" not in values["gravity"]:
+            return path
+        along = values["slope"]["F"] * path.mass_ratio / path.mass if "slope" in self else 0.0
+        return path.pressed(values["gravity"]["g"], along)
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:
         """States (n, k) of the effects with memory along a path, by effect."""
