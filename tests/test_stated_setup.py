@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictrack as ft
+from frictrack.effects import EffectSettings
 from frictrack.records import GRAVITY
 
 MASS, COULOMB, VISCOUS = 0.5, 0.06, 0.1
@@ -61,6 +62,20 @@ def test_a_stated_incline_is_one_unknown_of_the_record():
     assert friction.std == pytest.approx(MASS * GRAVITY * np.deg2rad(0.1), rel=0.1)
     assert abs(friction.value - COULOMB) < 2 * friction.std
     assert ft.fit(["coulomb", "viscous"], [both], domain="force").model.names == ["coulomb", "viscous"]
+
+
+def test_settings_of_an_effect_that_the_runs_add_hold():
+    """`[[effect]]` tables of slope and gravity, which no `model` names: only a stated incline or a circle adds them."""
+    model = ft.models.of(["coulomb", "viscous"])
+    down = cart(np.deg2rad(-3.6), incline="-3.5 +/- 0.1 deg")
+    for keys in ({"fix": {"F": 0.01}}, {"prior": {"F": (0.0, 1e-3)}}):
+        fit = ft.fit(model.adjusted([EffectSettings(effect="slope", **keys)]), [down])
+        of = fit.model.effects[2].parameter("F")
+        assert (of.fixed, of.prior) == (keys.get("fix", {}).get("F"), keys.get("prior", {}).get("F"))
+    swing = replace(down, radius=0.5, incline=0.0, sigma_incline=0.0)
+    assert ft.fit(model, [swing]).model.effects[2].parameter("g").prior[0] == GRAVITY
+    held = ft.fit(model.adjusted([EffectSettings(effect="gravity", fix={"g": 9.81})]), [swing])
+    assert held.model.effects[2].parameter("g").fixed == 9.81
 
 
 @pytest.mark.usefixtures("no_formulas")

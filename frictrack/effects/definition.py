@@ -70,6 +70,7 @@ class Path:
     gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
     curvature: float | Array = 0.0  # 1/m, of a course that bends upward
     lowest: float | Array = np.nan  # m, where an upright circle is lowest; NaN on other courses
+    pull: tuple[float | Array, float | Array] = (0.0, 0.0)  # down and along at `lowest`, m/s^2, of which the load is
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped
     beam_length: float | None = None  # m
@@ -100,18 +101,24 @@ class Path:
         """Whether its runs lie on circles that stand upright; None if not."""
         return bool(np.all(np.isfinite(self.lowest))) or None
 
-    def pressed(self) -> Path:
-        """Return the path with the load of its motion; it had that of a level straight course.
+    def pressed(self, down: float | Array = GRAVITY, along: float | Array = 0.0) -> Path:
+        """Return the path with the load of its motion; it had that of a level straight course, or of another pull.
 
-        On a circle that stands upright the load is the size of m (g cos(incline) + v^2/R), on a flat one the sum of
-        weight and m v^2/R as vectors, as in a groove.
+        On a circle that stands upright the load is the size of m (g cos(angle) + v^2/R), on a flat one the sum of
+        weight and m v^2/R as vectors, as in a groove. `down`: of gravity at the lowest place, m/s^2; `along`: what a
+        slope adds there, so that the lowest place is elsewhere.
         """
-        if not np.any(self.curvature):
+        if not np.any(self.curvature) or all(map(np.array_equal, self.pull, (down, along))):
             return self
         flat = np.isnan(self.lowest)
-        weight = np.where(flat, 0.0, GRAVITY * np.cos(self.curvature * (self.x - np.where(flat, 0.0, self.lowest))))
-        inward = np.hypot(weight + self.curvature * self.v**2, np.where(flat, GRAVITY, 0.0))
-        return replace(self, load=self.load * inward / GRAVITY)
+        angle = self.curvature * (self.x - np.where(flat, 0.0, self.lowest))
+
+        def inward(down: float | Array, along: float | Array) -> Array:
+            weight = np.where(flat, 0.0, down * np.cos(angle) - along * np.sin(angle))
+            return np.hypot(weight + self.curvature * self.v**2, np.where(flat, GRAVITY, 0.0))
+
+        before = inward(*self.pull) if np.any(self.pull[0]) else GRAVITY
+        return replace(self, load=self.load * inward(down, along) / before, pull=(down, along))
 
     def each_earlier(self) -> list[EarlierRuns]:
         """The runs before each of `starts`."""

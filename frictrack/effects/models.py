@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -42,6 +42,8 @@ class Model:
     ----------
     effects : tuple of Effect
         The effects, each at most once.
+    unused : tuple of EffectSettings
+        Settings of other effects, for those that the runs add (`slope`, `gravity`).
 
     Raises
     ------
@@ -60,6 +62,7 @@ class Model:
     """
 
     effects: tuple[Effect, ...]
+    unused: tuple[EffectSettings, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         names = [e.name for e in self.effects]
@@ -201,9 +204,24 @@ class Model:
         return out
 
     def adjusted(self, settings: Iterable[EffectSettings]) -> Model:
-        """Apply settings to the effects of the model; settings of other effects are ignored."""
+        """Apply settings to the effects of the model; those of other effects are kept for `joined_by`."""
         by_effect = {one.effect: one for one in settings}
-        return Model(tuple(by_effect[e.name].applied(e) if e.name in by_effect else e for e in self.effects))
+        made = tuple(by_effect.pop(e.name).applied(e) if e.name in by_effect else e for e in self.effects)
+        return Model(made, tuple(by_effect.values()))
+
+    def joined_by(self, name: str, known: Mapping[str, Any]) -> Model:
+        """Return the model with an effect that the runs add, and what they know of its one parameter.
+
+        Settings of a user come first: a value that is fixed, freed or has a prior.
+        """
+        of_user = name in self or any(one.effect == name for one in self.unused)
+        effect = next((e for e in self.effects if e.name == name), effects.get(name))
+        for one in self.unused:
+            effect = one.applied(effect) if one.effect == name else effect
+        (p,) = effect.parameters
+        if not of_user or (p.free and not (p.prior or "fixed" in known)):
+            effect = effect.adjusted(**{p.name: {**known, "per_run": p.per_run or known["per_run"]}})
+        return replace(self, effects=(*(e for e in self.effects if e.name != name), effect))
 
     def to_toml(self) -> str:
         """Write the model as in a study file: `model`, and an `[[effect]]` table for each effect with settings.
@@ -270,6 +288,7 @@ class Model:
             Columns (n, k) by effect, N per unit coefficient.
 
         """
+        path = self.pressed(path, values)
 
         def columns(e: Effect, *inner: Array) -> Array:
             entered = replace(path, begin=path.states[e.name]) if e.name in path.states else path
@@ -287,6 +306,13 @@ class Model:
                 parts = np.split(columns(modifier, inner), ends, axis=1)
                 made |= dict(zip(modified, parts, strict=True))
         return made
+
+    def pressed(self, path: Path, values: Values) -> Path:
+        """Return a path on a circle that stands upright with the load of the gravity and the slope of the model."""
+        if not path.upright or "gravity" not in self or "g" not in values["gravity"]:
+            return path
+        along = values["slope"]["F"] * path.mass_ratio / path.mass if "slope" in self else 0.0
+        return path.pressed(values["gravity"]["g"], along)
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:
         """States (n, k) of the effects with memory along a path, by effect."""

@@ -173,7 +173,8 @@ class ParameterLayout:
     constraints : tuple of Constraint
         Ties and converted fixed values.
     leaders : frozenset of int
-        Positions of unknowns that other parameters follow. The model responds to them through these as well.
+        Positions of unknowns that other parameters follow, or the normal load. The model responds to them through
+        these as well.
 
     """
 
@@ -208,6 +209,8 @@ class ParameterLayout:
         targets = {(c.value.effect, c.value.parameter) for c in self.constraints if isinstance(c.value, Tie)}
         any_reported = any(c.is_reported_differently for c in self.constraints)
         scaled = any(not isinstance(c.value, Tie) for c in self.constraints)
+        if "gravity" in self.model:
+            targets |= {("gravity", "g"), ("slope", "F")}
         return [
             i
             for i, s in enumerate(self.slots)

@@ -15,7 +15,7 @@ Box, G. E. P. (1980). Sampling and Bayes' inference in scientific modelling and 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from frictrack.base.distributions import chi2_sf
 from frictrack.base.errors import FrictrackError, UsageError
 from frictrack.base.number_format import format_plus_minus
-from frictrack.effects import LIBRARY, Effect, Parameter, carries_over, scales_with_load
+from frictrack.effects import Effect, Parameter, carries_over, scales_with_load
 from frictrack.effects.models import Model
 from frictrack.fit.least_squares import Solution, white_noise_covariance
 from frictrack.fit.parameters import MASS
@@ -43,6 +43,7 @@ MIN_RELATIVE_EIGENVALUE = 1e-9  # of the correlation matrix of a prior; less is 
 MIN_INFORMATION = 1e-3  # of the data relative to the prior; directions with less are left to the prior
 ALPHA_CONTRADICTION = 0.01
 MAX_NAMED = 3  # parameters in the remark
+GRAVITY_STD = (9.832 - 9.780) / np.sqrt(12)  # m/s^2 at an unknown place: from equator to pole, equally likely
 
 
 def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "displacement") -> Model:
@@ -77,7 +78,7 @@ def apply_prior(model: Model, prior: Prior, load: float | None, domain: str = "d
             f"expected a model with a free parameter of the prior ({', '.join(here.names)}) but got "
             f"{', '.join(model.names)}; leave the prior out, or choose another model"
         )
-    return Model(tuple(e.adjusted(**changes[e.name]) if e.name in changes else e for e in model.effects))
+    return replace(model, effects=tuple(e.adjusted(**changes.get(e.name, {})) for e in model.effects))
 
 
 def with_stated_incline(model: Model, runs: Sequence[Run], mass: float) -> Model:
@@ -86,28 +87,25 @@ def with_stated_incline(model: Model, runs: Sequence[Run], mass: float) -> Model
     Runs of one course share it; runs with different inclines have one each. Where a circle is lowest is known as well
     as its radius. `mass`: of the reference, kg.
     """
-    slope = next((e for e in model.effects if e.name == "slope"), LIBRARY["slope"])
     errors = [np.hypot(r.sigma_incline, r.sigma_radius / abs(r.radius)) if r.radius else r.sigma_incline for r in runs]
-    force, sigma = slope.parameter("F"), float(max(errors)) if any(r.has_incline for r in runs) else 0.0
-    if not sigma or not force.free or force.prior:
+    sigma = float(max(errors)) if any(r.has_incline for r in runs) else 0.0
+    if not sigma:
         return model
     prior = (0.0, mass * GRAVITY * float(np.cos(runs[0].incline)) * sigma)
-    several = len({(run.incline, run.radius) for run in runs}) > 1
-    held = slope.adjusted(F={"prior": prior, "per_run": force.per_run or several})
-    return Model((*(e for e in model.effects if e.name != "slope"), held))
+    return model.joined_by("slope", {"prior": prior, "per_run": len({(run.incline, run.radius) for run in runs}) > 1})
 
 
 def with_known_gravity(model: Model, runs: Sequence[Run]) -> Model:
-    """Add gravity along circles that stand upright, where it is not in the model, as well as their radii are known.
+    """Add gravity along circles that stand upright, where it is not in the model, as well as it is known.
 
     An error of the radius, of the scale or of the clock acts as one of g.
     """
     if "gravity" in model or not all(run.radius and run.has_incline for run in runs):
         return model
     errors = [(r.sigma_radius / float(r.radius or 1.0), r.displacement.relative_scale_error) for r in runs]
-    sigma = GRAVITY * float(np.max(np.hypot(*np.transpose(errors))))
-    free = {"fixed": None, "prior": (GRAVITY, sigma), "per_run": len({run.radius for run in runs}) > 1}
-    return model + (LIBRARY["gravity"].adjusted(g=free) if sigma else LIBRARY["gravity"])
+    sigma = float(np.hypot(GRAVITY * np.max(np.hypot(*np.transpose(errors))), GRAVITY_STD))
+    known = {"fixed": None, "prior": (GRAVITY, sigma), "per_run": len({run.radius for run in runs}) > 1}
+    return model.joined_by("gravity", known)
 
 
 def _free(model: Model, address: str) -> tuple[Effect, Parameter] | None:

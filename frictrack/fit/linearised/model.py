@@ -287,7 +287,11 @@ class LinearisedPiece:
     def block(self) -> DataBlock:
         """Return the piece as data that forces along its path explain linearly. Its level is one there."""
         model, compared = self.problem.model, self.compared_path
-        path = replace(self.path, load=self.path.load / self.path_level)
+
+        def at_unit_level(path: Path) -> Path:
+            return model.pressed(replace(path, load=path.load / self.path_level), self.values)
+
+        path = at_unit_level(self.path)
         friction = model.force(replace(path, load=path.load * self.level), self.values)
         data = self.response.r + self.data_of(friction, False)
         for name, columns in model.measurement_columns(self.path, self.values).items():
@@ -299,7 +303,7 @@ class LinearisedPiece:
             forward=partial(self.data_of, is_measurement=False),
             picture=partial(self.data_of, is_measurement=True),
             friction=friction,
-            compared_path=None if compared is None else replace(compared, load=compared.load / self.path_level),
+            compared_path=None if compared is None else at_unit_level(compared),
         )
 
 

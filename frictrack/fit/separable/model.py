@@ -314,7 +314,7 @@ class SeparableModel:
         self.places = [np.array(list(own.values()), dtype=int) for own, _ in places]  # (q, runs) each
         self._sources = [inputs for _, inputs in places]
         self._fixed = {
-            e.name: {q.name: self.layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters}
+            e.name: {q.name: self.layout.fixed.get((e.name, q.name), 1.0) for q in e.parameters if not q.linear}
             for e in self.layout.model.effects
         }
         self._evaluated = [self._blocks_of(g) for g in range(len(self.groups))]

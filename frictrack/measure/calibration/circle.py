@@ -9,9 +9,11 @@ from scipy.optimize import least_squares
 
 from frictrack.base.number_format import format_plus_minus
 from frictrack.records import Array, Displacement
+from frictrack.sampling import noise_level
 
 MIN_ROWS = 10
 MIN_BEND = 0.01  # rms off a straight line over its length, up to which a lens without calibration bends it
+MIN_EXCESS_SIGMAS = 1.0  # standard deviations of the variance of the noise by which positions leave the circle
 MAX_ARC_SHARE = 0.1  # rms off the circle over rms off the line: a curvature of ten deviations, if all errors are one
 
 
@@ -62,6 +64,8 @@ def on_circle(displacement: Displacement) -> Displacement:
     """Return a displacement with x along the circle on which its positions lie; unchanged if they do not.
 
     x counts from the lowest place of the circle counter-clockwise, so that it grows to the right there; y is outward.
+    By what y leaves the circle beyond its noise, x is uncertain as well: the errors of a tracker that learnt a rotating
+    target depend on the angle.
 
     Parameters
     ----------
@@ -85,6 +89,7 @@ def on_circle(displacement: Displacement) -> Displacement:
     angle -= 2 * np.pi * np.round(angle[known][0] / (2 * np.pi))
     sizes = displacement.sigma_x * np.cos(angle), displacement.sigma_y * np.sin(angle)
     sigma = displacement.sigma_x if np.all(np.isnan(displacement.sigma_y)) else np.hypot(*sizes)
+    y = np.hypot(*off.T) - circle.radius
     note = (
         f"its path is a circle of radius {format_plus_minus(circle.radius, circle.sigma)} m: x is the way along it, "
         'counter-clockwise from its lowest place; with incline = "0 deg" it stands upright, without one it lies flat'
@@ -92,9 +97,17 @@ def on_circle(displacement: Displacement) -> Displacement:
     return replace(
         displacement,
         x=circle.radius * angle,
-        y=np.hypot(*off.T) - circle.radius,
+        y=y,
         sigma_x=sigma,
+        systematic=float(np.hypot(displacement.systematic, _slow_error(y, displacement))),
         radius=circle.radius,
         sigma_radius=float(np.hypot(circle.sigma, displacement.pixel_pitch or 0.0)),  # a target is placed to a pixel
         notes=(*displacement.notes, note),
     )
+
+
+def _slow_error(y: Array, displacement: Displacement) -> float:
+    """Root mean square of what the distance y (n,) from the circle has beyond its white noise, m."""
+    noise, relative = noise_level(y, displacement.valid, t=displacement.t)
+    excess = np.nanvar(y) - noise**2
+    return float(np.sqrt(excess)) if excess > MIN_EXCESS_SIGMAS * 2 * relative * noise**2 else 0.0
