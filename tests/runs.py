@@ -70,7 +70,7 @@ TOLD = {
 }
 TIMED = ("clock_rate",)  # held against scaled times elsewhere
 REMEMBERED = (  # held against integrators of their own elsewhere
-    *("presliding", "friction_lag", "cell_lag", "cell_delay", "lugre", "bouc_wen", "elasto_plastic"),
+    *("presliding", "friction_lag", "cell_lag", "cell_delay", "cell_drift", "lugre", "bouc_wen", "elasto_plastic"),
     *("rate_state_ageing", "rate_state_slip", "maxwell_slip", "elastic_joint"),
 )
 

@@ -524,7 +524,7 @@ def test_an_effect_says_what_its_runs_lack(name, said):
 
 
 def test_only_those_effects_need_something():
-    assert {e.name for e in ALL if e.needs} == {*KNOWN, "peak_locking", "cell_lag", "cell_delay"}
+    assert {e.name for e in ALL if e.needs} == {*KNOWN, "peak_locking", "cell_lag", "cell_delay", "cell_drift"}
 
 
 def test_the_scan_of_a_beam_is_bounded_for_long_runs_and_whole_for_short_ones():

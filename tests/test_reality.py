@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from runs import BASE, FPS, HIDDEN, SIX, Spec, measured, study
 from scipy.integrate import solve_ivp
+from scipy.signal import detrend
 from test_series import FPS as CELL_FPS
 from test_series import given, swing, tustin_force
 
@@ -97,7 +98,7 @@ def test_what_differs_from_stroke_to_stroke_is_noise():
     force = 8.0 * np.sign(v) + shape + drift - drift.mean() + 0.02 * rng.standard_normal(len(t))
     noise = friction_noise(fit(["coulomb"], [given(t, 0.1 * np.sin(w * t), v, force)]).solution)
     assert noise.stroke_count >= 20
-    assert noise.rms == pytest.approx(np.std(drift), rel=0.5)  # not 0.35, which the shape alone leaves
+    assert noise.rms == pytest.approx(np.std(detrend(drift)), rel=0.5)  # not 0.35, which the shape alone leaves
     assert noise.correlation_frames > 100
 
 
@@ -108,6 +109,17 @@ def reciprocating(stroke, rate, seconds, seed, ripple=0.112):
     law = 2.8 + 1.15 * np.exp(-np.abs(v) / 0.25) + 0.35 * np.abs(v) + ripple * np.sin(2 * np.pi * x / 0.006 + 0.7)
     noise = 0.03 * np.random.default_rng(seed).standard_normal(len(t))
     return given(t, x, v, np.sign(v) * law + noise, name=f"{rate:g} Hz")
+
+
+def test_a_zero_that_moves_is_no_noise_but_an_effect() -> None:
+    t, rng = np.arange(4000) / 500, np.random.default_rng(3)
+    v = 0.2 * np.cos(2 * np.pi * t)
+    friction = np.sign(v) + 0.3 * v + 0.02 * t + 0.01 * rng.normal(size=len(t))
+    runs = [given(t, 0.2 / (2 * np.pi) * np.sin(2 * np.pi * t), v, friction)]
+    found = diagnose(fit(["coulomb", "viscous"], runs), rng=1)
+    assert (found.verdict, found.missing) == ("missing", ["cell_drift"])
+    k = fit(["coulomb", "viscous", "cell_drift"], runs).parameters["cell_drift.k"]
+    assert abs(k.value - 0.02) < 3 * k.std < 0.002
 
 
 def test_a_force_that_two_strokes_repeat_at_their_places_is_no_noise():

@@ -45,8 +45,8 @@ GROUPS = {
         *("load_modulation", "measured_load", "viscous_modulation"),
     ),
     "Errors of the measurement": (
-        *("drive_error", "drive_delay", "drive_offset", "cell_lag", "cell_delay", "lens"),
-        *("peak_locking", "camera_shake", "dropped_frame", "timebase"),
+        *("drive_error", "drive_delay", "drive_offset", "cell_lag", "cell_delay", "cell_drift"),
+        *("lens", "peak_locking", "camera_shake", "dropped_frame", "timebase"),
         *("clock_rate", "target_rotation", "rolling_shutter", "out_of_plane"),
     ),
 }

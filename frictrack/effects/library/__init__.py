@@ -18,7 +18,7 @@ ORDER = (
     *("coulomb", "stribeck", "viscous", "drag", "vibration", "decaying_vibration", "beam_vibration", "texture"),
     *("patch", "spring", "collision", "thermal", "drift", "asymmetry", "slope", "load_modulation"),
     *("measured_load", "viscous_modulation", "drive_error", "drive_delay", "drive_offset", "cell_lag"),
-    *("cell_delay", "lens", "peak_locking", "camera_shake", "dropped_frame", "timebase", "clock_rate"),
+    *("cell_delay", "cell_drift", "lens", "peak_locking", "camera_shake", "dropped_frame", "timebase", "clock_rate"),
     *("target_rotation", "presliding", "friction_lag", "lugre", "bouc_wen", "elastic_joint", "flash_weakening"),
     *("log_velocity", "power_law_viscosity", "adhesion", "load_exponent", "gravity", "run_in", "heating"),
     *("rolling_shutter", "out_of_plane", "elasto_plastic", "maxwell_slip", "rate_state_ageing"),

@@ -117,6 +117,9 @@ def _cell_correlation(solution: Solution) -> float:
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
     """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
     piece, residual = response.piece, response.r * response.piece.sigma
+    s = piece.path.s[piece.at]
+    steady = np.column_stack([np.ones_like(s), s, piece.t, s * piece.t])  # drifts of cell and friction are no noise
+    residual = residual - steady @ np.linalg.lstsq(steady, residual)[0]
     x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
     coordinate = x if len(strokes(x)) > 1 else v  # where the motion reverses, strokes of speed differ in place
     for group in _comparable_strokes(strokes(coordinate), coordinate, v):

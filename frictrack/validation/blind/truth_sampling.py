@@ -229,7 +229,7 @@ def candidates(kind: str, law: Names, *, film: bool = False) -> list[str]:
         and not (e.modifies and not kinds & e.modifies)
         and e.clock is None  # a setting of a run, not an effect of the motion
         and not (e.test_draw.only_with and not kinds & e.test_draw.only_with)
-        and "angle" not in e.needs
+        and not {"angle", "friction"} & set(e.needs)
         and not (film and (e.acts_on == "measurement" or e.needs or e.memory))
     ]
 
