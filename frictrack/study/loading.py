@@ -223,6 +223,7 @@ class _Reader:
             self.faults[fault] = [f"[study], {self._line('study', 0, 'output')}"]
         self._check_names(merged)
         self._check_prior(head, merged)
+        prior = None if head.prior is None else Prior.read(head.prior)
         return Study(
             path=path,
             name=head.name or path.resolve().parent.name,
@@ -233,7 +234,7 @@ class _Reader:
             mass=None if head.mass == "fit" else head.mass,
             fps=file.camera.fps,
             scale=file.camera.scale,
-            prior=head.prior and Prior.read(head.prior).inflated(head.prior_scale, head.prior_scatter),
+            prior=prior and prior.inflated(head.prior_scale, head.prior_scatter),
             prior_file=head.prior,
             conditions=head.conditions,
             functions=head.functions,

@@ -240,7 +240,9 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if explained < MIN_EXPLAINED_CHI2:
         return _unaligned(frames, reason=f"at no offset from {span} does it agree with the camera; 0 is kept")
-    own_noise = 8.0 * _noise_products(problem, initial)
+    share = _sensor_share(problem, initial)
+    # camera times sensor noise is in chi2 of every offset; as each has other products, chi2 of two differs by chance
+    own_noise = 8.0 * len(frames.z) * float(np.mean(share * (1.0 - share)))
     within = MAX_RIVAL_CHI2 + 4.0 * np.sqrt(own_noise) + COARSE_SCAN_ERROR * explained
     at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial)
     fall = (misfit - np.min(misfit)) / max(1.0, float(np.min(misfit)) / len(frames.z))
@@ -330,16 +332,6 @@ def _sensor_share(problem: AlignmentProblem, initial: Alignment) -> Array:
     """Share of the sensor's noise in that of the differences, at `FREQUENCIES`."""
     covariance = _covariance(problem, initial)
     return np.clip(1.0 - _spectrum(problem.frames.camera) / _spectrum(covariance), 0.0, 1.0)
-
-
-def _noise_products(problem: AlignmentProblem, initial: Alignment) -> float:
-    """Sum of share (1 - share) over all differences.
-
-    Camera times sensor noise is in chi2 of every offset; as each offset has other products, chi2 of two differs by
-    chance with 8 times this variance.
-    """
-    share = _sensor_share(problem, initial)
-    return len(problem.frames.z) * float(np.mean(share * (1.0 - share)))
 
 
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
