@@ -134,13 +134,8 @@ def _largest_source(budget: Budget, key: str) -> str:
     """Name the largest contribution to the mean or to a frame, with its share of the variance."""
     row = max(budget.rows, key=lambda r: getattr(r, key) or 0.0)
     share = (getattr(row, key) / getattr(budget, key)) ** 2
-    return f"largest source {_source_text(row.source)} ({100 * share:.0f} %)"
-
-
-def _source_text(source: str) -> str:
-    """A source as part of a sentence."""
     without_article = {FILTER: "signal lost in the filter", NOISE: NOISE, LOCKING: LOCKING}
-    return without_article.get(source, f"the {source}")
+    return f"largest source {without_article.get(row.source, f'the {row.source}')} ({100 * share:.0f} %)"
 
 
 MIN_SIGMAS_LOCKING = 3.0  # standard deviations from which peak locking counts as found
@@ -200,20 +195,17 @@ def budget(
     weights = np.where(free, np.sign(run.motion.v), 0.0) / np.sum(free)
     mean = float(weights @ result.F)
     if run.friction_N is not None:
-        return Budget(run.name, mean, (_cell(result.sigma_F, free & np.isfinite(run.friction_N)),))
+        read = free & np.isfinite(run.friction_N)
+        level = float(np.sqrt(np.mean(result.sigma_F[read] ** 2)))
+        how = "white noise of the record, zero, sensitivity and lag are not known"  # nothing else counts
+        only = Contribution(SENSOR, level, "N", how, level, level / float(np.sqrt(np.sum(read))))
+        return Budget(run.name, mean, (only,))
     del result  # of a long run it takes much memory
     errors = _RunErrors(run, Derivatives.of_x(filtered), free, weights)
     rows = [*errors.noise_and_filter(film is not None), *errors.common_errors(film)]
     if quality and run.pixel_pitch is not None:
         rows += [errors.peak_locking(quality, run.pixel_pitch), *errors.camera_shake(quality, run.pixel_pitch)]
     return Budget(run.name, mean, (*rows, *errors.drive_errors((clocks or {}).get("drive", {}))))
-
-
-def _cell(sigma: Array, free: Mask) -> Contribution:
-    """Error of a load cell that measured friction itself; nothing else counts."""
-    level = float(np.sqrt(np.mean(sigma[free] ** 2)))
-    known_from = "white noise of the record, zero, sensitivity and lag are not known"
-    return Contribution(SENSOR, level, "N", known_from, level, level / float(np.sqrt(np.sum(free))))
 
 
 AccelerationError = tuple[Array, float]  # deviations of the acceleration, m/s^2: per frame (n,), and of a weighted sum

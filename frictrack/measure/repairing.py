@@ -161,7 +161,11 @@ def _tracked_again(film: Recording, track: Track, one: Repair, known: TargetMode
     except FrictrackError as e:
         raise FrictrackError(f"repair of {one.frames_text}: {e}") from e
     context = slice(frames.start, frames.stop)
-    offset = _offset(track.rows(context), found, untouched[context])
+    old = track.rows(context)
+    off = np.stack([found.x_px - old.x_px, found.y_px - old.y_px], axis=1)
+    agree = np.max(np.abs(np.nan_to_num(off)), axis=1) < MAX_DISAGREEMENT_PX
+    same = untouched[context] & old.found & found.found & agree
+    offset = np.median(off[same], axis=0) if np.count_nonzero(same) >= MIN_CONTEXT_FRAMES else np.zeros(2)
     part = slice(one.first - frames.start, one.last + 1 - frames.start)
     columns = _columns(track, "score", "reason")
     columns["reason"] = columns["reason"].astype(object)  # a reason may be longer than those before
@@ -170,13 +174,6 @@ def _tracked_again(film: Recording, track: Track, one: Repair, known: TargetMode
     columns["x_px"][one.rows] -= offset[0]
     columns["y_px"][one.rows] -= offset[1]
     return replace(track, **{**columns, "reason": columns["reason"].astype(str)})
-
-
-def _offset(track: Track, found: Track, untouched: Mask) -> Array:
-    """Constant difference (2,) px of a new track from the old one, in frames in which both agree roughly."""
-    off = np.stack([found.x_px - track.x_px, found.y_px - track.y_px], axis=1)
-    same = untouched & track.found & found.found & (np.max(np.abs(np.nan_to_num(off)), axis=1) < MAX_DISAGREEMENT_PX)
-    return np.median(off[same], axis=0) if np.count_nonzero(same) >= MIN_CONTEXT_FRAMES else np.zeros(2)
 
 
 def _interpolated(track: Track, one: Repair) -> Track:
@@ -270,7 +267,10 @@ def suspect_spans(track: Track, backward: Track | None = None) -> tuple[SuspectS
         "the position jumps off the smooth motion": mask_of_spans(_jumps(track, at), len(track)),
     }
     if backward is not None:
-        causes["tracking backward gives another position"] = _directions(track, backward)
+        off = np.hypot(track.x_px - backward.x_px, track.y_px - backward.y_px)
+        sigma = np.nan_to_num(np.hypot(track.sigma_px, track.sigma_y_px))
+        differs = np.nan_to_num(off) > np.maximum(MIN_DIRECTION_PX, MIN_DIRECTION_SIGMAS * sigma)
+        causes["tracking backward gives another position"] = differs
     open_frames = np.ones(len(track), np.bool_) if track.repaired is None else track.repaired == 0
     marked = np.any([mask & open_frames for mask in causes.values()], axis=0)
     for gap in stretches(~marked):
@@ -301,10 +301,3 @@ def _lone_steps(x: Array, at: Rows) -> Mask:
     scatter = MEDIAN_TO_SIGMA * median_filter(off, size=4 * STEP_WINDOW_FRAMES + 1, mode="nearest")
     # over a gap, the usual step does not say how far the target moves
     return np.asarray((off > np.maximum(MIN_JUMP_PX, MIN_JUMP_SIGMAS * scatter)) & (frames == 1))
-
-
-def _directions(track: Track, backward: Track) -> Mask:
-    """Frames (n,) in which tracking forward and backward found different positions."""
-    off = np.hypot(track.x_px - backward.x_px, track.y_px - backward.y_px)
-    sigma = np.hypot(track.sigma_px, track.sigma_y_px)
-    return np.asarray(np.nan_to_num(off) > np.maximum(MIN_DIRECTION_PX, MIN_DIRECTION_SIGMAS * np.nan_to_num(sigma)))

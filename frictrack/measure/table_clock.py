@@ -42,7 +42,7 @@ def with_even_clock(data: TableData, fps: float | None = None) -> TableData:
 
     A table that has the `numbers` of its rows already is on an even clock.
     """
-    if data.numbers is not None:
+    if len(data.numbers):
         return data
     n = len(data.t)
     data = replace(data, numbers=np.arange(n), valid=np.ones(n, dtype=bool))
@@ -59,7 +59,8 @@ def with_even_clock(data: TableData, fps: float | None = None) -> TableData:
         return table
     clocked = not sampling.is_even(data.t) or _stamps_add_noise(data)
     table = _with_clock_of_stamps(data) if clocked and len(data.t) >= MIN_ROWS else data
-    if fps and (not sampling.is_even(table.t) or _lost_moving_rows(data, table)):
+    moved = np.any((np.diff(x) != 0) & ~np.isin(data.numbers, table.numbers)[1:])  # rows that are left out for stamps
+    if fps and (moved or not sampling.is_even(table.t)):
         words = f"the time stamps are uneven: each row has the nearest time that fps = {fps:.6g} has"
         table, clocked = _noted(_counted_at_rate(data, fps), words), False
     table = _without_near_rows(table)
@@ -170,8 +171,8 @@ def _with_clock_of_stamps(data: TableData) -> TableData:
     if read is None or np.any(data.t[read.doubled] - data.t[read.doubled - 1] > MIN_JITTER_SHARE * read.step):
         return data  # rows of their own, at uneven times
     rows, known = np.setdiff1d(np.arange(len(data.t)), read.doubled), read.ticks >= 0
-    ticks = np.interp(np.arange(len(data.t)), np.flatnonzero(known), read.ticks[known])  # also of corrupt stamps
-    ticks = np.rint(ticks).astype(np.int64)[rows]
+    counted = np.interp(rows, np.flatnonzero(known), read.ticks[known])  # also of corrupt stamps
+    ticks = np.rint(counted).astype(np.int64)
     right = data.t[0] + (ticks - ticks[0]) * read.step
     stamps = np.where(np.isin(rows, read.corrupt), right, data.t[rows])
     if np.any(np.diff(ticks) <= 0) or np.any(np.diff(stamps) <= 0):
@@ -231,7 +232,7 @@ def _on_grid(data: TableData) -> TableData:
 def select_rows(data: TableData, rows: Rows) -> TableData:
     """Return some rows of a table."""
     columns = {f.name: getattr(data, f.name) for f in fields(data)}
-    taken: dict[str, Any] = {n: column[rows] for n, column in columns.items() if isinstance(column, np.ndarray)}
+    taken: dict[str, Any] = {n: q[rows] for n, q in columns.items() if isinstance(q, np.ndarray) and len(q)}
     return replace(data, **taken)
 
 
@@ -251,11 +252,6 @@ def _at_rate(data: TableData, fps: float | None, rounding: float = 0.0) -> Table
         note, data = f"{note}; {CONTRADICTION}", replace(data, stamped_rate=rate)
     notes = [note] if differs > MIN_RATE_DIFFERENCE else []
     return _noted(replace(data, t=data.t[0] + frames / fps, clock_error=0.0), *notes)
-
-
-def _lost_moving_rows(data: TableData, table: TableData) -> bool:
-    """Whether rows that are left out for their stamps have positions of their own."""
-    return bool(np.any((np.diff(np.asarray(data.x)) != 0) & ~np.isin(data.numbers, table.numbers)[1:]))
 
 
 def _counted_at_rate(data: TableData, fps: float) -> TableData:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
@@ -21,6 +22,10 @@ from frictrack.settings.priors import Prior
 from frictrack.study import schema
 
 TABLES = {name: (get_args(f.annotation) or (f.annotation,))[0] for name, f in schema.StudyFile.model_fields.items()}
+NO_RUN = (
+    "expected at least one [[run]] but got none; `frictrack init FOLDER` writes an example, and `frictrack plan STUDY` "
+    "lists which runs to film"
+)
 ALLOWED_FOLDERS_VARIABLE = "FRICTRACK_OUTPUTS"  # environment: folders (as in PATH) outside of a study for its results
 ARRAY_TABLES = {"run": "name", "effect": "effect"}  # tables that occur several times -> key that identifies one
 RESERVED_NAME = "study"  # name of the file with the results of all runs
@@ -105,11 +110,10 @@ def parse(path: Path, text: str, *, allow_incomplete: bool = False) -> Study:
     raw = read_toml(path.name, text)
     reader = _Reader(text, raw)
     study = reader.study(path)
-    if not allow_incomplete:
-        reader.faults += reader.lacks
-    if reader.faults or study is None:
-        more = ["there may be more faults"] if len(reader.faults) >= MAX_FAULTS else []
-        raise UsageError(f"{path.name}: " + "; ".join(reader.faults[:MAX_FAULTS] + more))
+    faults = _sentences(reader.faults) + ([] if allow_incomplete else _sentences(reader.lacks))
+    if faults or study is None:
+        more = ["there may be more faults"] if len(faults) >= MAX_FAULTS else []
+        raise UsageError(f"{path.name}: " + "; ".join(faults[:MAX_FAULTS] + more))
     return study
 
 
@@ -192,10 +196,8 @@ class _Reader:
     def __init__(self, text: str, raw: dict[str, Any]) -> None:
         self.lines = _lines_of_keys(text)
         self.raw = raw
-        self.faults: list[str] = []
-        self.lacks: list[str] = []  # keys that a run needs before it can be measured
-        self.faults_of_runs: dict[str, list[str]] = {}  # where, by fault: several runs often lack the same
-        self.lacks_of_runs: dict[str, list[str]] = {}
+        self.faults: dict[str, list[str]] = {}  # where, by fault: several runs often have the same
+        self.lacks: dict[str, list[str]] = {}  # the same of keys that a run needs before it can be measured
 
     def study(self, path: Path) -> Study | None:
         try:
@@ -203,29 +205,25 @@ class _Reader:
         except ValidationError as e:
             faults = reversed(e.errors(include_url=False))
             first = {fault["loc"][: 2 + (fault["loc"][0] in ARRAY_TABLES)]: fault for fault in faults}  # of each key
-            self.faults = [self._sentence(first[place]) for place in list(first)[: -MAX_FAULTS - 1 : -1]]
+            self.faults = {self._sentence(first[place]): [] for place in list(first)[: -MAX_FAULTS - 1 : -1]}
             return None
         where = f"[motion], {self._line('motion', 0, '')}"
-        self.faults += [f"{where}: {fault}" for fault in file.motion.filter_choice.faults()]
+        self.faults = {fault: [where] for fault in file.motion.filter_choice.faults()}
         if not file.run:
-            self.lacks.append(
-                "expected at least one [[run]] but got none; `frictrack init FOLDER` writes an example, and `frictrack "
-                "plan STUDY` lists which runs to film"
-            )
+            self.lacks[NO_RUN] = []
         if self.faults:
             return None
         head, output = file.study, _output(path, file.study.output)
         merged = tuple(self._merged(i, run, file) for i, run in enumerate(file.run))
         if not _is_allowed(output, path.parent):
-            self.faults.append(
-                f"[study], {self._line('study', 0, 'output')}: expected an output inside the study's folder but got "
-                f'"{head.output or output.name}", which is outside; choose another folder, or allow that one: '
-                f"{ALLOWED_FOLDERS_VARIABLE}=FOLDER frictrack ..."
+            came = f'"{head.output or output.name}", which is outside; choose another folder, or allow that one'
+            fault = (
+                f"expected an output inside the study's folder but got {came}: {ALLOWED_FOLDERS_VARIABLE}=FOLDER ..."
             )
-        self.lacks += [f"{_and_more(where)}: {lack}" for lack, where in self.lacks_of_runs.items()]
-        self.faults += [f"{_and_more(where)}: {fault}" for fault, where in self.faults_of_runs.items()]
+            self.faults[fault] = [f"[study], {self._line('study', 0, 'output')}"]
         self._check_names(merged)
         self._check_prior(head, merged)
+        prior = None if head.prior is None else Prior.read(head.prior)
         return Study(
             path=path,
             name=head.name or path.resolve().parent.name,
@@ -236,13 +234,13 @@ class _Reader:
             mass=None if head.mass == "fit" else head.mass,
             fps=file.camera.fps,
             scale=file.camera.scale,
-            prior=_prior(head),
+            prior=prior and prior.inflated(head.prior_scale, head.prior_scatter),
             prior_file=head.prior,
             conditions=head.conditions,
             functions=head.functions,
             costs=Costs(**file.costs.model_dump()),
             search=file.search,
-            incomplete=tuple(self.lacks),
+            incomplete=tuple(_sentences(self.lacks)),
         )
 
     def _sentence(self, fault: Any) -> str:
@@ -267,7 +265,7 @@ class _Reader:
         where = f"{_title('run', index, self.raw['run'])}, {self._line('run', index, '')}"
         if (run.video is None) == (run.table is None):
             came = "neither" if run.video is None else "both"
-            self.faults.append(f'{where}: expected either video = "..." or table = "..." but got {came}')
+            self.faults.setdefault(f'expected either video = "..." or table = "..." but got {came}', []).append(where)
             return run
         filtering = {} if run.filter else dict(file.motion)  # settings of one filter make no sense for another
         inherited = {"mass": file.study.mass, "plausible": file.study.plausible, **dict(file.camera), **filtering}
@@ -275,29 +273,28 @@ class _Reader:
         run = run.model_copy(update={**update, "name": run.name or run.source.stem})
         if run.table and schema.needs_film(run.scale):  # a board in the camera's view gives no scale of a table
             run = run.model_copy(update={"scale": None})
-        for fault in _run_faults(run):
-            self.faults_of_runs.setdefault(fault, []).append(where)
-        for lack in _run_lacks(run):
-            self.lacks_of_runs.setdefault(lack, []).append(where)
+        for found, sentences in ((self.faults, _run_faults(run)), (self.lacks, _run_lacks(run))):
+            for sentence in sentences:
+                found.setdefault(sentence, []).append(where)
         return run
 
     def _check_names(self, runs: tuple[schema.RunTable, ...]) -> None:
         names: set[str] = set()
         for i, run in enumerate(runs):
             if run.name.casefold() in names:
-                line = self._line("run", i, "name")
-                self.faults.append(f'{line}: expected every run to have its own name but got "{run.name}" twice')
+                fault = f'expected every run to have its own name but got "{run.name}" twice'
+                self.faults[fault] = [self._line("run", i, "name")]
             names.add(run.name.casefold())
 
     def _check_prior(self, head: schema.StudyTable, runs: tuple[schema.RunTable, ...]) -> None:
         where = f"[study], {self._line('study', 0, 'prior')}"
         if head.prior is not None and any(run.mass == "fit" for run in runs):
-            self.faults.append(
-                f'{where}: expected a known mass with a prior but got mass = "fit": the values of the prior scale with '
-                "the load; weigh the slider, or leave the prior out"
-            )
+            self.faults[
+                'expected a known mass with a prior but got mass = "fit": the values of the prior scale with the load; '
+                "weigh the slider, or leave the prior out"
+            ] = [where]
         if head.prior is None and (head.prior_scale, head.prior_scatter) != (1.0, 0.0):
-            self.faults.append(f"{where}: expected prior = a file beside prior_scale and prior_scatter but got none")
+            self.faults["expected prior = a file beside prior_scale and prior_scatter but got none"] = [where]
 
     def _line(self, table: str, index: int, key: str) -> str:
         """Return the line of a key, as ``line 12``; that of the table's header if the key is not found."""
@@ -321,11 +318,6 @@ def _lines_of_keys(text: str) -> dict[tuple[str, int, str], int]:
     return found
 
 
-def _prior(head: schema.StudyTable) -> Prior | None:
-    """Return the prior of a study, its standard deviations widened as the study file says."""
-    return None if head.prior is None else Prior.read(head.prior).inflated(head.prior_scale, head.prior_scatter)
-
-
 def _is_allowed(output: Path, folder: Path) -> bool:
     """Return whether a folder of results lies inside the study's folder (links resolved), or inside an allowed one."""
     allowed = [part for part in os.environ.get(ALLOWED_FOLDERS_VARIABLE, "").split(os.pathsep) if part]
@@ -335,10 +327,11 @@ def _is_allowed(output: Path, folder: Path) -> bool:
         return False
 
 
-def _and_more(places: list[str]) -> str:
-    """Name the first of the runs that have the same fault, and how many others there are."""
-    more = len(places) - 1
-    return places[0] + (f", and {more} more run{'s' * (more > 1)}" if more else "")
+def _sentences(found: Mapping[str, list[str]]) -> list[str]:
+    """Say each fault after the first of the places that have it, and how many others there are."""
+    more = {fault: len(places) - 1 for fault, places in found.items()}
+    counts = {fault: f", and {n} more run{'s' * (n > 1)}" if n > 0 else "" for fault, n in more.items()}
+    return [f"{places[0]}{counts[fault]}: {fault}" if places else fault for fault, places in found.items()]
 
 
 def name_of_table(table: Mapping[str, Any], kind: str) -> str:
@@ -357,46 +350,34 @@ def _title(table: str, index: int, raw: Any) -> str:
 
 def _run_lacks(run: schema.RunTable) -> list[str]:
     """Return what a film needs besides its frames before it can be measured."""
-    lacks = []
-    if run.video and run.scale is None:
-        lacks.append('expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here')
-    if run.video and run.mass is None:
-        lacks.append('expected a mass but got none; give mass = "0.35 kg" in [study] or here')
-    return lacks
+    lacks = {
+        'expected a scale but got none; give scale = "0.5 mm/px" in [camera] or here': run.scale,
+        'expected a mass but got none; give mass = "0.35 kg" in [study] or here': run.mass,
+    }
+    return [lack for lack, value in lacks.items() if run.video and value is None]
 
 
 def _run_faults(run: schema.RunTable) -> list[str]:
     """Return the faults of one run that concern several keys."""
-    faults = []
-    if not is_file_name(run.name) or run.name.casefold() == RESERVED_NAME:
-        faults.append(
-            "expected a name that can be a file name on every system (letters, digits, spaces, .-_; "
-            f'at most {MAX_NAME_LENGTH} characters) but got "{run.name[:MAX_NAME_LENGTH]}"'
-        )
-    if run.mass == "fit" and not (run.drive or run.table):
-        faults.append('expected a measured drive with mass = "fit" but got none; give drive = "drive.csv"')
-    if run.template is not None and run.target is None:
-        faults.append("expected a target with template (the number of its frame) but got none")
-    if run.template is not None and isinstance(run.target, Path):
-        faults.append("expected no template with a picture of the target: the picture is searched in all frames")
-    if run.columns and run.video:
-        faults.append("expected columns only with a table")
-    faults += run.filter_choice.faults()
-    if run.fps and run.cutoff and run.cutoff >= run.fps / 2:
-        faults.append(f"expected cutoff below half the frame rate, {run.fps / 2:g} Hz, but got {run.cutoff:g} Hz")
-    return faults + _picture_faults(run)
-
-
-def _picture_faults(run: schema.RunTable) -> list[str]:
-    """Return the faults of areas and repairs, which need a target or a film."""
-    faults = []
-    if run.exclude and run.target is None:
-        faults.append("expected a target with exclude (areas that do not belong to the target) but got none")
-    if (run.exclude or run.obstacles) and run.table:
-        faults.append("expected exclude and obstacles only with a video")
-    if run.table and any(one.how == "track" for one in run.repair):
-        faults.append(
-            'expected how = "interpolate" or "leave_out" in the repair of a table but got "track": '
-            "a table has no pictures"
-        )
-    return faults
+    wrong_name = not is_file_name(run.name) or run.name.casefold() == RESERVED_NAME
+    undriven = run.mass == "fit" and not (run.drive or run.table)
+    has_template, has_picture = run.template is not None, isinstance(run.target, Path)
+    rate, cutoff = run.fps or math.inf, run.cutoff or 0.0
+    tracks_table = run.table and any(one.how == "track" for one in run.repair)
+    faults = {
+        "expected a name that can be a file name on every system (letters, digits, spaces, .-_; at most "
+        f'{MAX_NAME_LENGTH} characters) but got "{run.name[:MAX_NAME_LENGTH]}"': wrong_name,
+        'expected a measured drive with mass = "fit" but got none; give drive = "drive.csv"': undriven,
+        "expected a target with template (the number of its frame) but got none": has_template and run.target is None,
+        "expected no template with a picture of the target: the picture is searched in all frames": has_template
+        and has_picture,
+        "expected columns only with a table": run.columns and run.video,
+        **dict.fromkeys(run.filter_choice.faults(), True),
+        f"expected cutoff below half the frame rate, {rate / 2:g} Hz, but got {cutoff:g} Hz": cutoff >= rate / 2,
+        "expected a target with exclude (areas that do not belong to the target) but got none": run.exclude
+        and run.target is None,
+        "expected exclude and obstacles only with a video": (run.exclude or run.obstacles) and run.table,
+        'expected how = "interpolate" or "leave_out" in the repair of a table but got "track": '
+        "a table has no pictures": tracks_table,
+    }
+    return [fault for fault, is_so in faults.items() if is_so]

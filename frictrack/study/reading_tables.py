@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -89,9 +89,10 @@ class TableData:
     # relative standard deviation of the interval of the rows, where it was fitted to the time stamps
     clock_error: float = 0.0
     of_speeds: bool = False  # whether x is the integral of measured speeds
-    # of a table on an even clock: the number of each row in the file, from 0, and whether it holds a sample of its own
-    numbers: NDArray[np.int64] | None = None
-    valid: Mask | None = None
+    # of a table on an even clock: the number of each row in the file, from 0, and whether it holds a sample of its own;
+    # of others empty
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    valid: Mask = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
 
 def read_table(

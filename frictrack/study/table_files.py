@@ -109,7 +109,9 @@ def _open_table(path: Path, wanted: Collection[str]) -> table_layout.TableFile:
         if path.suffix.lower() in (".xlsx", ".xls"):
             return _table_of_sheets(_workbook_sheets(path), wanted)
         if path.suffix.lower() == ".xml":
-            return _table_of_rows(_xml_rows(path), wanted)
+            root = table_layout.read_xml(path.read_bytes())  # of Excel 2003
+            rows = [tuple(data.text for data in row.iter(f"{SHEET_XML}Data")) for row in root.iter(f"{SHEET_XML}Row")]
+            return _table_of_rows([row for row in rows if any(row)], wanted)
         return _text_table(path, wanted)
     except ImportError as e:
         extra = {"openpyxl": "xlsx", "nptdms": "tdms"}.get(str(e.name), "xlsx")
@@ -216,13 +218,6 @@ def _kinovea_sheet(frame: pd.DataFrame, texts: list[tuple[str, ...]], length: st
         raise ValueError("its times are time stamps of the file; export them as time in Kinovea")
     columns = {key: f"{key} ({length})" for key in ("x", "y")}
     return table_layout.TableFile(frame, {"t": "t (s)"} | columns, "Kinovea")
-
-
-def _xml_rows(path: Path) -> list[tuple[Any, ...]]:
-    """Return the rows of an XML spreadsheet (Excel 2003)."""
-    root = table_layout.read_xml(path.read_bytes())
-    rows = [tuple(data.text for data in row.iter(f"{SHEET_XML}Data")) for row in root.iter(f"{SHEET_XML}Row")]
-    return [row for row in rows if any(row)]
 
 
 def _workbook_sheets(path: Path) -> dict[str, list[tuple[Any, ...]]]:

@@ -138,16 +138,17 @@ def find_layout(path: Path, wanted: Collection[str]) -> TableLayout:
         below = rows[1] if len(rows) > 1 and is_units_row(rows[0], rows[1]) else []
         first = at + 2 if below else at + 1
         rest = itertools.chain(head[first:], lines)
-        decimal = _decimal((line for _, line in rest), separator)
+        decimal = decimal_sign((cell for _, line in rest for cell in split(line, separator)), separator)
     if rows and len(rows[0]) > MAX_TEXT_COLUMNS:
         raise ValueError(f"{len(rows[0])} columns, at most {MAX_TEXT_COLUMNS} are read; keep time and position")
     number = head[at][0] if head else 0
+    above_names = split(head[at - 1][1], separator) if at else []  # one stands for all columns up to the next one
     return TableLayout(
         separator,
         decimal,
         tuple(rows[0]) if rows else (),
         tuple(below),
-        _groups(head[at - 1][1], separator) if at else (),
+        tuple(itertools.accumulate(above_names, lambda last, cell: cell or last)),
         (*range(number), *([head[at + 1][0]] if below else [])),
         encoding,
         bool(above) and at == 0 and len(rows) > 1 and len(rows[0]) == len(rows[1]),
@@ -196,7 +197,7 @@ def header_row(rows: Sequence[Sequence[str]], wanted: Collection[str]) -> int:
         below = rows[i + 1 : i + 3]
         if below and is_units_row(row, below[0]):
             below = below[1:]
-        if _is_header(row) and below and _is_data(below[0]):
+        if _is_header(row) and below and sum(map(is_number, below[0])) >= MIN_COLUMNS:
             return i
     return 0
 
@@ -269,22 +270,6 @@ def stated(above: str) -> dict[str, str]:
 def _is_header(row: Sequence[str]) -> bool:
     names = [cell for cell in row if cell]
     return len(names) >= MIN_COLUMNS and not any(map(is_number, names))
-
-
-def _is_data(row: Sequence[str]) -> bool:
-    return sum(map(is_number, row)) >= MIN_COLUMNS
-
-
-def _groups(line: str, separator: str) -> tuple[str, ...]:
-    """Return the cells of the line above the header; a name stands for all columns up to the next one."""
-    cells = split(line, separator)
-    return tuple(itertools.accumulate(cells, lambda last, cell: cell or last))
-
-
-def _decimal(lines: Iterable[str], separator: str) -> str:
-    """Return the decimal sign of the first number that has one; between commas a decimal comma stands in quotes."""
-    cells = (cell for line in lines for cell in split(line, separator))
-    return decimal_sign(cells, separator)
 
 
 def decimal_sign(cells: Iterable[str], separator: str) -> str:

@@ -129,7 +129,9 @@ def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
     fields = _fields(path)
     matrix = _field(fields, MATRIX, path, "a camera matrix")
     distortion = _field(fields, DISTORTION, path, "distortion coefficients").ravel()
-    if matrix.size != 9 or not _is_camera(matrix.reshape(3, 3)):
+    camera = matrix.reshape(3, 3) if matrix.size == 9 else np.zeros((3, 3))
+    has_focus = np.all(np.isfinite(camera)) and camera[0, 0] > 0 and camera[1, 1] > 0
+    if not has_focus or np.any(camera[2] != [0, 0, 1]):
         raise FrictrackError(f"{path.name}: expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px")
     _check_model(path, fields, distortion)
     size = _size(fields, path)
@@ -138,7 +140,7 @@ def read_lens(path: Path, shape: tuple[int, int] | None = None) -> Lens:
             f"{path.name}: expected the lens of a {shape[1]}x{shape[0]} px film but got one calibrated on "
             f"{size[0]}x{size[1]} px pictures; calibrate with the camera set as for filming"
         )
-    return Lens(matrix.reshape(3, 3), distortion, size)
+    return Lens(camera, distortion, size)
 
 
 def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
@@ -148,11 +150,6 @@ def _check_model(path: Path, fields: dict[str, Any], distortion: Array) -> None:
     if distortion.size not in COEFFICIENT_COUNTS or not np.all(np.isfinite(distortion)):
         counts = ", ".join(str(n) for n in COEFFICIENT_COUNTS)
         raise FrictrackError(f"{path.name}: expected {counts} distortion coefficients but got {distortion.size}")
-
-
-def _is_camera(matrix: Array) -> bool:
-    has_focus = np.all(np.isfinite(matrix)) and matrix[0, 0] > 0 and matrix[1, 1] > 0
-    return bool(has_focus and np.all(matrix[2] == [0, 0, 1]))
 
 
 def _field(fields: dict[str, Any], names: tuple[str, ...], path: Path, what: str) -> Array:
@@ -188,12 +185,6 @@ def _fields(path: Path) -> dict[str, Any]:
         raise FrictrackError(f"{path.name}: expected OpenCV's yml, xml or json but it cannot be read as such") from e
 
 
-def _nesting(text: str) -> int:
-    """Largest depth of nested brackets: the time of a parser grows with its square."""
-    steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
-    return max(accumulate(steps), default=0)
-
-
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # yaml has no types
     """YAML loader without aliases, by which a short text can expand without limit."""
 
@@ -214,7 +205,8 @@ def _parsed(text: str) -> dict[str, Any]:
 
     OpenCV's own parser may hang.
     """
-    if _nesting(text) > MAX_NESTING:
+    steps = (1 if bracket in "[{" else -1 for bracket in re.findall(r"[\[\]{}]", text))
+    if max(accumulate(steps), default=0) > MAX_NESTING:  # the time of a parser grows with the square of the depth
         raise ValueError("brackets without end")
     if text.startswith("<?xml"):
         return {child.tag: _element(child) for child in ElementTree.fromstring(text)}

@@ -512,7 +512,10 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
     residual = x - weighted_cubic(x, factor.data.w)
     residual -= factor.smooth(residual)
     taken = np.array([np.add.reduceat(stencil_derivative(residual, k) ** 2, bins) for k in range(3)])
-    rng, many, at_once = np.random.default_rng(PROBE_SEED), _count_probes(factor), max(PROBE_VALUES // len(x), 1)
+    # over many periods of the cut-off the products are averaged, and fewer probes do
+    period = 2.0 * np.pi * float(np.max(factor.lam)) ** (0.5 / TREND_ORDER)
+    many = int(np.clip(np.ceil(N_PROBES * PERIODS_OF_PROBES * period / factor.n), 1, N_PROBES))
+    rng, at_once = np.random.default_rng(PROBE_SEED), max(PROBE_VALUES // len(x), 1)
     del x, residual  # the largest memory is needed now
     noise, expected = np.zeros((2, *out.shape))
     for first in range(0, many, at_once):
@@ -531,12 +534,6 @@ def _lost_share(factor: FactoredSmoother, x: Array, interval: float) -> Array:
         share = (observed + PRIOR_WEIGHT * expected_sum) / ((1.0 + PRIOR_WEIGHT) * expected_sum)
         out[k] = np.minimum(share, MAX_LOST_RATIO)
     return out
-
-
-def _count_probes(factor: FactoredSmoother) -> int:
-    """Number of probes: fewer for a record of many periods of the cut-off, over which their products are averaged."""
-    period = 2.0 * np.pi * float(np.max(factor.lam)) ** (0.5 / TREND_ORDER)
-    return int(np.clip(np.ceil(N_PROBES * PERIODS_OF_PROBES * period / factor.n), 1, N_PROBES))
 
 
 def _bin_frames(n: int) -> int:

@@ -391,21 +391,17 @@ def frame_weights(sigma: Array, known: Mask) -> Array:
 
 def _check_position(x: Array, n: int) -> None:
     """Raise FrictrackError for too few valid frames, or a target that does not move."""
+    fault, far = "", float(np.min(np.abs(x), initial=np.inf))
     if len(x) < MIN_FRAMES:
-        raise FrictrackError(
-            f"displacement: expected at least {MIN_FRAMES} valid frames but got {len(x)} of {n}; "
-            "check that the target was found"
-        )
-    if np.ptp(x) < MIN_TRAVEL_M:
-        raise FrictrackError(
-            f"displacement: expected a moving target but x is {x[0]:g} m in all {len(x)} valid frames; "
-            "check which target was tracked"
-        )
-    if (far := float(np.min(np.abs(x)))) > MAX_POSITION_M:
-        raise FrictrackError(
-            f"displacement: expected positions within {MAX_POSITION_M:g} m of their origin but all lie {far:g} m away; "
-            "subtract a constant from the positions"
-        )
+        fault = f"at least {MIN_FRAMES} valid frames but got {len(x)} of {n}; check that the target was found"
+    elif np.ptp(x) < MIN_TRAVEL_M:
+        still = f"x is {x[0]:g} m in all {len(x)} valid frames"
+        fault = f"a moving target but {still}; check which target was tracked"
+    elif far > MAX_POSITION_M:
+        beyond = f"positions within {MAX_POSITION_M:g} m of their origin but all lie {far:g} m away"
+        fault = f"{beyond}; subtract a constant from the positions"
+    if fault:
+        raise FrictrackError(f"displacement: expected {fault}")
 
 
 def _check_cutoff(cutoff: float | None, grid: FrameGrid) -> None:

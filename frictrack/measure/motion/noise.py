@@ -193,7 +193,10 @@ def correlated_noise(stretches: Sequence[NoiseStretch]) -> CorrelatedNoise | Non
 
     """
     n_shapes = _n_resolved(stretches)
-    return _best_shape(stretches, n_shapes) if n_shapes and _is_significant(stretches, n_shapes) else None
+    # noise of the instrument is the same in all runs, forces are not: runs that agree are tested lower down, too
+    lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
+    found = n_shapes and any(_is_consistent(NoiseStretch.evidence(stretches, f, n_shapes)) for f in lowest)
+    return _best_shape(stretches, n_shapes) if found else None
 
 
 def suspected_noise(stretch: Array) -> CorrelatedNoise | None:
@@ -215,16 +218,6 @@ def _best_shape(stretches: Sequence[NoiseStretch], n_shapes: int) -> CorrelatedN
         best = near[int(np.argmax(sum(s.gains(near) for s in stretches)))]
     variances = [s.fit(best[None])[0][0] for s in stretches]
     return CorrelatedNoise(float(best[0]), float(best[1]), np.sqrt(variances))
-
-
-def _is_significant(stretches: Sequence[NoiseStretch], n_shapes: int) -> bool:
-    """Whether one of the first shapes is significant above `MIN_FREQUENCY` and the same in all runs.
-
-    Noise of the instrument is the same in all runs, forces are not. Several runs that agree are tested from half of
-    that frequency on, too.
-    """
-    lowest = [MIN_FREQUENCY, MIN_FREQUENCY / 2] if len(stretches) >= MIN_RUNS else [MIN_FREQUENCY]
-    return any(_is_consistent(NoiseStretch.evidence(stretches, f, n_shapes)) for f in lowest)
 
 
 def _is_consistent(evidence: Array) -> bool:

@@ -81,11 +81,9 @@ class Course:
 
     def slopes(self, forces: Sequence[PlaceForce]) -> Array:
         """Change of the displacement (n, K) by a relative change of each period."""
-        return np.stack([self._slope(force) for force in forces], axis=1)
-
-    def _slope(self, force: PlaceForce) -> Array:
-        up, down = ([force._replace(period=force.period * (1 + sign * PERIOD_STEP))] for sign in (1, -1))
-        return (self.displacement(up) - self.displacement(down)) / (2 * PERIOD_STEP)
+        ends = [[f._replace(period=f.period * (1 + sign * PERIOD_STEP)) for sign in (1, -1)] for f in forces]
+        slopes = [self.displacement([up]) - self.displacement([down]) for up, down in ends]
+        return np.stack(slopes, axis=1) / (2 * PERIOD_STEP)
 
 
 class _Regression:
@@ -119,7 +117,9 @@ def find_place_forces(
     forces: tuple[PlaceForce, ...] = ()
     cost = LINE_COST * np.log(data.count) + 2.0 * np.log(n / 2.0)  # as `undetectable_amplitude` has it
     best = StructureSearch(data).scored(structure).penalised
-    periods = _periods(course)
+    travel, fastest = float(np.ptp(course.x)), float(np.max(np.abs(np.diff(course.x))))
+    # from half the travel to a few frames at the highest speed
+    periods = travel / np.arange(MIN_LINE_CYCLES, travel / (MIN_PERIOD_FRAMES * fastest), CYCLE_STEP)
     while len(periods) and len(forces) < MAX_LINES:
         _, gain, trend, period = min(_scan(data, structure, forces, course, periods), key=lambda found: found[0])
         if gain < cost:
@@ -136,13 +136,6 @@ def find_place_forces(
             break
         best, forces, structure = loss, tried, found
     return forces, structure
-
-
-def _periods(course: Course) -> Array:
-    """Periods that are tried: from half the travel to a few frames at the highest speed."""
-    steps = np.abs(np.diff(course.x))
-    most = float(np.ptp(course.x)) / (MIN_PERIOD_FRAMES * float(np.max(steps)))
-    return np.asarray(np.ptp(course.x) / np.arange(MIN_LINE_CYCLES, most, CYCLE_STEP))
 
 
 def _without(data: SmootherData, forces: Sequence[PlaceForce], course: Course) -> Array:

@@ -435,15 +435,12 @@ class Structure:
     def log_lambda(self, n: int, first: int = 0, stop: int | None = None) -> Array:
         """Log lambda of the fourth differences first to stop (exclusive, by default all) of n frames."""
         rows = np.arange(first, n - TREND_ORDER if stop is None else stop) / max(n - TREND_ORDER - 1, 1)
-        out = np.interp(rows, np.linspace(0.0, 1.0, max(len(self.stiffness), 2)), self._knots())
+        out = np.interp(rows, np.linspace(0.0, 1.0, len(self.stiffness)), self.stiffness)
         for e in self.events:
             low, high = max(e.first - first, 0), min(e.last + 1 - first, len(out))
             if low < high:
                 out[low:high] -= e.boosts[low + first - e.first : high + first - e.first]
         return np.asarray(out)
-
-    def _knots(self) -> tuple[float, ...]:
-        return self.stiffness * 2 if len(self.stiffness) == 1 else self.stiffness
 
     def factor_smoother(self, data: SmootherData, window: tuple[int, int, int] | None = None) -> FactoredSmoother:
         """Set up the smoother of data, or of a part of a record: `window` is its first frame, stop, and all frames."""
@@ -466,5 +463,5 @@ class Structure:
 
     def with_knots(self, count: int) -> Structure:
         """The same stiffness with another number of knots."""
-        place = np.linspace(0.0, 1.0, max(len(self.stiffness), 2))
-        return replace(self, stiffness=tuple(np.interp(np.linspace(0, 1, count), place, self._knots()).tolist()))
+        place = np.linspace(0.0, 1.0, len(self.stiffness))
+        return replace(self, stiffness=tuple(np.interp(np.linspace(0, 1, count), place, self.stiffness).tolist()))

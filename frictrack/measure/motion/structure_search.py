@@ -531,13 +531,10 @@ def _signal_changes(data: SmootherData, s: Structure, group: ChangeGroup) -> Arr
     assert part is not None
     unchanged, *changed = (_factor(part, s, window, c) for c in (None, *group.changes))
     base = unchanged.signal(unchanged.unknowns())
-    return np.array([f.signal(f.unknowns()) - base for f in changed]) * _fade(group, len(data.w))
-
-
-def _fade(group: ChangeGroup, n: int) -> Array:
-    """Weights (stop - first,): 1 near the changes, fading to 0 where the window cuts the record."""
-    rise = np.sin(0.5 * np.pi * np.minimum(np.arange(group.stop - group.first) / (MIN_REACH_FRAMES // 2), 1.0)) ** 2
-    return np.asarray((rise if group.first else 1.0) * (rise[::-1] if group.stop < n else np.ones(len(rise))))
+    # 1 near the changes, fading to 0 where the window cuts the record
+    rise = np.sin(0.5 * np.pi * np.minimum(np.arange(len(base)) / (MIN_REACH_FRAMES // 2), 1.0)) ** 2
+    fade = (rise if group.first else 1.0) * (rise[::-1] if group.stop < len(data.w) else np.ones(len(rise)))
+    return np.array([f.signal(f.unknowns()) - base for f in changed]) * fade
 
 
 def mean_shift(data: SmootherData, s: Structure, groups: Sequence[ChangeGroup]) -> Array:

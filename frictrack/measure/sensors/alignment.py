@@ -178,14 +178,15 @@ def align(problem: AlignmentProblem, offset: float | None = None) -> Alignment:
     fault = _obstacle(problem, initial if given else None)
     if fault:
         return replace(initial, reason=f"{initial.reason}, {fault}" if given else f"{fault}; 0 is kept")
-    if not given:
-        initial = _search_offset(problem)
-        if initial.gain is None:
-            return initial
-    found = _refine(problem, initial, free=not given)
     if given:
-        return found
-    accepted = _accepted(problem, initial, found)
+        return _iterate(problem, initial, 1)
+    for gain in SEARCH_GAINS if problem.sigma is not None else SEARCH_GAINS[:1]:
+        initial = _search_at_gain(problem, gain)
+        if initial.gain is not None:
+            break
+    else:
+        return initial
+    accepted = _accepted(problem, initial, _refine(problem, initial))
     if accepted.gain is None and problem.sigma is not None:  # a sensor that creeps is aligned all the same
         creeping = replace(problem, other_regressors=_with_drift(problem))
         accepted = _accepted(problem, initial, _refine(creeping, initial))
@@ -220,15 +221,6 @@ def _candidate_offsets(problem: AlignmentProblem) -> Array:
     return middle + step * np.arange(np.ceil((low - middle) / step), np.floor((high - middle) / step) + 1)
 
 
-def _search_offset(problem: AlignmentProblem) -> Alignment:
-    """The most probable of many offsets; its gain is None where none is significant."""
-    for gain in SEARCH_GAINS if problem.sigma is not None else SEARCH_GAINS[:1]:
-        found = _search_at_gain(problem, gain)
-        if found.gain is not None:
-            break
-    return found
-
-
 def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     """The most probable of many offsets, with the sensor's noise weighted for this gain."""
     frames, offsets = problem.frames, _candidate_offsets(problem)
@@ -248,7 +240,9 @@ def _search_at_gain(problem: AlignmentProblem, gain: float) -> Alignment:
     span = f"{1e3 * offsets[0]:.4g} to {1e3 * offsets[-1]:.4g} ms"
     if explained < MIN_EXPLAINED_CHI2:
         return _unaligned(frames, reason=f"at no offset from {span} does it agree with the camera; 0 is kept")
-    own_noise = 8.0 * _noise_products(problem, initial)
+    share = _sensor_share(problem, initial)
+    # camera times sensor noise is in chi2 of every offset; as each has other products, chi2 of two differs by chance
+    own_noise = 8.0 * len(frames.z) * float(np.mean(share * (1.0 - share)))
     within = MAX_RIVAL_CHI2 + 4.0 * np.sqrt(own_noise) + COARSE_SCAN_ERROR * explained
     at, misfit, gains = _refined_minima(problem, offsets, misfit, within, initial)
     fall = (misfit - np.min(misfit)) / max(1.0, float(np.min(misfit)) / len(frames.z))
@@ -340,16 +334,6 @@ def _sensor_share(problem: AlignmentProblem, initial: Alignment) -> Array:
     return np.clip(1.0 - _spectrum(problem.frames.camera) / _spectrum(covariance), 0.0, 1.0)
 
 
-def _noise_products(problem: AlignmentProblem, initial: Alignment) -> float:
-    """Sum of share (1 - share) over all differences.
-
-    Camera times sensor noise is in chi2 of every offset; as each offset has other products, chi2 of two differs by
-    chance with 8 times this variance.
-    """
-    share = _sensor_share(problem, initial)
-    return len(problem.frames.z) * float(np.mean(share * (1.0 - share)))
-
-
 def _minima(values: Array, within: float) -> NDArray[np.int64]:
     """Local minima whose vertex, by a parabola through three values, is near the lowest of all."""
     left, middle_value, right = values[:-2], values[1:-1], values[2:]
@@ -390,64 +374,58 @@ def _unmodelled_variance(problem: AlignmentProblem, alignment: Alignment, *, sen
     return float(np.exp(best.x))
 
 
-def _refine(problem: AlignmentProblem, initial: Alignment, *, free: bool = True) -> Alignment:
-    """Refine an offset near the best by Gauss-Newton; `free` frees the offset."""
-    found = _iterate(problem, initial, free, False)
-    if free and len(problem.frames.z) >= MIN_DIFFERENCES_FOR_RATE and found.sigma_offset is not None:
-        drifting = _iterate(problem, found, free, True)
+def _refine(problem: AlignmentProblem, initial: Alignment) -> Alignment:
+    """Refine an offset near the best by Gauss-Newton, and the rate where it is significant."""
+    found = _iterate(problem, initial, 2)
+    if len(problem.frames.z) >= MIN_DIFFERENCES_FOR_RATE and found.sigma_offset is not None:
+        drifting = _iterate(problem, found, 3)
         if drifting.sigma_rate is not None and MIN_RATE_SIGMAS * drifting.sigma_rate < abs(drifting.rate):
             return drifting
     return found
 
 
-def _iterate(problem: AlignmentProblem, found: Alignment, free: bool, drift: bool) -> Alignment:
+def _iterate(problem: AlignmentProblem, found: Alignment, unknowns: int) -> Alignment:
     """Iterate Gauss-Newton until the offset changes by less than a thousandth of its standard deviation."""
     max_step = OFFSET_STEP * max(problem.frames.interval, problem.series.interval)
     for _ in range(MAX_ITERATIONS):
         rows = problem.rows(found)
         if np.sum(rows) < MIN_DIFFERENCES or abs(found.rate) > MAX_RATE:
             return _unaligned(problem.frames)
-        fitted = fit_alignment(problem.select(rows), found, free, drift)
-        found = _updated(found, fitted, free, drift, max_step)
-        if not free or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
+        fitted = fit_alignment(problem.select(rows), found, unknowns)
+        found = _updated(found, fitted, unknowns, max_step)
+        if unknowns == 1 or abs(fitted.theta[1]) < 1e-3 * np.sqrt(max(fitted.covariance[1, 1], 0.0)):
             break
     kept = problem.select(rows)
     if problem.sigma is None:
         found = replace(found, level=_unmodelled_variance(kept, found))
-    return _updated(found, fit_alignment(kept, found, free, drift), free, drift, max_step)
+    return _updated(found, fit_alignment(kept, found, unknowns), unknowns, max_step)
 
 
-def _updated(found: Alignment, fitted: AlignmentFit, free: bool, drift: bool, max_step: float) -> Alignment:
+def _updated(found: Alignment, fitted: AlignmentFit, unknowns: int, max_step: float) -> Alignment:
     """Alignment after one step."""
-    score_spread = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
-    theta, k = fitted.theta, 1 + free + (free and drift)
-    step = float(np.clip(theta[1], -max_step, max_step)) if free else 0.0
-    return replace(
-        found,
-        offset=found.offset + step,
-        sigma_offset=float(score_spread[1]) if free else None,
-        rate=found.rate + (float(theta[2]) if k == 3 else 0.0),
-        sigma_rate=float(score_spread[2]) if k == 3 else None,
-        gain=float(theta[0]),
-        sigma_gain=float(score_spread[0]),
-        bias=float(theta[-1]),
-        sigma_bias=float(score_spread[-1]),
-    )
+    std, theta = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0)).tolist(), fitted.theta.tolist()
+    known = {"gain": theta[0], "sigma_gain": std[0], "bias": theta[-1], "sigma_bias": std[-1]}
+    changed = replace(found, **known, sigma_offset=None, sigma_rate=None)
+    if unknowns > 1:
+        step = min(max(theta[1], -max_step), max_step)
+        changed = replace(changed, offset=found.offset + step, sigma_offset=std[1])
+    return replace(changed, rate=found.rate + theta[2], sigma_rate=std[2]) if unknowns > 2 else changed
 
 
-def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, drift: bool = False) -> AlignmentFit:
+def fit_alignment(problem: AlignmentProblem, at: Alignment, unknowns: int = 2) -> AlignmentFit:
     """Solve the linear problem about an alignment.
 
-    `problem`: rows with both; `drift`: whether the rate is free as well. The last regressor is the bias.
+    `problem`: rows with both; `unknowns`: 1 for the gain, 2 with the offset, 3 with the rate as well. The last
+    regressor is the bias.
     """
     frames, series = problem.frames, problem.series
     gain = 1.0 if at.gain is None else at.gain
     lag = at.lag(frames.t)[:, None]
     dilated = (1.0 + at.rate) ** 2  # of time, in which the sensor is integrated twice
     columns = [frames.sensor_differences(series, lag) / dilated]
-    if free:
+    if unknowns > 1:
         slope = -gain * frames.sensor_differences(series, lag, 1) / dilated
-        columns += [slope, slope * (at.middle - frames.t[frames.centre])[:, None]][: 1 + drift]
+        columns += [slope, slope * (at.middle - frames.t[frames.centre])[:, None]][: unknowns - 1]
     noise = frames.noise(series, at.offset)
     covariance = frames.camera + at.level * (1.0 if problem.sigma is None else gain * problem.sigma) ** 2 * noise
     white = Whitener(covariance)
@@ -457,7 +435,7 @@ def fit_alignment(problem: AlignmentProblem, at: Alignment, free: bool = True, d
     normal = (regressors / size).T @ (regressors / size)
     share = _noise_share(problem, covariance, noise, gain) / size[:2] ** 2
     corrected = normal.copy()
-    for k in range(1 + free):
+    for k in range(min(unknowns, 2)):
         corrected[k, k] -= min(float(share[k]), 0.5)
     inverse = np.linalg.pinv(corrected, rcond=1e-10, hermitian=True)
     theta = inverse @ ((regressors / size).T @ z) / size

@@ -83,15 +83,18 @@ def compare_with_camera(problem: AlignmentProblem, alignment: Alignment, scale_e
         return SensorComparison("not compared", (f"not compared with the camera: {alignment.reason}",))
     free = alignment.sigma_offset is not None
     overlapping = problem.select(problem.rows(alignment))
-    fitted = fit_alignment(overlapping, alignment, free, alignment.sigma_rate is not None)
+    fitted = fit_alignment(overlapping, alignment, 1 + free + (free and alignment.sigma_rate is not None))
     p, excess = whiteness_test(fitted.regressors, fitted.residual)
     faults = [
         "" if free else _offset_fault(problem, alignment),
         _describe_misfit(overlapping, fitted, excess) if p < ALPHA_WHITENESS else "",
         _gain_fault(alignment.gain, alignment.sigma_gain, scale_error),
-        _bias_fault(alignment.bias or 0.0, alignment.sigma_bias or 0.0),
     ]
-    faults = [fault for fault in faults if fault]
+    bias, sigma = alignment.bias or 0.0, alignment.sigma_bias or 0.0
+    if abs(bias) > GRAVITY + REPORT_SIGMAS * sigma:
+        tilt = f"its zero is off by {bias:.3g} m/s^2, more than any tilt could do ({GRAVITY:.3g})"
+        faults.append(f"{tilt}: zero it, or check its unit and the range of its amplifier")
+    faults = list(filter(None, faults))
     difference, expected, window = _rms_difference(overlapping, alignment)
     return SensorComparison(
         verdict="disagrees" if faults else "consistent",
@@ -136,16 +139,6 @@ def _gain_fault(gain: float, sigma: float, scale_error: float) -> str:
     return (
         f"{finding}: the scale is too large by this factor{frames}, or the sensor's sensitivity is off; "
         "check the scale and the frame rate first, forces go with both"
-    )
-
-
-def _bias_fault(bias: float, sigma: float) -> str:
-    """Report a zero error larger than any tilt can cause."""
-    if abs(bias) <= GRAVITY + REPORT_SIGMAS * sigma:
-        return ""
-    return (
-        f"its zero is off by {bias:.3g} m/s^2, more than any tilt could do ({GRAVITY:.3g}): "
-        "zero it, or check its unit and the range of its amplifier"
     )
 
 
@@ -278,17 +271,16 @@ def release_energy(
     verdict, says = "plausible", f"E_kin / E_impact = {share:.2g}"
     at_release = f"the kinetic energy at release, {kinetic:.3g} +/- {sigma:.2g} J, is"
     if kinetic - IMPOSSIBLE_SIGMAS * sigma > stated:
-        verdict, says = (
-            "impossible",
+        verdict = "impossible"
+        says = (
             f"{at_release} more than the {stated:g} J of the blow: scale or frame rate is too large by a factor of "
-            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy",
+            f"{np.sqrt(share):.3g} or more, or the mass by {share:.3g}; check these, or impact_energy"
         )
     elif share < SUSPICIOUS_SHARE:
-        factor = 1 / max(share, 1e-300)
-        verdict, says = (
-            "suspicious",
+        verdict, factor = "suspicious", 1 / max(share, 1e-300)
+        says = (
             f"{at_release} less than a tenth of the {stated:g} J of the blow: scale or frame rate too small by a "
             f"factor of up to {np.sqrt(factor):.3g}, or the mass by {factor:.3g}, would explain it, as would a "
-            "glancing blow; check these, or impact_energy",
+            "glancing blow; check these, or impact_energy"
         )
     return ReleaseEnergy(kinetic, sigma, share, verdict, says)

@@ -130,12 +130,8 @@ def _table_of_variables(program: str, variables: dict[str, Any]) -> TableFile:
         headers = named or ([own] if np.ndim(values) == 1 else [f"{own} {i + 1}" for i in range(np.shape(values)[1])])
         columns = dict(zip(headers, np.atleast_2d(np.transpose(values)), strict=True))
         recordings.setdefault(label, {}).update(columns)
-    rate = next((float(np.ravel(value)[0]) for name, value in variables.items() if _is_rate(name, value)), None)
-    return _table(program, recordings, rate)
-
-
-def _is_rate(name: str, value: Any) -> bool:
-    return bool(np.size(value) == 1 and _RATE.fullmatch(name) and np.ravel(value)[0] > 0)
+    rates = (np.ravel(value)[0] for name, value in variables.items() if np.size(value) == 1 and _RATE.fullmatch(name))
+    return _table(program, recordings, next((float(rate) for rate in rates if rate > 0), None))
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -49,7 +49,7 @@ def read_tracker_project(path: Path) -> TableFile:
         raise ValueError(
             f'its coordinates move with the track "{moving}"; choose the default ones in Tracker, and save'
         )
-    parts = {name: _object(panel, name) for name in ("videoclip", "clipcontrol", "coords")}
+    parts = {name: panel.find(f"./property[@name='{name}']/object") for name in ("videoclip", "clipcontrol", "coords")}
     clip, control = _numbers(parts["videoclip"]), _numbers(parts["clipcontrol"])
     interval = control.get("delta_t", np.nan) / 1000.0
     if not interval > 0:
@@ -79,11 +79,6 @@ def _project(path: Path) -> bytes:
             raise ValueError(f"expected one .trk in it but got {len(names)}")
         with packed.open(names[0]) as file:
             return file.read(MAX_UNPACKED_BYTES)
-
-
-def _object(parent: Element, name: str) -> Element | None:
-    """Return the object that a property holds."""
-    return parent.find(f"./property[@name='{name}']/object")
 
 
 def _text(parent: Element, name: str) -> str:
@@ -167,6 +162,9 @@ def read_kinovea_project(path: Path) -> TableFile:
     if not stamps > 0:
         raise ValueError(f"expected time stamps per frame above 0 but got {stamps:g}")
     origin = next((_number(root, key) for key in TIME_ORIGINS if root.find(key) is not None), 0.0)
+    length = None if calibration is None else calibration.find("Unit")
+    abbreviated = "" if length is None or length.text == "Pixels" else length.get("Abbreviation", "").strip()
+    unit = abbreviated or "px"
     tracks = []
     for one in root.iterfind("./Tracks/Track"):
         points = np.array([_numbers_in(point.text, 3) for point in one.iterfind("./TrackPointList/TrackPoint")])
@@ -174,20 +172,10 @@ def read_kinovea_project(path: Path) -> TableFile:
             _, first = np.unique(points[:, 2], return_index=True)
             x, y = _kinovea_world(points[first, :2], root, calibration).T
             at = np.round((points[first, 2] - origin) / stamps) / (rate if rate > 0 else 1.0)
-            tracks.append(TargetPositions(_name(one), at, x, y, unit=_unit(calibration), y_down=False))
+            label = one.find("MainLabel")  # where older versions have the name
+            name = one.get("name") or (label.get("Text") if label is not None else None) or ""
+            tracks.append(TargetPositions(name, at, x, y, unit=unit, y_down=False))
     return table_of_tracks("Kinovea", tracks, SECONDS if rate > 0 else FRAMES)
-
-
-def _name(track: Element) -> str:
-    """Return the name of a track; older versions only have it in the label."""
-    label = track.find("MainLabel")
-    return track.get("name") or (label.get("Text") if label is not None else None) or ""
-
-
-def _unit(calibration: Element | None) -> str:
-    """Return the unit of length; px if nothing is calibrated."""
-    unit = None if calibration is None else calibration.find("Unit")
-    return "px" if unit is None or unit.text == "Pixels" else unit.get("Abbreviation", "px").strip() or "px"
 
 
 def _kinovea_world(points: Points, root: Element, calibration: Element | None) -> Points:
