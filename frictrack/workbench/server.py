@@ -1,7 +1,5 @@
 """Serve the page to its own user only: check host, origin and token of each request."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import hmac

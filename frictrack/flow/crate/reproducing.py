@@ -1,7 +1,5 @@
 """Read a crate, find its recordings, compute its results again and compare every number."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Draw the papers' figures from our results; lines also differ in dash and markers in shape, for print in grey."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

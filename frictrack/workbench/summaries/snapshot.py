@@ -1,7 +1,5 @@
 """Read what the page shows of a study from its files; describe mass, frame rate and scale as they were typed."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
