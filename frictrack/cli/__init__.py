@@ -1,5 +1,7 @@
 """Run the command line `frictrack COMMAND`. It computes nothing: it calls `flow` and prints the result."""
 
+from __future__ import annotations
+
 import os
 import shlex
 import sys

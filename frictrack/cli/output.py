@@ -1,5 +1,7 @@
 """Print the results of the commands; the dictionaries are those that `--json` prints."""
 
+from __future__ import annotations
+
 import math
 import re
 import shlex

@@ -1,5 +1,7 @@
 """Define the commands on many studies or on none, and that of the page: effects, render, app, batch, verify, ..."""
 
+from __future__ import annotations
+
 import os
 import sys
 import webbrowser

@@ -4,6 +4,8 @@ A key is written into the study file only if the file stays valid, perhaps still
 command history records every change with the state before it.
 """
 
+from __future__ import annotations
+
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

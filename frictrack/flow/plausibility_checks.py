@@ -1,5 +1,7 @@
 """Check a study before any further computation: the numbers in its file, each run, and all runs together."""
 
+from __future__ import annotations
+
 import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -5,6 +5,8 @@
 A run that was not measured completely is left out; a model that was not diagnosed has no diagnosis.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

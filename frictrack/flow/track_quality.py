@@ -1,5 +1,7 @@
 """Correct the track of a film for camera shake and lost frames, and describe how well the film was measured."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any

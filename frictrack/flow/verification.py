@@ -9,6 +9,8 @@ as what they hold. Values of the same name inside a list are one array, whose la
 differences.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -6,6 +6,8 @@ The state is in the study's files. Long jobs run in their own processes (`jobs`,
 the machine.
 """
 
+from __future__ import annotations
+
 from frictrack.base.errors import FrictrackError
 
 

@@ -1,5 +1,7 @@
 """What the page can do to a study: quick changes, jobs, new recordings. Every function runs in a thread."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

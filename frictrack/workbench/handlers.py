@@ -1,5 +1,7 @@
 """The addresses of the page: its files, the state of the study, changes, jobs, films, plots, downloads and uploads."""
 
+from __future__ import annotations
+
 import asyncio
 import filecmp
 import json

@@ -10,6 +10,8 @@ jobs/0007/cancel          created to cancel the job; the process ends at once
 jobs/0007/result.json     the result or the error
 """
 
+from __future__ import annotations
+
 import json
 import math
 import os

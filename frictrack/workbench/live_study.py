@@ -3,6 +3,8 @@
 The files are the only state. A change made by the command line, by a job or by another tab is noticed in the same way.
 """
 
+from __future__ import annotations
+
 import asyncio
 import json
 import logging

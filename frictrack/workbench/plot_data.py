@@ -1,5 +1,7 @@
 """Prepare results as data of linked plots. Each row is a frame, so one selection applies to all plots."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,5 +1,7 @@
 """Serve the page to its own user only: check host, origin and token of each request."""
 
+from __future__ import annotations
+
 import asyncio
 import hashlib
 import hmac

@@ -24,6 +24,8 @@ Paule & Mandel (1982), J. Res. NBS 87, 377 (tau, here with a slope).
 
 """
 
+from __future__ import annotations
+
 import glob
 import json
 import os

@@ -5,6 +5,8 @@ The films of a study are measured in parallel; then come its fit, diagnosis and 
 A failure is returned as a sentence. A task that was cancelled, as when a cluster loses its scheduler, is tried again.
 """
 
+from __future__ import annotations
+
 import logging
 import time
 from collections import deque

@@ -19,6 +19,8 @@ Farrell et al. (2013), Naming things with hashes, RFC 6920, for files that the c
 
 """
 
+from __future__ import annotations
+
 import base64
 import json
 import mimetypes

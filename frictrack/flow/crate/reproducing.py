@@ -1,5 +1,7 @@
 """Read a crate, find its recordings, compute its results again and compare every number."""
 
+from __future__ import annotations
+
 import json
 import os
 import re

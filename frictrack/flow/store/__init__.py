@@ -13,6 +13,8 @@ block viewers, or fail on network drives.
 
 # ruff: noqa: F401 - the imports are the interface
 
+from __future__ import annotations
+
 import io
 import os
 from collections.abc import Collection, Iterator, Mapping

@@ -16,6 +16,8 @@ NeXus manual, classes NXdata and NXroot, https://manual.nexusformat.org.
 
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress

@@ -1,5 +1,7 @@
 """Write and check the header of a results file, and find the faults of what is inside."""
 
+from __future__ import annotations
+
 import hashlib
 import hmac
 import io

@@ -7,6 +7,8 @@ VideoClip, ClipControl and ImageCoordSystem in github.com/OpenSourcePhysics, and
 OSP reads its XML line by line: every tag stands in a line of its own, and entities are not resolved.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Draw the evidence of a diagnosis: candidates, scans, detection limits, missing force; and that of runs to come."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

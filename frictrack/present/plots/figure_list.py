@@ -1,5 +1,7 @@
 """List every figure of a study: those of its runs, of its models, and of the study as a whole."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from functools import partial
 

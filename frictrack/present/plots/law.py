@@ -1,5 +1,7 @@
 """Draw the friction law over the speed; how its parameters were found, are known, and change over many studies."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Draw what was measured: the film with its track, the motion with its bands, the friction force; and their errors."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any

@@ -5,6 +5,8 @@ these figures show the force, and of the displacement only the residual. Where a
 residual is a force.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

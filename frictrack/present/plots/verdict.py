@@ -1,5 +1,7 @@
 """Draw the verdict on a model in one figure: where it fails, the force that it lacks, and how the error falls."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace

@@ -1,5 +1,7 @@
 """Write the pages of a study, of a batch and of a plan, each with all its figures; print a page to PDF."""
 
+from __future__ import annotations
+
 import base64
 import os
 import shutil

@@ -1,5 +1,7 @@
 """Tables of text for the report and the page; plain text marked with HTML tags, templates and embedded figures."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Describe a study in words: its verdict, its fit, and how it was measured."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

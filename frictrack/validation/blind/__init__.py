@@ -10,6 +10,8 @@ A study is drawn at random and a hidden effect is scaled to a size that an ideal
 The study file does not reveal the truth.
 """
 
+from __future__ import annotations
+
 import base64
 import hashlib
 import json

@@ -11,6 +11,8 @@ The detection limit is the rise that exceeds the threshold of the whole scan in 
 a diagnosis states are compared with it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache

@@ -3,6 +3,8 @@
 Shares of correct diagnoses have Wilson intervals.
 """
 
+from __future__ import annotations
+
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence

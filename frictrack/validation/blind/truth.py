@@ -3,6 +3,8 @@
 Hidden effects may be foreign to the library: a diagnosis must call them unexplained, or reproduce them by others.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from inspect import signature

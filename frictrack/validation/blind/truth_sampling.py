@@ -4,6 +4,8 @@ The ranges of law, runs and camera do not depend on the hidden effects, whose si
 detector sees.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

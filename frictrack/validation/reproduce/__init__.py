@@ -7,6 +7,8 @@ Each function that returns a `Section` reproduces one part; notebooks call them 
 """
 # ruff: noqa: F401 - the imports are the interface
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial

@@ -1,5 +1,7 @@
 """Draw the papers' figures from our results; lines also differ in dash and markers in shape, for print in grey."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

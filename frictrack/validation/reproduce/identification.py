@@ -4,6 +4,8 @@ First paper, section 3: time units, the Tustin model, ATM1 and ATM2 (Tables 1-4,
 paper: the Stribeck model with and without the sine filter by SGA (Figs. 4-7, Tables 1 and 2).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial

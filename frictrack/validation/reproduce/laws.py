@@ -1,5 +1,7 @@
 """The papers' friction laws by the effects of the library, and the values that the papers print."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

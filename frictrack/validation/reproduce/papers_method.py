@@ -12,6 +12,8 @@ for the beam (the printed Tustin models then brake 5 and 8 m/s to rest in 0.26 a
 view while still fast), 0.35 kg for the struck slider (3.4 m/s from 2 J), and 10 um of noise.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

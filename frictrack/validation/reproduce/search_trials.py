@@ -5,6 +5,8 @@ counts are given too. The paper prints seconds; we print ratios of processor tim
 machine.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from time import process_time

@@ -10,6 +10,8 @@ Here all of it, with the runs, what is missing before the analysis can run, and 
 
 # ruff: noqa: F401 - the imports are the interface
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache

@@ -1,5 +1,7 @@
 """Describe the models tried: errors, verdicts; parameters, settings and diagnosis of the current one."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache

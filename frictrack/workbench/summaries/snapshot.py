@@ -1,5 +1,7 @@
 """Read what the page shows of a study from its files; describe mass, frame rate and scale as they were typed."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Mapping, Sequence

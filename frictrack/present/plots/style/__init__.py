@@ -9,6 +9,8 @@ M. Okabe, K. Ito (2008): Color Universal Design, https://jfly.uni-koeln.de/color
 
 """
 
+from __future__ import annotations
+
 import gc
 import io
 import re

@@ -6,6 +6,8 @@ from place to place, so that its style holds for all, and the sizes of the label
 same.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
