@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shutil
@@ -26,6 +25,7 @@ from frictrack.flow.crate import payload
 from frictrack.flow.pipeline import hash_path
 from frictrack.flow.verification import EXCLUDED, Values, stored_values
 from frictrack.flow.workflows import recorded_models, repeat_models
+from frictrack.results import to_builtins
 
 MAX_METADATA_BYTES = 200_000_000  # of ro-crate-metadata.json
 ABSENT = "ni:"  # how the address of a file begins that the crate does not contain
@@ -258,28 +258,29 @@ def tolerance_of(name: str) -> float:
 
 def _compare_group(place: tuple[str, str], old: Values | None, new: Values | None, *, exact: bool) -> dict[str, Any]:
     where = dict(zip(("file", "group"), place, strict=True))
-    numbers, largest, found = 0, 0.0, list[dict[str, Any]]()
+    numbers, largest, differences = 0, 0.0, list[dict[str, Any]]()
     if old is None or new is None:
         stored, computed = ("missing" if values is None else "there" for values in (old, new))
-        found.append({**where, "value": "", "stored": stored, "computed": computed, "relative": None})
+        differences.append({**where, "value": "", "stored": stored, "computed": computed, "relative": None})
         old = new = {}
     for name in dict.fromkeys([*old, *new]):
         tolerance = 0.0 if exact else tolerance_of(name)
         count, relative, different = _compare_values(old.get(name, ()), new.get(name, ()), tolerance)
         numbers, largest = numbers + count, max(largest, relative)
         if different is not None:
-            stored, computed = different
-            relative_of = relative if count else None  # over the largest magnitude of that value; None for a text
-            found.append({**where, "value": name, "stored": stored, "computed": computed, "relative": relative_of})
-    return {
+            both = dict(zip(("stored", "computed"), different, strict=True))
+            # relative to the largest magnitude of that value; None for a text
+            differences.append({**where, "value": name, **both, "relative": relative if count else None})
+    found = {
         **where,
         "numbers": numbers,
-        "largest_difference": largest if math.isfinite(largest) else None,
-        "equal": not found,
-        "n_differences": len(found),
-        "differences": found[:MAX_DIFFERENCES],
-        "same_conclusions": not any(not one["value"] or CONCLUSIONS.fullmatch(one["value"]) for one in found),
+        "largest_difference": largest,
+        "equal": not differences,
+        "n_differences": len(differences),
+        "differences": differences[:MAX_DIFFERENCES],
+        "same_conclusions": not any(not one["value"] or CONCLUSIONS.fullmatch(one["value"]) for one in differences),
     }
+    return dict(to_builtins(found))
 
 
 def _compare_values(
@@ -298,7 +299,7 @@ def _compare_values(
     largest = np.max(np.abs(a), initial=0.0, where=np.isfinite(a))
     worst = int(np.argmax(apart))
     relative = float(apart[worst] / largest) if largest else float(np.inf if apart[worst] else 0.0)
-    return len(a), relative, (_plain(a[worst]), _plain(b[worst])) if relative > tolerance else None
+    return len(a), relative, (a[worst], b[worst]) if relative > tolerance else None
 
 
 def _flat(values: Sequence[Any]) -> np.ndarray:
@@ -312,10 +313,6 @@ def _flat(values: Sequence[Any]) -> np.ndarray:
 def _shown(texts: Sequence[str]) -> str:
     text = ", ".join(texts)
     return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]}..."
-
-
-def _plain(number: float) -> float | None:
-    return float(number) if np.isfinite(number) else None
 
 
 STUDY_FILE = "study.h5"

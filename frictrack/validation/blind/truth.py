@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from inspect import signature
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -18,7 +19,6 @@ from frictrack.records import Array, EarlierRuns
 from frictrack.simulate import Conditions, Trajectory, push_force, simulate
 from frictrack.simulate.rendering import Oscillation
 
-Shape = Callable[[Path, dict[str, float]], Array]
 RESONANCE_WIDTH = 0.15  # width of a resonance in speed, over that speed
 N_HARMONICS = 5  # one more than the harmonics of a sawtooth
 UNITS = {"speed": "m/s", "place": "m", "length": "m", "frequency": "Hz", "time": "s"}
@@ -26,63 +26,41 @@ START_X_M = 0.05  # start of runs toward +x; runs toward -x start at the other e
 EffectValues = dict[str, dict[str, float]]  # effect -> parameter -> value (SI)
 
 
-def _speed_resonance(path: Path, q: dict[str, float]) -> Array:
-    """The mounting resonates and takes energy at one sliding speed."""
-    return path.load * path.s * np.exp(-(((path.speed - q["speed"]) / (RESONANCE_WIDTH * q["speed"])) ** 2) / 2)
-
-
-def _joint(path: Path, q: dict[str, float]) -> Array:
-    """Two halves of the course consist of different materials."""
-    return path.load * path.s * np.tanh((path.x - q["place"]) / 2e-3)
-
-
-def _saw(path: Path, q: dict[str, float]) -> Array:
+def _saw(path: Path, length: float) -> Array:
     """Overlapping plates of equal length: a sawtooth in place, with edges rounded by the length of the slider."""
-    turns = 2 * np.pi * path.x / q["length"]
+    turns = 2 * np.pi * path.x / length
     return path.load * path.s * np.sum([np.sin(k * turns) / k for k in range(1, N_HARMONICS)], axis=0)
 
 
-def _magnet(path: Path, q: dict[str, float]) -> Array:
-    """A magnet next to the course attracts the mass; the force does not depend on the direction of motion."""
-    u = (path.x - q["place"]) / q["length"]
-    return np.asarray(u / (1 + u**2) ** 2)
-
-
-def _chirp(path: Path, q: dict[str, float]) -> Array:
-    """A nearby machine runs up: a force with rising frequency."""
-    return np.sin(2 * np.pi * q["frequency"] * (1 + 4 * path.t) * path.t)
-
-
-def _gust(path: Path, q: dict[str, float]) -> Array:
-    """A constant force begins at some time after release."""
-    return (1 + np.tanh((path.t - q["time"]) / 2e-3)) / 2
-
-
-def _breakdown(path: Path, q: dict[str, float]) -> Array:
-    """The lubricant film is used up after some sliding distance, at any place."""
-    return path.load * path.s * (1 + np.tanh((path.distance - q["length"]) / 3e-3)) / 2
-
-
-def _heat(path: Path, q: dict[str, float]) -> Array:
+def _heat(path: Path, time: float) -> Array:
     """Friction falls with a temperature that follows the dissipated power with a delay: a memory of the speed."""
     t, v = path.t, path.v
     if path.before is not None:
         t, v = np.append(path.before[0], t), np.append(path.before[2], v)
-    growth = np.exp((t - t[-1]) / q["time"])
-    temperature = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / q["time"]
+    growth = np.exp((t - t[-1]) / time)
+    temperature = np.append(0.0, cumulative_trapezoid(growth * np.abs(v), t)) / growth / time
     return -path.load * path.s * temperature[-len(path.t) :]
 
 
-FOREIGN: dict[str, tuple[Shape, tuple[str, ...]]] = {
-    "speed_resonance": (_speed_resonance, ("speed",)),
-    "joint": (_joint, ("place",)),
-    "saw": (_saw, ("length",)),
-    "magnet": (_magnet, ("place", "length")),
-    "chirp": (_chirp, ("frequency",)),
-    "gust": (_gust, ("time",)),
-    "breakdown": (_breakdown, ("length",)),
-    "heat": (_heat, ("time",)),
-}  # name: shape, and the non-linear parameters that it needs
+# Effects that are not in the library: shape of the force over its path, and over its non-linear parameters.
+FOREIGN: dict[str, Callable[..., Array]] = {
+    # The mounting resonates and takes energy at one sliding speed.
+    "speed_resonance": lambda path, speed: (
+        path.load * path.s * np.exp(-(((path.speed - speed) / (RESONANCE_WIDTH * speed)) ** 2) / 2)
+    ),
+    # Two halves of the course consist of different materials.
+    "joint": lambda path, place: path.load * path.s * np.tanh((path.x - place) / 2e-3),
+    "saw": _saw,
+    # A magnet next to the course attracts the mass; the force does not depend on the direction of motion.
+    "magnet": lambda path, place, length: (u := (path.x - place) / length) / (1 + u**2) ** 2,
+    # A nearby machine runs up: a force with rising frequency.
+    "chirp": lambda path, frequency: np.sin(2 * np.pi * frequency * (1 + 4 * path.t) * path.t),
+    # A constant force begins at some time after release.
+    "gust": lambda path, time: (1 + np.tanh((path.t - time) / 2e-3)) / 2,
+    # The lubricant film is used up after some sliding distance, at any place.
+    "breakdown": lambda path, length: path.load * path.s * (1 + np.tanh((path.distance - length) / 3e-3)) / 2,
+    "heat": _heat,
+}
 
 
 def foreign_effect(name: str) -> Effect:
@@ -90,13 +68,14 @@ def foreign_effect(name: str) -> Effect:
 
     Returns the force effect with one coefficient, the amplitude in N.
     """
-    shape, needs = FOREIGN[name]
+    shape = FOREIGN[name]
+    needs = list(signature(shape).parameters)[1:]
     return Effect(
         name=name,
         acts_on="force",
         equation=f"amplitude {name}",
         parameters=(Parameter("amplitude", "N", linear=True), *(Parameter(n, UNITS[n], signed=True) for n in needs)),
-        columns=lambda path, nonlinear: np.asarray(shape(path, dict(nonlinear)))[:, None],
+        columns=lambda path, nonlinear: np.asarray(shape(path, *(nonlinear[n] for n in needs)))[:, None],
         scales_with="load",
     )
 
