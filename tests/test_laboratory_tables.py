@@ -272,14 +272,14 @@ def test_a_voltage_beside_positions_is_named_with_the_line_that_makes_it_a_drive
         "ref": np.cos(40 * t),
     }
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
-    pd.DataFrame({"t (s)": t, "x (mm)": columns["q"], "U (V)": columns["ref"]}).to_csv(tmp_path / "b.csv", index=False)
+    pd.DataFrame({"t (s)": t, "x (mm)": q, "U (V)": ref}).to_csv(tmp_path / "b.csv", index=False)
     words = {one["file"]: one["words"] for one in propose_study(tmp_path, {"mass": "1 kg"})["found"]}
     assert words["a.csv"].endswith('not read: ref; if one is a voltage, current or share of a drive, name it with its '
                                    'force per unit: drive = "ref (35 N)"')  # fmt: skip
     assert words["b.csv"].endswith('drive = "U (35 N)"')
     read = open_table(tmp_path / "b.csv").frame
     drive = read_frame(read, {"t": "t (s)", "x": "x (mm)", "drive": "U (35 N)"}).drive
-    assert drive == pytest.approx(35 * columns["ref"])
+    assert drive == pytest.approx(35 * ref)
 
 
 def test_coefficients_without_a_mass_are_summarised(tmp_path: Path) -> None:
