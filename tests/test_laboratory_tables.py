@@ -263,14 +263,8 @@ def test_a_drive_is_named_and_init_takes_files(tmp_path: Path, capsys: pytest.Ca
 def test_a_voltage_beside_positions_is_named_with_the_line_that_makes_it_a_drive(tmp_path: Path) -> None:
     """A second encoder, a counter and a switch are no drive; the name of the column does not count."""
     t = np.arange(200) / 1000
-    columns = {
-        "t": t,
-        "q": np.sin(40 * t),
-        "q2": 2 * np.sin(40 * t),
-        "n": t + 5,
-        "on": 1 + 0 * t,
-        "ref": np.cos(40 * t),
-    }
+    q, ref = np.sin(40 * t), np.cos(40 * t)
+    columns = {"t": t, "q": q, "q2": 2 * q, "n": t + 5, "on": 1 + 0 * t, "ref": ref}
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
     pd.DataFrame({"t (s)": t, "x (mm)": q, "U (V)": ref}).to_csv(tmp_path / "b.csv", index=False)
     words = {one["file"]: one["words"] for one in propose_study(tmp_path, {"mass": "1 kg"})["found"]}
