@@ -137,3 +137,4 @@ def test_what_leaves_the_circle_is_an_error_along_it():
             run.displacement, x=(0.25 + off) * np.sin(angle), y=-(0.25 + off) * np.cos(angle), radius=None, notes=()
         )
         assert on_circle(seen).systematic == pytest.approx(rms, abs=5e-6)
+        assert on_circle(seen, 0.05).x - on_circle(seen).x == pytest.approx(0.05)

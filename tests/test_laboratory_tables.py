@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from frictrack.cli import main
 from frictrack.flow import Session, open_study, propose_study
+from frictrack.study import open_table, read_frame
 from frictrack.study.column_names import runs_of_columns
 
 MASS, F_C, F_V = 0.42, 1.1, 0.35
@@ -257,6 +258,22 @@ def test_a_drive_is_named_and_init_takes_files(tmp_path: Path, capsys: pytest.Ca
     said = json.loads(capsys.readouterr().out)
     assert said["runs"] == ["a.csv"]
     assert 'drive is "Drive (N)"' in said["found"][0]["words"]
+
+
+def test_a_voltage_beside_positions_is_named_with_the_line_that_makes_it_a_drive(tmp_path: Path) -> None:
+    """A second encoder, a counter and a switch are no drive; the name of the column does not count."""
+    t = np.arange(200) / 1000
+    q, ref = np.sin(40 * t), np.cos(40 * t)
+    columns = {"t": t, "q": q, "q2": 2 * q, "n": t + 5, "on": 1 + 0 * t, "ref": ref}
+    pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
+    pd.DataFrame({"t (s)": t, "x (mm)": q, "U (V)": ref}).to_csv(tmp_path / "b.csv", index=False)
+    words = {one["file"]: one["words"] for one in propose_study(tmp_path, {"mass": "1 kg"})["found"]}
+    assert words["a.csv"].endswith('not read: ref; if one is a voltage, current or share of a drive, name it with its '
+                                   'force per unit: drive = "ref (35 N)"')  # fmt: skip
+    assert words["b.csv"].endswith('drive = "U (35 N)"')
+    read = open_table(tmp_path / "b.csv").frame
+    drive = read_frame(read, {"t": "t (s)", "x": "x (mm)", "drive": "U (35 N)"}).drive
+    assert drive == pytest.approx(35 * ref)
 
 
 def test_coefficients_without_a_mass_are_summarised(tmp_path: Path) -> None:

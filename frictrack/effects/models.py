@@ -311,7 +311,8 @@ class Model:
         """Return a path on a circle that stands upright with the load of the gravity and the slope of the model."""
         if not path.upright or "gravity" not in self or "g" not in values["gravity"]:
             return path
-        along = values["slope"]["F"] * path.mass_ratio / path.mass if "slope" in self else 0.0
+        assert path.mass is not None
+        along = values["slope"]["F"] * np.divide(path.mass_ratio, path.mass) if "slope" in self else 0.0
         return path.pressed(values["gravity"]["g"], along)
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:

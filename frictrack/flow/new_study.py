@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,7 @@ SENSORS = {"drive": ("drive",), "sensor": ("friction", "a")}  # key of a run -> 
 SWINGING = ("coulomb", "viscous", "spring")  # the first model of masses that swing
 CAMERA_KEYS = {"scale": "px", "fps": "frames"}  # key of the camera -> unit of a table that needs it
 MAX_TRACKS_SHOWN = 6  # names in a list of tracks
+SAME_CORRELATION = 0.98  # of the steps of two columns, from which they hold the same, as two encoders do
 
 
 @dataclass(frozen=True)
@@ -130,10 +132,11 @@ def _survey_runs(path: Path, table: study.TableFile, runs: list[Mapping[str, str
     """Read a table of times and positions, of one run or of several; raises FrictrackError."""
     heads, said = list(map(str, table.frame.columns)), study.stated(table.above)
     measured = "friction_N" in heads or all("friction" in one for one in runs)
+    of_drive = "" if measured or any("drive" in one for one in runs) else _possible_drive(table, runs)
     if not all(has_units(one) or not one for one in runs):
         lines = [columns_line(one) for one in runs]
         bare = ", ".join(dict.fromkeys(h for one in runs for h in one.values() if not stated_unit(h)))
-        words = f"{len(table.frame)} rows; the headers {bare} state no units"
+        words = f"{len(table.frame)} rows; the headers {bare} state no units{of_drive}"
         return Surveyed(path, words, columns_to_confirm=lines, needs_mass=not measured, stated=said)
     needed = _camera_keys(runs[0] or table.columns)
     read = [study.read_table(path, one, pixel=1.0, fps=1.0 if "fps" in needed else None) for one in runs]
@@ -152,6 +155,7 @@ def _survey_runs(path: Path, table: study.TableFile, runs: list[Mapping[str, str
         words += (
             f'; is "{force}" the friction? Then name it in columns: friction = "{force}"; if the drive: drive = ...'
         )
+    words += of_drive
     return Surveyed(
         path,
         words + "".join(f"; {key} {value} is stated above its rows" for key, value in said.items()),
@@ -166,6 +170,29 @@ def _survey_runs(path: Path, table: study.TableFile, runs: list[Mapping[str, str
 def _free_course(data: study.TableData) -> Array | None:
     """Return the positions of a table, m, as one course; None where a drive moves the mass."""
     return None if data.x is None or data.drive is not None else unwrapped(data.x)[0]
+
+
+def _possible_drive(table: study.TableFile, runs: Sequence[Mapping[str, str]]) -> str:
+    """Name columns to and fro of no known unit, one of which may set the force of a drive; and say how it is given."""
+    from pandas import to_numeric  # noqa: PLC0415 - loaded with the first table
+
+    heads, read = list(map(str, table.frame.columns)), [header for header, _ in COLUMNS.values()]
+    read += [h for one in (*runs, table.columns) for header in one.values() if (h := study.find_header(header, heads))]
+    steps = {h: to_numeric(table.frame[h], errors="coerce").diff() for h in heads if h in read or not _has_use(h)}
+    found = [h for h, step in steps.items() if h not in read and step.min() < 0 < step.max()]
+    found = [
+        h for h in found if not any(abs(steps[h].corr(steps[one])) > SAME_CORRELATION for one in read if one in steps)
+    ]
+    if not found:
+        return ""
+    line = f"drive = {json.dumps(study.base_name(found[0]) + ' (35 N)', ensure_ascii=False)}"
+    what = "if one is a voltage, current or share of a drive, name it with its force per unit"
+    return f"; not read: {first_words(found, MAX_TRACKS_SHOWN)}; {what}: {line}"
+
+
+def _has_use(header: str) -> bool:
+    """Whether the unit of a column is that of a short name."""
+    return stated_unit(header) is not None and any(study.may_hold(header, key) for key in COLUMNS)
 
 
 def _runs_of_table(table: study.TableFile) -> list[Mapping[str, str]]:

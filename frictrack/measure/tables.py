@@ -75,7 +75,7 @@ def displacement_of_table(
         interval = float(np.median(np.diff(displacement.t)))
         sigma_v = max(white_noise(np.diff(displacement.x) / interval), MIN_TRAVEL_M)
         return replace(displacement, sigma_x=np.full(len(data.t), interval * sigma_v), sigma_v=sigma_v)
-    displacement = _with_jitter_noise(on_circle(displacement))
+    displacement = _with_jitter_noise(on_circle(displacement, x_offset))
     is_known = not np.all(np.isnan(displacement.sigma_x))
     return displacement if is_known else replace(displacement, sigma_x=_table_sigma(displacement))
 

@@ -20,6 +20,7 @@ from frictrack.base import lazy_names
 if TYPE_CHECKING:
     from frictrack.study import writing
     from frictrack.study.column_names import (
+        base_name,
         columns_line,
         find_header,
         guess_points,

@@ -225,6 +225,8 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
     --------
     >>> find_header("pos (mm)", ["t", "pos"]), find_header("pos", ["t", "pos (mm)"]), find_header("x", ["t"])
     ('pos', 'pos (mm)', None)
+    >>> find_header("U (35 N)", ["U (V)"]), find_header("U (N)", ["U (V)"])
+    ('U (V)', None)
 
     """
     if written in present:
@@ -232,7 +234,8 @@ def find_header(written: str, present: Sequence[str]) -> str | None:
     base = UNIT.sub("", written).strip()
     if base != written and base in present:
         return base
-    alike = [header for header in present if base_name(header) == (base if radius(written) else written)]
+    of_size = radius(written) or _number_and_unit(stated_unit(written) or "")[0]  # "U (35 N)" of "U (V)": N per volt
+    alike = [header for header in present if base_name(header) == (base if of_size else written)]
     return alike[0] if len(alike) == 1 else None
 
 

@@ -218,8 +218,8 @@ def _through_reversals(model: Model, pieces: list[Piece], names: tuple[str, ...]
     found = _one_after_the_other(problem, guess(problem), model, later)
     if len(subset) == len(pieces):
         return found
-    problem = found.problem.rebuild(found.problem.layout, pieces)
-    return fit_with_scatter(problem, found.p, problem.first_starts())  # few segments may show no scatter of the levels
+    # few segments may show no scatter of the levels, and their law may not drive the others
+    return _refine_shrunk(found.problem.rebuild(found.problem.layout, pieces), found.p)
 
 
 def _add_later(solution: Solution, model: Model, later: list[Effect]) -> Solution:

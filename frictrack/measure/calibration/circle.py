@@ -60,7 +60,7 @@ def fit_circle(at: Array) -> Circle | None:
     return Circle(found.x[:2] + middle, float(found.x[2]), sigma)
 
 
-def on_circle(displacement: Displacement) -> Displacement:
+def on_circle(displacement: Displacement, x_offset: float = 0.0) -> Displacement:
     """Return a displacement with x along the circle on which its positions lie; unchanged if they do not.
 
     x counts from the lowest place of the circle counter-clockwise, so that it grows to the right there; y is outward.
@@ -71,6 +71,8 @@ def on_circle(displacement: Displacement) -> Displacement:
     ----------
     displacement : Displacement
         Positions x, y of a course, y upward.
+    x_offset : float
+        Added to x along the circle, m.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def on_circle(displacement: Displacement) -> Displacement:
     )
     return replace(
         displacement,
-        x=circle.radius * angle,
+        x=circle.radius * angle + x_offset,
         y=y,
         sigma_x=sigma,
         systematic=float(np.hypot(displacement.systematic, _slow_error(y, displacement))),

@@ -568,7 +568,7 @@ def calibrate(
         notes=(*track.notes, *shake_notes, *rotation_notes, *notes),
         repaired=repaired,
     )
-    found = on_circle(displacement)
+    found = on_circle(displacement, x_offset)
     return found if found.radius else replace(found, notes=(*found.notes, *direction_notes(line, x, axis)))
 
 
