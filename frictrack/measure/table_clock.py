@@ -87,14 +87,14 @@ def _unmeasured(data: TableData, x: Array) -> tuple[Mask, str] | None:
     if not even or data.of_speeds or data.friction is not None:  # which is measured in every row
         return None
     if np.any(lost := sampling.interpolated(x)):
-        every, words, done = len(x) / np.sum(~lost), "lie on straight lines", "interpolated"
+        every, words, done = round(len(x) / np.sum(~lost)), "lie on straight lines", "interpolated"
     elif (every := sampling.independent_step(x)) > 1:
         rows, words, done = np.arange(len(x)), "hold no noise", "smoothed or interpolated"
         lost = (rows % every > 0) | (np.minimum(rows, rows[::-1]) < BENT_ENDS * every)  # smoothing bends the ends
     else:
         return None
     return lost, (
-        f"the positions {words} between every {every:.0f} rows: another program {done} them; the rows between are left "
+        f"the positions {words} between every {every} rows: another program {done} them; the rows between are left "
         "out; give the positions as they were measured"
     )
 
