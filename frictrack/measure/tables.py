@@ -188,7 +188,7 @@ def check_settings(settings: Mapping[str, Any]) -> None:
 
 
 def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, Any]) -> Run:
-    """Make a run of a table in SI units, and warn of values that are likely in another unit."""
+    """Make a run of a table in SI units, and warn of values likely in another unit, and of rows that are left out."""
     forces = with_even_clock(data)
     displacement = displacement_of_table(forces)
     check_settings(settings)
@@ -197,9 +197,12 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     run = Run(displacement, differentiate(low_pass(displacement)), **given)
     bare = frozenset() if isinstance(mass, str) else frozenset({"mass"})  # written without a unit
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
-    for finding in filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run))):
-        words = str(replace(finding, run=run.name)).replace(ACCEPTED, "ignore this warning")  # there is no study file
-        warnings.warn(words, stacklevel=5)  # the caller of `Run.from_arrays`
+    findings = filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run)))
+    words = [str(replace(finding, run=run.name)).replace(ACCEPTED, "ignore this warning") for finding in findings]
+    if len(forces.t) < len(data.t):  # there is no study file, nor a report
+        words += [f'run "{run.name}": {note}' for note in forces.notes]
+    for one in words:
+        warnings.warn(one, stacklevel=5)  # the caller of `Run.from_arrays`
     return run
 
 
