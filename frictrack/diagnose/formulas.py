@@ -504,18 +504,18 @@ def _is_worth_searching(
     search: FormulaSearch, found: Solution, repeats: Callable[[], Repeatability], evidence: float
 ) -> bool:
     """Whether a smooth force of any variable of the formulas may explain more, or effects may imitate one."""
-    own = {s.effect for s in found.problem.layout.slots if s.run is not None}
-    start, compressed = search.solution.problem, search.compressed
-    several = len({p.run for p in start.pieces}) > 1
-    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.model)
-    best_axis = repeats().best if may_imitate else None
-    if best_axis is not None and best_axis.axis in AXIS_SYMBOLS:
-        return True
-    gain = smooth_forces(compressed, formula_axes(compressed))[0].gain
+    gain = smooth_forces(search.compressed, formula_axes(search.compressed))[0].gain
     # near the evidence of the effects, the linear approximation does not decide: the fits of the best formulas do,
     # and beside these, others may still fit better
     near = evidence / (1 + MAX_GAIN_ERROR)
-    return gain > evidence or min(gain, search.solution.objective - search.least_misfit) > near
+    if gain > evidence or min(gain, search.solution.objective - search.least_misfit) > near:
+        return True
+    own = {s.effect for s in found.problem.layout.slots if s.run is not None}
+    start = search.solution.problem
+    several = len({p.run for p in start.pieces}) > 1
+    may_imitate = several and any(name in own for name in found.problem.model.names if name not in start.model)
+    best_axis = repeats().best if may_imitate else None
+    return best_axis is not None and best_axis.axis in AXIS_SYMBOLS
 
 
 def _probability(advantages: Array, shares: Array, prior: float) -> float:
