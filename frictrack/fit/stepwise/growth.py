@@ -51,6 +51,7 @@ from frictrack.fit.stepwise.trial import (
     try_effect,
 )
 from frictrack.records import Array, Mask
+from frictrack.simulate.dynamics import NOT_INTEGRATED
 
 MAX_SETTINGS_TRIED = 600  # grid points tried
 MAX_REFINEMENTS = 30  # function evaluations beyond the grid
@@ -157,7 +158,7 @@ def _refine_shrunk(problem: LeastSquaresProblem, p: Array) -> Solution:
     for share in COEFFICIENT_SHARES:
         with suppress(FrictrackError):
             return fit_with_scatter(problem, np.where(linear, share * p, p), problem.first_starts())
-    raise FrictrackError("the motion under this law could not be integrated; check mass, drive and incline")
+    raise FrictrackError(NOT_INTEGRATED)
 
 
 def _with_free_amplitudes(solution: Solution) -> Solution:
@@ -486,7 +487,9 @@ def simulate_trial(linearised: LinearisedModel, trial: CandidateTrial) -> Soluti
             problem = problem.beginning_at(model.responses)
     first = result_or_none(refine, problem, trial.p, starts, tau=tau, max_steps=SETTLING_STEPS)
     if first is None or first.objective > model.objective:
-        first = _without_effect(problem, trial, model)
+        first = result_or_none(_without_effect, problem, trial, model) or first
+        if first is None:
+            raise FrictrackError(NOT_INTEGRATED)
         tau = first.tau or tau
     frames = problem.n_frames
     excess = (trial.misfit - frames) / max(1.0, trial.misfit / max(frames, 1))  # in units of chi-squared per frame
