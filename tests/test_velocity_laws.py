@@ -39,7 +39,11 @@ def group(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"]
+    "name",
+    [
+        *("flash_weakening", "log_velocity", "power_law_viscosity", "adhesion", "load_exponent"),
+        *("eddy_brake", "hydrodynamic_hump"),  # beside viscous friction, in whose place they once stood
+    ],
 )
 def test_a_hidden_effect_is_named(name):
     found = diagnose(fit(list(LAW), runs_with(name)), quick=True)

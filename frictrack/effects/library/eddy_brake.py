@@ -17,7 +17,6 @@ parameters = (
     Parameter("v_0", "m/s", (1e-9, np.inf), scan=bend_velocities),
 )
 varies_with = "v"
-replaces = frozenset({"viscous"})
 special_cases = {"viscous": {"v_0": np.inf}}
 what = "A magnet moves past a conductor: eddy currents brake it, and push its field out at high speed."
 looks_like = "a force against v that rises to a maximum and falls again, whatever the load"

@@ -18,7 +18,6 @@ parameters = (
     Parameter("v_s", "m/s", (1e-9, np.inf), scan=bend_velocities),
 )
 varies_with = "v"
-replaces = frozenset({"viscous"})
 scales_with = "load"
 what = "A film of grease is dragged into the contact, resists, and then carries the mass."
 looks_like = "friction that rises to a maximum at one speed and falls beyond it, in proportion to the load"
