@@ -328,12 +328,8 @@ def _arm(place: Array, angle: Array) -> tuple[Array, float]:
         coefficients, *_ = np.linalg.lstsq(design, -(place @ across), rcond=None)
         at = coefficients[:2]
     residual = -(place @ across) - design @ coefficients
-    variance = (
-        frames_per_independent(residual)
-        * np.linalg.pinv(design.T @ design)[:2, :2]
-        * np.sum(residual**2)
-        / max(len(residual) - 5, 1)
-    )
+    covariance = frames_per_independent(residual) * np.linalg.pinv(design.T @ design)[:2, :2]
+    variance = covariance * np.sum(residual**2) / max(len(residual) - 5, 1)
     return at, float(np.sqrt(max(np.trace(variance), 0.0)))
 
 

@@ -260,12 +260,11 @@ class Derivatives:
         noise = float(np.mean(filtered.sigma_x[known] ** -2.0) ** -0.5)
         measured = None if filtered.x_measured is None else grid.to_frames(np.nan_to_num(filtered.x_measured))
         w = grid.to_frames(frame_weights(filtered.sigma_x, known))
-        smoother = Smoother.read(filtered.smoother)
-        result = cls(filtered, grid, filtered.x, w, noise, smoother, measured=measured)
-        if filtered.sigma_sensor is None or smoother.method:
-            return result
-        sigma = grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
-        return replace(result, sensor_weights=sensor_weights(sigma, grid.interval**2, noise))
+        smoother, of_sensor = Smoother.read(filtered.smoother), None
+        if filtered.sigma_sensor is not None and not smoother.method:
+            sigma = grid.to_frames(filtered.sigma_sensor, MISSING_SIGMA)[1:-1]
+            of_sensor = sensor_weights(sigma, grid.interval**2, noise)
+        return cls(filtered, grid, filtered.x, w, noise, smoother, of_sensor, measured)
 
     @classmethod
     def of_y(cls, filtered: Filtered) -> Derivatives:

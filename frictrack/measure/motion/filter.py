@@ -240,17 +240,11 @@ class _Coordinate:
             return _select_by_likelihood(data, method), data
         part = self._longest_window(data)
         suspected = replace(part, colour=colour)
-        colour = _fit_colour(suspected, StructureSearch(suspected).stiff)
-        candidates = [replace(part, colour=c) for c in (None, colour)]
-        best_pair = min(
-            ((_select_by_likelihood(kind, method), kind) for kind in candidates),
-            key=lambda m: StructureSearch(m[1]).scored(m[0]).penalised,
-        )
-        best_pair = best_pair[0], replace(part, colour=_fit_colour(best_pair[1], best_pair[0]))
-        if len(part.w) == len(data.w):
-            return best_pair
-        data = replace(data, colour=best_pair[1].colour)
-        return _select_by_likelihood(data, method), data
+        coloured = replace(part, colour=_fit_colour(suspected, StructureSearch(suspected).stiff))
+        pairs = [(_select_by_likelihood(kind, method), kind) for kind in (part, coloured)]
+        structure, kind = min(pairs, key=lambda pair: StructureSearch(pair[1]).scored(pair[0]).penalised)
+        data = replace(data, colour=_fit_colour(kind, structure))
+        return structure if len(part.w) == len(data.w) else _select_by_likelihood(data, method), data
 
     def _suspected_colour(self, data: SmootherData) -> NoiseColour | None:
         """Coloured noise that the spectrum of the longest span without a missing frame suggests."""

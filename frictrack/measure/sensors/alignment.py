@@ -200,7 +200,7 @@ def _obstacle(problem: AlignmentProblem, given: Alignment | None) -> str:
         return f"expected at least {MIN_DIFFERENCES} neighbouring frames but got {len(problem.frames.z)}"
     if len(series.t) < MIN_DIFFERENCES:
         return f"expected at least {MIN_DIFFERENCES} samples but got {len(series.t)}"
-    if series.constant:
+    if np.ptp(series.values[series.known]) == 0.0:
         return "it is constant, so that no offset can be determined"
     if given is not None and np.sum(problem.rows(given)) < MIN_DIFFERENCES:
         running = f"{series.t[0] + given.offset:.4g} s to {series.t[-1] + given.offset:.4g} s"

@@ -91,11 +91,6 @@ class SensorRecord:
         return np.asarray(np.isfinite(self.values) & ~self.clipped)
 
     @cached_property
-    def constant(self) -> bool:
-        """Whether all samples are equal."""
-        return bool(np.ptp(self.values[self.known]) == 0.0)
-
-    @cached_property
     def sigma(self) -> float:
         """White noise of a sample from fifth differences, at least that of its rounding."""
         v = self.values[self.known]
