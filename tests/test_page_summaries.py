@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -353,7 +354,7 @@ def test_the_curves_of_a_candidate_have_the_rows_of_the_comparison(diagnosed: Pa
 def test_adding_a_candidate_takes_the_fit_that_was_tried(diagnosed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     snapshot = SnapshotReader(diagnosed).read()
     curves = candidate_curves(snapshot, "texture")
-    monkeypatch.setattr("frictrack.fit.fit", lambda *_, **how: pytest.fail("it was fitted before"))
+    monkeypatch.setattr(import_module("frictrack.fit"), "fit", lambda *_, **how: pytest.fail("it was fitted before"))
     change = Session(open_study(diagnosed)).add("texture")
     assert curves is not None
     assert change["error_after"]["heldout_rms_um"] == pytest.approx(curves.extra["errors"]["with"])
