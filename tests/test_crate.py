@@ -29,7 +29,7 @@ from frictrack.cli import main
 from frictrack.flow import Session, open_study, store, stored_values
 from frictrack.flow.crate import CrateOptions, payload, read_authorship, reproduce_crate, ucum, write_crate
 from frictrack.flow.crate.payload import safe_place, unpack
-from frictrack.flow.crate.reproducing import Crate, CrateFile, compare_files, find_inputs, read_crate, tolerance_of
+from frictrack.flow.crate.reproducing import Crate, compare_files, find_inputs, read_crate, tolerance_of
 from frictrack.flow.store import GroupContent
 from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Friction
@@ -432,14 +432,15 @@ def test_addresses_of_a_crate_are_fetched_only_if_the_user_allows_it(
     (tmp_path / "crate" / "study.toml").write_bytes(b"[study]")
     (tmp_path / "web" / "v3.csv").write_bytes(b"1,2")
 
-    def described(place: str, content: bytes, *, is_included: bool) -> CrateFile:
-        return CrateFile(place, len(content), hashlib.sha256(content).hexdigest(), is_included)
+    def described(place: str, content: bytes, *, is_included: bool) -> payload.Part:
+        source, digest = tmp_path / "crate" / place, hashlib.sha256(content).hexdigest()
+        return payload.Part(source, place, "input", len(content), digest, is_included=is_included)
 
     with serving(tmp_path / "web") as server:
         url = server.url("v3.csv")
         film = described("inputs/1/v3.csv", b"1,2", is_included=False)
         study = described("study.toml", b"[study]", is_included=True)
-        crate = Crate(tmp_path / "crate", study, (film,), (), {url: film.place}, {})
+        crate = Crate(study, (film,), (), {url: film.place}, {})
         with pytest.raises(FrictrackError, match=f"give --recordings .*, or --allow-addresses to fetch {url}"):
             find_inputs(crate, None, None)
         assert server.requests == 0

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from frictrack import samples
 from frictrack.base.errors import FrictrackError
 from frictrack.effects import models
 from frictrack.flow import ResultsReader, Session, open_study, run_study, store, verify
-from frictrack.flow.tried_models import TriedModels
 from frictrack.records import Track
 from frictrack.workbench.plot_data import comparison_plots
 from frictrack.workbench.summaries import (
@@ -355,7 +355,7 @@ def test_the_curves_of_a_candidate_have_the_rows_of_the_comparison(diagnosed: Pa
 def test_adding_a_candidate_takes_the_fit_that_was_tried(diagnosed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     snapshot = SnapshotReader(diagnosed).read()
     curves = candidate_curves(snapshot, "texture")
-    monkeypatch.setattr(TriedModels, "_fitted", lambda *_, **how: pytest.fail("it was fitted before"))
+    monkeypatch.setattr(import_module("frictrack.fit"), "fit", lambda *_, **how: pytest.fail("it was fitted before"))
     change = Session(open_study(diagnosed)).add("texture")
     assert curves is not None
     assert change["error_after"]["heldout_rms_um"] == pytest.approx(curves.extra["errors"]["with"])

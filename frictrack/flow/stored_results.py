@@ -39,7 +39,7 @@ from frictrack.study import Study
 PICTURE_STAGES = ("recording", "track", "tracks")  # whose results are the positions in the picture
 HEAD_BYTES = 2000  # of a report, in which its key stands
 REPORT_KEY = re.compile(r"[0-9a-f]{64} ([0-9a-f]{64}) ([^\"<>]+)")  # all inputs, the results, the current model
-OPTIONAL_STAGES = ("cutoff", "friction", "events", "repaired")  # not needed by a fit, or not for what is shown
+OPTIONAL_STAGES = {"cutoff", "friction", "events", "repaired"}  # not needed by a fit, or not for what is shown
 
 
 # --- the numbers of a run
@@ -331,7 +331,7 @@ class ResultsReader:
                 path=study.path,
                 output=study.output,
                 version=__version__,
-                runs=self._runs(pipelines, states, models.commands),
+                runs=self._runs(models, states),
                 models=results,
                 comparison=models.stored_summary("comparison"),
                 diagnosis=current.diagnosis if current else None,
@@ -346,12 +346,10 @@ class ResultsReader:
         key = models.content_key(group if group == "papers" else f"models/{group}")
         return self._keep(("model", group), key, lambda: model_results(models.path, group))
 
-    def _runs(
-        self, pipelines: Sequence[RunPipeline], states: Mapping[str, Any], history: CommandHistory
-    ) -> tuple[RunResults, ...]:
+    def _runs(self, models: TriedModels, states: Mapping[str, Any]) -> tuple[RunResults, ...]:
         """Read all measured runs; one that repeats another one gets a note, one with repairs says by whom."""
-        needed = {p.run.name: [name for name in p.stages if name not in OPTIONAL_STAGES] for p in pipelines}
-        measured = [p for p in pipelines if p.run.name in states and all(map(p.is_current, needed[p.run.name]))]
+        stored = [pipeline for pipeline in models.pipelines if pipeline.run.name in states]
+        measured = [p for p in stored if all(map(p.is_current, p.stages.keys() - OPTIONAL_STAGES))]
         runs: dict[str, RunResults] = {}
         for p in measured:
             make = partial(run_results, p, with_budget=self.with_budgets)
@@ -361,7 +359,7 @@ class ResultsReader:
         read = {name: states[name] for name in runs}
         frictions = {k: None if run.sensors is None else run.sensors.friction_N for k, run in runs.items()}
         twice = self._keep("twice", read, lambda: duplicate_notes(displacements, contents, frictions))
-        authors = _repair_authors(history) if any(p.run.repair for p in measured) else {}
+        authors = _repair_authors(models.commands) if any(p.run.repair for p in measured) else {}
         found = []
         for name, run in runs.items():
             notes = [said[name] for said in (twice, authors) if name in said]

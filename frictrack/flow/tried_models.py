@@ -200,9 +200,10 @@ class TriedModels:
         return "force" if any(run.friction_N is not None for run in self.runs) else "displacement"
 
     @property
-    def _study_model(self) -> str:
-        """The study file's model as JSON, which is stored beside the models."""
-        return json.dumps(to_builtins(self.study.model))
+    def _asked(self) -> dict[str, str]:
+        """What the study file asks of a fit, as it is stored beside the models: its model, and its search if any."""
+        search = {"study_search": json.dumps(self._study_search)} if self._study_search else {}
+        return {"study_model": json.dumps(to_builtins(self.study.model)), **search}
 
     @property
     def _study_search(self) -> dict[str, Any]:
@@ -211,11 +212,10 @@ class TriedModels:
 
     def _study_changes(self) -> dict[str, Any]:
         """Return what the study file asks of a fit now that it did not ask when the last model was fitted."""
-        before = store.attributes(self.path, "models")
-        if before["study_model"] != self._study_model:
+        before, now = store.attributes(self.path, "models"), self._asked
+        if before["study_model"] != now["study_model"]:
             return {"base": self.study.model, "edits": (), **self._study_search}
-        is_same = before.get("study_search", "{}") == json.dumps(self._study_search)
-        return {} if is_same else self._study_search
+        return {} if before.get("study_search") == now.get("study_search") else self._study_search
 
     def is_current_outdated(self) -> bool:
         """Return whether the current model belongs to other runs or settings than today's, or another study model."""
@@ -282,15 +282,12 @@ class TriedModels:
         base = request.base if isinstance(request.base, str) else ",".join(request.base)
         with self.commands.record(command, **(arguments or {"model": base})) as change:
             group, before = f"{len(self.groups) + 1}_{request.name}", self.current_group
-            of_study = {"study_model": self._study_model}
-            if self._study_search:
-                of_study["study_search"] = json.dumps(self._study_search)
             store.write(
                 self.path,
                 {f"models/{group}": entry},
                 remove=GROUPS_OF_CURRENT_MODEL,
                 links=self._run_links(),
-                attribute_updates={"models": of_study} | self._current_flags(group),
+                attribute_updates={"models": self._asked} | self._current_flags(group),
             )
             change.before = {} if before is None else {"current": before}
             change.after = {"current": group}

@@ -91,7 +91,7 @@ RESULTS = "results"  # the same of the results
 class Part:
     """One file of a crate."""
 
-    source: Path  # the file on this machine
+    source: Path  # the file on this machine, which need not exist of a crate that was read
     place: str  # its path in the crate, with slashes
     role: str  # "study", "input" or "result"
     size: int  # size, sha256: its bytes, and their SHA-256

@@ -32,29 +32,14 @@ ABSENT = "ni:"  # how the address of a file begins that the crate does not conta
 
 
 @dataclass(frozen=True)
-class CrateFile:
-    """A file that a crate describes."""
-
-    place: str  # its path in the crate
-    size: int  # size, sha256: its bytes, and their SHA-256
-    sha256: str
-    is_included: bool  # whether the crate contains it
-
-
-@dataclass(frozen=True)
 class Crate:
     """The description of a crate."""
 
-    folder: Path  # the unpacked crate
-    study: CrateFile  # the study file
-    inputs: tuple[CrateFile, ...]  # inputs, results: what the study was computed from, and what was computed
-    results: tuple[CrateFile, ...]
+    study: payload.Part  # the study file
+    inputs: tuple[payload.Part, ...]  # inputs, results: what the study was computed from, and what was computed
+    results: tuple[payload.Part, ...]
     moved: dict[str, str]  # place in the crate by the path in the study file, of what lies elsewhere
     versions: dict[str, str]  # versions of software and machine that computed the results
-
-    def path(self, file: CrateFile) -> Path:
-        """Return the path of a file in the crate, which need not exist."""
-        return _inside(self.folder, file.place)
 
 
 def read_crate(folder: Path) -> Crate:
@@ -76,7 +61,7 @@ def read_crate(folder: Path) -> Crate:
         ) from e
 
 
-def has_same_bytes(path: Path, described: CrateFile) -> bool:
+def has_same_bytes(path: Path, described: payload.Part) -> bool:
     """Return whether a file exists and has the bytes that a crate describes."""
     with os_errors_as(f"cannot read {path}"):
         return path.is_file() and path.stat().st_size == described.size and hash_path(path) == described.sha256
@@ -97,17 +82,18 @@ def _crate(folder: Path, entities: Mapping[str, Any]) -> Crate:
     action = entities[_ids(root["mentions"])[0]]
     study = root["mainEntity"]["@id"]
     objects = [entities[name] for name in _ids(action["object"])]
-    inputs = tuple(_file(one) for one in objects if one["@type"] == "File" and one["@id"] != study)
-    results = tuple(_file(entities[name]) for name in _ids(action["result"]))
+    inputs = tuple(_file(folder, one, "input") for one in objects if one["@type"] == "File" and one["@id"] != study)
+    results = tuple(_file(folder, entities[name], "result") for name in _ids(action["result"]))
     moved = {one["name"]: payload.safe_place(one["value"]) for one in objects if one.get("propertyID") == payload.MOVED}
     versions = _versions(entities, entities[action["instrument"]["@id"]])
-    return Crate(folder, _file(entities[study]), inputs, results, moved, versions)
+    return Crate(_file(folder, entities[study], "study"), inputs, results, moved, versions)
 
 
-def _file(entity: Mapping[str, Any]) -> CrateFile:
+def _file(folder: Path, entity: Mapping[str, Any], role: str) -> payload.Part:
     is_included = not entity["@id"].startswith(ABSENT)
-    place = unquote(entity["@id"]) if is_included else entity["localPath"]
-    return CrateFile(payload.safe_place(place), int(entity["contentSize"]), str(entity["sha256"]), is_included)
+    place = payload.safe_place(unquote(entity["@id"]) if is_included else entity["localPath"])
+    size, sha256 = int(entity["contentSize"]), str(entity["sha256"])
+    return payload.Part(_inside(folder, place), place, role, size, sha256, is_included=is_included)
 
 
 def _versions(entities: Mapping[str, Any], software: Mapping[str, Any]) -> dict[str, str]:
@@ -132,7 +118,7 @@ def set_up_study(crate: Crate, folder: Path, inputs: Mapping[str, Path]) -> Path
         study.parent.mkdir(parents=True, exist_ok=True)
         for place, source in inputs.items():
             _link(source, folder / place)
-        text = crate.path(crate.study).read_bytes()
+        text = crate.study.source.read_bytes()
         study.write_bytes(_with_places(text, crate.moved) if crate.moved else text)
     return study
 
@@ -146,7 +132,7 @@ def find_inputs(crate: Crate, recordings: Path | None, progress: flow.Progress |
     addresses = {PurePosixPath(place).with_suffix(""): text for text, place in remote.items()}
     for one in (crate.study, *crate.inputs):
         name = PurePosixPath(one.place)
-        known = [crate.path(one)] if one.is_included else candidates.get(name.name, [])
+        known = [one.source] if one.is_included else candidates.get(name.name, [])
         if progress is not None and not known and (address := addresses.get(name.with_suffix(""))):
             progress(0, 0, f"fetching {address}")
             known = [local_path(locate(address)).with_name(name.name)]
@@ -422,7 +408,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, 
         "numbers": sum(row["numbers"] for row in rows),
         "largest_difference": None if None in largest else max(largest, default=0.0),
         "groups": rows,
-        "altered": [one.place for one in crate.results if not has_same_bytes(crate.path(one), one)],
+        "altered": [one.place for one in crate.results if not has_same_bytes(one.source, one)],
         "excluded": [{"names": list(names), "reason": reason} for names, reason in EXCLUDED.items()],
         "approximate": [
             {"names": pattern.pattern, "tolerance": tolerance, "reason": reason}
@@ -433,7 +419,7 @@ def _summary(crate: Crate, versions: list[dict[str, str]], rows: list[dict[str, 
 
 def _stored_files(crate: Crate) -> dict[str, Path]:
     """Return the HDF5 files of the crate by name."""
-    found = {PurePosixPath(one.place).name: crate.path(one) for one in crate.results if one.place.endswith(".h5")}
+    found = {PurePosixPath(one.place).name: one.source for one in crate.results if one.place.endswith(".h5")}
     if STUDY_FILE not in found:
         raise FrictrackError(f"expected {STUDY_FILE} among the results of the crate but it lists none; export it again")
     return found

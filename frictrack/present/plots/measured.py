@@ -339,7 +339,7 @@ def budgets_title(found: Mapping[str, Mapping[str, Any]]) -> str:
     totals = [one["rows"][-1]["mean_N"] for one in found.values()]
     largest = [max(one["rows"][:-1], key=lambda row: row["mean_N"] or 0.0)["source"] for one in found.values()]
     error = format_range([total for total in totals if total is not None])
-    return f"Standard deviation of the mean force {error} N; largest source: {max(set(largest), key=largest.count)}"
+    return f"Standard deviation of the mean force {error} N; largest source: {max(largest, key=largest.count)}"
 
 
 def _say_what_is_absent(ax: Axes, found: Mapping[str, Mapping[str, Any]], key: str, sources: Sequence[str]) -> None:

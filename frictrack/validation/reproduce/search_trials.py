@@ -56,7 +56,6 @@ def _bootstrap_means(x: Array, n: int, rng: np.random.Generator) -> Array:
     return x[rng.integers(len(x), size=(N_BOOTSTRAP, n))].mean(axis=1)
 
 
-Problem = tuple[Callable[[Array], Array], Any, int, float, int]  # cost, box, seeds, reach, budget
 SEARCH_INTERVAL = [[-1.0, 2.0]]
 EQ8_BUDGET = 40 + 36 * 200  # population 40, generation gap 0.9, 200 generations
 FOUND_VALUE = 3.85025  # value of Eq. 8 from which on the optimum, 3.850274, counts as found
@@ -126,9 +125,7 @@ def _counts(found: SearchResult, reach: float) -> tuple[float, float, float, flo
     return float(found.generation_of_last_improvement), first, found.cost, converged
 
 
-def _run_settings(settings: Mapping[str, SearchMethod], trials: Problem) -> dict[str, SearchTrials]:
-    """Run all settings; `trials` are the other arguments of `run_trials`."""
-    return {name: run_trials(*trials, method) for name, method in settings.items()}
+Trials = dict[str, SearchTrials]  # by setting
 
 
 # ---- Eq. 8
@@ -175,7 +172,7 @@ def eq8_trials(effort: sections.Effort = sections.FULL) -> sections.Section:
 
     """
     trials = eq8, SEARCH_INTERVAL, effort.seeds, -FOUND_VALUE, EQ8_BUDGET
-    results = _run_settings(EQ8_SETTINGS, trials)
+    results = {name: run_trials(*trials, method) for name, method in EQ8_SETTINGS.items()}
     bits = {
         name: np.array([length(g, 200, 10, 0.2, 50) for g in range(200)])
         for name, length in (("as read", code_length), ("as printed", code_length_as_printed))
@@ -205,7 +202,7 @@ def _printed(table: Mapping[str, tuple[float, ...]], name: str, column: int, ove
     return table[name][column] / (table[over][column] if over else 1) if name in table else None
 
 
-def _table_5(results: dict[str, SearchTrials]) -> sections.ResultTable:
+def _table_5(results: Trials) -> sections.ResultTable:
     rng, base, rows = np.random.default_rng(5), results["GA"], []
     for name in ("GA", "MGA", "GA, more mutation", "MGA, Eq. 6 as printed"):
         found = results[name]
@@ -218,7 +215,7 @@ def _table_5(results: dict[str, SearchTrials]) -> sections.ResultTable:
     return sections.table("table5", rows)
 
 
-def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> sections.ResultTable:
+def _table_6(results: Trials, bits: dict[str, Array]) -> sections.ResultTable:
     length = {"10 bits": 10.0, "20 bits": 20.0, "adaptive": bits["as read"].mean()}
     length["adaptive, as printed"] = bits["as printed"].mean()
     rows: list[list[Any]] = []
@@ -230,7 +227,7 @@ def _table_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> sectio
     return sections.table("table6", rows)
 
 
-def _claims_5(results: dict[str, SearchTrials]) -> tuple[sections.Claim, ...]:
+def _claims_5(results: Trials) -> tuple[sections.Claim, ...]:
     rng, (x, y) = np.random.default_rng(55), maximum()
     base, mga, more = results["GA"], results["MGA"], results["GA, more mutation"]
     n, hits = len(base.last), int(np.sum(base.cost <= -FOUND_VALUE))
@@ -250,7 +247,7 @@ def _claims_5(results: dict[str, SearchTrials]) -> tuple[sections.Claim, ...]:
     )
 
 
-def _claims_6(results: dict[str, SearchTrials], bits: dict[str, Array]) -> tuple[sections.Claim, ...]:
+def _claims_6(results: Trials, bits: dict[str, Array]) -> tuple[sections.Claim, ...]:
     grid = float(-eq8(np.arange(1024)[:, None] / 1023 * 3 - 1).min())
     ten, adaptive = results["10 bits"], results["adaptive"]
     n, reached = len(ten.cost), int(np.sum(-ten.cost > laws.TABLE_6["10 bits"][0] + 1e-3))
@@ -313,9 +310,9 @@ def genetic_searches(effort: sections.Effort = sections.FULL, seed: int = 0) -> 
     cost = atm1_error(run)
     floor = float(cost(papers_method.parameters_of("atm1:2", fit("atm1:2", [run]))[None])[0])
 
-    def trials(of: sections.Effort) -> dict[str, SearchTrials]:
-        limit = LOCAL_OPTIMUM_RATIO * floor
-        return _run_settings(FRICTION_SETTINGS, (cost, ATM1_BOX, of.seeds, limit, of.budget))
+    def trials(of: sections.Effort) -> Trials:
+        given = (cost, ATM1_BOX, of.seeds, LOCAL_OPTIMUM_RATIO * floor, of.budget)
+        return {name: run_trials(*given, method) for name, method in FRICTION_SETTINGS.items()}
 
     results = trials(effort)
     tables = [_table_7("table7", results, floor, effort)]
@@ -333,9 +330,7 @@ def genetic_searches(effort: sections.Effort = sections.FULL, seed: int = 0) -> 
     )
 
 
-def _table_7(
-    name: str, results: dict[str, SearchTrials], floor: float, effort: sections.Effort
-) -> sections.ResultTable:
+def _table_7(name: str, results: Trials, floor: float, effort: sections.Effort) -> sections.ResultTable:
     rows: list[list[Any]] = []
     for setting, found in results.items():
         n, ratio, reached = len(found.cost), found.cost / floor, np.isfinite(found.first)
@@ -351,7 +346,7 @@ def _table_7(
     return sections.table(name, rows, seeds=effort.seeds, budget=effort.budget)
 
 
-def _claims_7(results: dict[str, SearchTrials], finals: dict[str, Array]) -> tuple[sections.Claim, ...]:
+def _claims_7(results: Trials, finals: dict[str, Array]) -> tuple[sections.Claim, ...]:
     local = {name: int(np.sum(ratio > LOCAL_OPTIMUM_RATIO)) for name, ratio in finals.items()}
     base, mga, n = results["GA"], results["MGA"], len(results["GA"].cost)
     p = float(fisher_exact(np.array([[local[name], n - local[name]] for name in ("GA", "MGA")])).pvalue)
