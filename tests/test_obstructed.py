@@ -48,6 +48,12 @@ def test_a_body_that_rests_first_or_bounces_back(motion):
     assert found(film) in ("body", "choices")
 
 
+@pytest.mark.parametrize("seed", [1142, 1196], ids=["a scale that shakes", "a shadow that passes"])
+def test_the_body_is_named_beside(seed):
+    """Three still points were taken as none, so that scale and body were one; a shadow hid the body that it passes."""
+    assert found(scene(seed)) == "choices"
+
+
 @pytest.mark.slow
 def test_the_marks_of_a_rolling_disc_are_followed_through_turns():
     film = scene(2, look="marked", **ROLLING)

@@ -187,7 +187,7 @@ def _by_growth(model: Model, *of: Any) -> Solution:
 
 def _one_after_the_other(problem: LeastSquaresProblem, p: Array, model: Model, later: list[Effect]) -> Solution:
     """The fit of a first problem from p (P,), and then of the later effects of a model."""
-    return _add_later(fit_with_scatter(problem, p, problem.first_starts()), model, later)
+    return _add_later(_refine_shrunk(problem, p), model, later)
 
 
 def _with_ties_of(solution: Solution, model: Model) -> Solution:
@@ -386,7 +386,8 @@ def _solved(problem: LeastSquaresProblem, p: Array) -> tuple[Array, Array]:
 
 def _forces(problem: LeastSquaresProblem, piece: Piece, p: Array) -> Array:
     """Forces (3 p, K) per unit coefficient along the smoothed motion of one piece; zero for those of other runs."""
-    values, level = problem.layout.values(p, piece.run)
+    found, level = problem.layout.values(p, piece.run)  # its coefficients are yet to be found
+    values = {e.name: {q.name: found[e.name][q.name] for q in e.nonlinear} for e in problem.model.effects}
     columns = problem.model.force_columns(piece.path_at_nodes(piece.x_hat, piece.v_hat, level), values)
     places = {(e.name, q.name): k for e in problem.model.effects for k, q in enumerate(e.linear)}
     return np.column_stack(

@@ -220,13 +220,13 @@ def rival_question(scene: SampledScene, first: Body) -> str:
     others = moving_bodies(rest)
     at_edge = _is_at_edge(scene, first)
     rivals = (body for body in others if _is_rival(rest, first, body))
-    second = next((body for body in rivals if at_edge or not _comes_from_outside(rest, body)), None)
+    second = next((b for b in rivals if (at_edge or not _comes_from_outside(rest, b)) and _is_thick(rest, b)), None)
     if second is None:
         return ""
     chosen = [first, second]
     for body in others:
-        strong = body.merit > MIN_RIVAL_MERIT * second.merit and all(_are_apart(body, one) for one in chosen)
-        if strong and min(body_outline(rest, body)[0][2:]) >= MIN_RIVAL_SIDE_PX:
+        strong = body.merit > MIN_RIVAL_MERIT * second.merit and all(_are_two(body, one) for one in chosen)
+        if strong and _is_thick(rest, body):
             chosen.append(body)
     lines = []
     for body in sorted(chosen[:MAX_CHOICES], key=lambda body: float(np.nanmin(body.corner[:, 0]))):
@@ -245,8 +245,19 @@ def _is_rival(scene: SampledScene, first: Body, second: Body) -> bool:
     small = extent[1] < MIN_RIVAL_MERIT * extent[0] or size[1].min() * scene.factor < MIN_RIVAL_SIDE_PX
     if few or small:
         return False
-    a, b = first.corner[both] + size[0] / 2, second.corner[both] + size[1] / 2
-    return _are_apart(first, second) and _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2
+    return _are_apart(first, second) and _are_two(first, second)
+
+
+def _are_two(first: Body, second: Body) -> bool:
+    """Whether two bodies move relative to each other, as one does that a large shadow passes."""
+    both = first.seen & second.seen
+    a, b = (q.corner[both] + np.array(q.box[2:]) / 2 for q in (first, second))
+    return not both.any() or _span(b - a) > MIN_RELATIVE_TRAVEL * max(_span(a), _span(b)) + 2
+
+
+def _is_thick(scene: SampledScene, body: Body) -> bool:
+    """Whether the outline of a body is no strip, as the edge of a scale is that shakes."""
+    return min(body_outline(scene, body)[0][2:]) >= MIN_RIVAL_SIDE_PX
 
 
 def _comes_from_outside(scene: SampledScene, body: Body) -> bool:

@@ -41,7 +41,9 @@ REDUCED_PIXELS = 40_000  # of a reduced picture
 MIN_AREA_REDUCED = 40  # px of a reduced picture
 MIN_SIDE_PX = 8  # of a target
 MAX_POINTS = 32  # that are followed to detect camera shake
-MIN_AGREEING_SHARE = 0.4  # of the points, that must move together
+MIN_STILL_POINTS, SAME_SHIFT_PX = 3, 0.3  # of the static scene, which move together
+MIN_TOGETHER = 0.8  # of the frames that show two points, in which these do
+MIN_SPREADS = 0.4, 0.6  # of the picture's sides, over which these points lie
 MIN_SHAKE_REDUCED = 0.15  # px of a reduced picture
 MAX_SHAKE_SHARE = 0.05  # of the picture's longer side
 
@@ -330,8 +332,8 @@ def _reduced(frame: Frame, factor: int) -> Picture:
 def _estimate_shake(small: list[Picture]) -> Array:
     """Shift (k, 2) px of the whole picture against the middle frame; zero where the picture stands still.
 
-    Corner points are followed by optical flow (Lucas & Kanade 1981). Those that agree must lie all over the picture: a
-    large body before a plain wall is no camera shake.
+    Corner points are followed by optical flow (Lucas & Kanade 1981). Those that move together in most frames must lie
+    all over the picture: a large body before a plain wall is no camera shake.
     """
     middle = len(small) // 2
     high = max(float(np.percentile(small[middle], 99.5)), 1.0)
@@ -342,29 +344,33 @@ def _estimate_shake(small: list[Picture]) -> Array:
     points = cv2.goodFeaturesToTrack(pictures[middle], MAX_POINTS, 0.02, apart, mask=inside, blockSize=7)
     limit = MAX_SHAKE_SHARE * max(small[0].shape)
     out = np.zeros((len(small), 2))
-    if np.size(points) < MAX_POINTS:  # fewer than half of them
+    if np.size(points) < 2 * MIN_STILL_POINTS:
         return out
-    for k, picture in enumerate(pictures):
+    shifts = np.full((len(small), len(points), 2), np.nan, np.float32)
+    for picture, shift in zip(pictures, shifts, strict=True):
         at, status, _ = cv2.calcOpticalFlowPyrLK(
             pictures[middle], picture, points, points.copy(), winSize=(15, 15), maxLevel=2
         )
         followed = status.ravel() > 0
-        common = _common_shift(points[followed, 0], (at - points)[followed, 0], small[0].shape, len(points))
+        shift[followed] = (at - points)[followed, 0]
+    off = np.linalg.norm(shifts[:, :, None] - shifts[:, None], axis=3)
+    together = np.sum(off < SAME_SHIFT_PX, axis=0) >= MIN_TOGETHER * np.maximum(np.sum(np.isfinite(off), axis=0), 1)
+    still = together[int(np.argmax(together.sum(axis=1)))]
+    spread = np.ptp(points[still, 0], axis=0) / np.array(small[0].shape[::-1])
+    if still.sum() < MIN_STILL_POINTS or min(spread) < MIN_SPREADS[0] or max(spread) < MIN_SPREADS[1]:
+        return out
+    for k, (shift, near) in enumerate(zip(shifts[:, still], off[:, still][:, :, still] < SAME_SHIFT_PX, strict=True)):
+        common = _common_shift(points[still, 0], shift, near, small[0].shape)
         if np.hypot(*common) < limit:
             out[k] = common
     return out if np.max(np.hypot(*out.T)) > MIN_SHAKE_REDUCED else np.zeros_like(out)
 
 
-def _common_shift(points: Array, shift: Array, shape: tuple[int, ...], count: int) -> Array:
-    """Shift that most of the points (n, 2) share, if they lie all over the picture; else zero."""
-    if not len(shift):
-        return np.zeros(2)
-    near = np.hypot(*(shift[:, None] - shift[None]).transpose(2, 0, 1)) < 0.3
-    agree = near[int(np.argmax(near.sum(axis=1)))]
-    spread = np.ptp(points[agree], axis=0) / np.array(shape[::-1])
-    if agree.sum() < MIN_AGREEING_SHARE * count or min(spread) < 0.4 or max(spread) < 0.6:
-        return np.zeros(2)
-    return np.asarray(np.median(shift[agree], axis=0), dtype=np.float64)
+def _common_shift(points: Array, shift: Array, near: Mask, shape: tuple[int, ...]) -> Array:
+    """Shift in a frame of those of the points (n, 2) that agree over the widest part of the picture; else zero."""
+    spread = [max(np.ptp(points[agree], axis=0) / shape[::-1]) if agree.any() else 0.0 for agree in near]
+    widest = near[int(np.argmax(spread))]
+    return np.asarray(np.median(shift[widest], axis=0)) if max(spread) >= MIN_SPREADS[0] else np.zeros(2)
 
 
 def _shifted(picture: Picture, by: Array) -> Picture:
