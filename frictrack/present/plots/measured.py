@@ -16,16 +16,7 @@ from frictrack.base.polygons import polygon
 from frictrack.measure.motion import FilteredMotion, compare_filters
 from frictrack.present.plots import style
 from frictrack.present.plots.inputs import AnyRun, as_run, as_runs
-from frictrack.present.plots.style import (
-    RUN_STYLES,
-    axis_label,
-    axis_scale,
-    draw_band,
-    new_figure,
-    one_panel,
-    panel_grid,
-    styled,
-)
+from frictrack.present.plots.style import RUN_STYLES, axis_label, axis_scale, draw_band, new_figure, panel_grid, styled
 from frictrack.records import Array, CutoffTradeOff, FrameTable, Motion, stretches
 from frictrack.results import RunResults
 
@@ -66,7 +57,7 @@ def film(run: RunResults, *, wide: bool = True) -> Figure:
     precision = f", ± {format_number(float(np.median(known)), 2)} px" if wide and len(known) else ""
     title = f"{run.name}: target found in {found} of {frames} frames{precision}"
     width = style.PAGE_WIDTH_IN if wide else style.PAGE_WIDTH_IN / 2
-    figure, ax = one_panel(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
+    figure, ax = style.one_panel(float(np.clip(width * rows / columns + 1.0, 1.8, 7.0)), title, width)
     low, high = np.percentile(picture, [0.5, 99.5])
     ax.imshow(picture, cmap="gray", vmin=low, vmax=max(high, low + 1), interpolation="nearest")
     ax.plot(track.x_px, track.y_px, color="black", lw=3.5)
