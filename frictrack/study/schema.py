@@ -84,6 +84,11 @@ def _specification(raw: Any, info: ValidationInfo) -> tuple[float, str]:
         return parse_quantity(raw, "m", name, above=0.0)[0], "m"
 
 
+def _mass(raw: Any) -> Any:
+    """Read a mass, kg; "fit" stays as it is."""
+    return raw if raw == "fit" else parse_quantity(raw, "kg", "mass", above=0.0)
+
+
 def read_frame_rate(raw: Any) -> float:
     """Read a frame rate, 1/s: a number, or a text such as "4000 fps", "4000 /s" or "4 kHz".
 
@@ -356,10 +361,7 @@ Areas = Annotated[tuple[Polygon, ...], BeforeValidator(polygons)]
 Repairs = Annotated[tuple[Repair, ...], BeforeValidator(read_repairs)]
 Targets = Annotated[dict[str, Any], BeforeValidator(_targets)]
 Reference = Annotated[Any, BeforeValidator(_reference)]
-Mass = Annotated[
-    Value | Literal["fit"],
-    BeforeValidator(lambda raw: raw if raw == "fit" else parse_quantity(raw, "kg", "mass", above=0.0)),
-]
+Mass = Annotated[Value | Literal["fit"], BeforeValidator(_mass)]
 Scale = Annotated[Any, BeforeValidator(_scale)]
 Axis = Annotated[Pair | Literal["track"], BeforeValidator(_axis)]
 File = Annotated[Path, BeforeValidator(_path)]
