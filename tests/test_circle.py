@@ -138,3 +138,27 @@ def test_what_leaves_the_circle_is_an_error_along_it():
         )
         assert on_circle(seen).systematic == pytest.approx(rms, abs=5e-6)
         assert on_circle(seen, 0.05).x - on_circle(seen).x == pytest.approx(0.05)
+
+
+@pytest.mark.usefixtures("no_formulas")
+def test_air_drag_of_a_pendulum_that_swings_far():
+    """Swings of 1.6 rad: g is one unknown, and the drag that the first model lacks is named and fitted."""
+    radius, law = 0.153, {"coulomb.F_c": 0.002, "viscous.F_v": 0.02, "drag.c": 0.02}
+    friction, viscous, drag = law.values()
+
+    def rates(t, y):
+        load = abs(np.cos(y[0] / radius) + y[1] ** 2 / radius / G)
+        pull = -G * np.sin(y[0] / radius)
+        return y[1], pull - viscous * y[1] - drag * y[1] * abs(y[1]) - friction * load * np.tanh(y[1] / 1e-5)
+
+    t, runs = np.arange(0, 9.2, 0.005), []
+    for i, x0 in enumerate((-1.6, 1.5, -1.0)):
+        x = solve_ivp(rates, (0, 9.2), (x0 * radius, 0), t_eval=t, rtol=1e-9, atol=1e-12).y[0]
+        x += 5e-6 * np.random.default_rng(i).standard_normal(len(t))
+        known = {"radius": f"{radius} +/- 0.0005 m", "incline": "0 +/- 0.2 deg"}
+        runs.append(ft.Run.from_arrays(t, x, mass=1.0, name=f"r{i}", **known))
+    assert ft.diagnose(ft.fit(["coulomb", "viscous"], runs), quick=True).missing == ["drag"]
+    fit = ft.fit(["coulomb", "viscous", "drag"], runs)
+    assert fit.reduced_chi2 < 1.1
+    for name, right in law.items():
+        assert abs(fit.parameters[name].value - right) < 3 * fit.parameters[name].std < 0.1 * right
