@@ -70,7 +70,7 @@ class Path:
     gravity: float | Array = GRAVITY  # normal load per mass of a mass at rest, m/s^2
     curvature: float | Array = 0.0  # 1/m, of a course that bends upward
     lowest: float | Array = np.nan  # m, where an upright circle is lowest; NaN on other courses
-    pull: tuple[float | Array, float | Array] = (0.0, 0.0)  # down and along at `lowest`, m/s^2, of which the load is
+    pull: tuple[float | Array, float | Array] = (0.0, 0.0)  # down and forward at `lowest`, m/s^2, of which the load is
     angle: Array | None = None  # rad, by which the target has turned counter-clockwise
     clamp_x: float | None = None  # m, where the beam is clamped
     beam_length: float | None = None  # m
@@ -101,24 +101,24 @@ class Path:
         """Whether its runs lie on circles that stand upright; None if not."""
         return bool(np.all(np.isfinite(self.lowest))) or None
 
-    def pressed(self, down: float | Array = GRAVITY, along: float | Array = 0.0) -> Path:
+    def pressed(self, down: float | Array = GRAVITY, forward: float | Array = 0.0) -> Path:
         """Return the path with the load of its motion; it had that of a level straight course, or of another pull.
 
         On a circle that stands upright the load is the size of m (g cos(angle) + v^2/R), on a flat one the sum of
-        weight and m v^2/R as vectors, as in a groove. `down`: of gravity at the lowest place, m/s^2; `along`: what a
+        weight and m v^2/R as vectors, as in a groove. `down`: of gravity at the lowest place, m/s^2; `forward`: what a
         slope adds there, so that the lowest place is elsewhere.
         """
-        if not np.any(self.curvature) or all(map(np.array_equal, self.pull, (down, along))):
+        if not np.any(self.curvature) or all(map(np.array_equal, self.pull, (down, forward))):
             return self
         flat = np.isnan(self.lowest)
         angle = self.curvature * (self.x - np.where(flat, 0.0, self.lowest))
 
-        def inward(down: float | Array, along: float | Array) -> Array:
-            weight = np.where(flat, 0.0, down * np.cos(angle) - along * np.sin(angle))
+        def inward(down: float | Array, forward: float | Array) -> Array:
+            weight = np.where(flat, 0.0, down * np.cos(angle) - forward * np.sin(angle))
             return np.hypot(weight + self.curvature * self.v**2, np.where(flat, GRAVITY, 0.0))
 
         before = inward(*self.pull) if np.any(self.pull[0]) else GRAVITY
-        return replace(self, load=self.load * inward(down, along) / before, pull=(down, along))
+        return replace(self, load=self.load * inward(down, forward) / before, pull=(down, forward))
 
     def each_earlier(self) -> list[EarlierRuns]:
         """The runs before each of `starts`."""
