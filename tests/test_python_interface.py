@@ -75,6 +75,13 @@ def test_a_doubled_sample_is_left_out_of_all_columns():
     assert "1 sample repeats the one before" in run.displacement.notes[0]
 
 
+def test_rows_of_arrays_that_another_program_made_are_left_out_with_a_warning():
+    x = noisy()
+    with pytest.warns(UserWarning, match=r'run "run": the positions lie on straight lines between every 4 rows'):
+        run = ft.Run.from_arrays(T, np.interp(T, T[::4], x[::4]), mass=MASS)
+    assert len(run.displacement) == len(T[::4])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

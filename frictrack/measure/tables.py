@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SMALLEST_STEP_S = np.finfo(float).tiny  # between time stamps that rise
+MAX_LEFT_OUT = 0.1  # of the rows of arrays, without a warning
 MIN_SAME_SIGN = 0.9  # share of forces that have the sign that all are taken to have
 MIN_POINTS = 5  # of a table of speeds and forces, in one study
 MAX_SPEED = 300.0  # m/s; faster ones are in another unit
@@ -199,7 +200,7 @@ def _run_of(data: TableData, mass: float | str | None, settings: Mapping[str, An
     entries = implausible_entries(EnteredValues(run.name, mass=run.mass, bare=bare))
     findings = filter(None, (*entries, *implausible_slide(run, film=False), wrong_incline(run)))
     words = [str(replace(finding, run=run.name)).replace(ACCEPTED, "ignore this warning") for finding in findings]
-    if len(forces.t) < len(data.t):  # there is no study file, nor a report
+    if len(forces.t) < (1 - MAX_LEFT_OUT) * len(data.t):  # there is no report that says it
         words += [f'run "{run.name}": {note}' for note in forces.notes]
     for one in words:
         warnings.warn(one, stacklevel=5)  # the caller of `Run.from_arrays`

@@ -21,7 +21,7 @@ import tifffile
 from nptdms import ChannelObject, TdmsWriter
 
 from frictrack.flow import store
-from frictrack.flow.crate import METADATA, MOVED
+from frictrack.flow.crate.payload import METADATA, MOVED
 from frictrack.records import Displacement, Track
 from frictrack.results import RecordingInfo
 

@@ -25,8 +25,7 @@ from frictrack.base.units import is_coherent, parse_quantity
 from frictrack.effects import CONSTANTS, FUNCTIONS, VARIABLES
 from frictrack.flow import open_study, run_pipeline, store
 from frictrack.flow.command_history import CommandHistory
-from frictrack.flow.crate import METADATA
-from frictrack.flow.crate.payload import unpack
+from frictrack.flow.crate.payload import METADATA, unpack
 from frictrack.flow.crate.reproducing import find_inputs, read_crate, set_up_study
 from frictrack.flow.opening import check_study
 from frictrack.flow.stages import FILM
