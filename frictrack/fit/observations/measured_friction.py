@@ -45,6 +45,7 @@ MIN_REVERSAL_SHARE = 0.25  # smallest reversal over the range of the coordinate
 MAX_SPEED_DIFFERENCE = 0.1  # relative difference of the median speeds of strokes that are compared
 STROKE_END_SHARE = 0.005  # share left out at either end, next to the reversals
 STROKE_POINTS = 128  # positions at which strokes are compared
+MIN_DRIFT_SHARE = 0.8  # of what strokes do not repeat, that changes steadily with time: nearly all
 MIN_RANK_CORRELATION = 0.99  # rank correlation with time from which a series counts as monotonic
 MIN_DRIFT_RATIO = 1.5  # ratio to the white noise from which slow misfit is reported
 # not defined without mass and film
@@ -117,13 +118,13 @@ def _cell_correlation(solution: Solution) -> float:
 def _stroke_differences(response: PieceResponse) -> Iterator[tuple[Array, int]]:
     """Yield, for every group of comparable strokes, the residual that does not repeat, and the number of strokes."""
     piece, residual = response.piece, response.r * response.piece.sigma
-    s = piece.path.s[piece.at]
-    steady = np.column_stack([np.ones_like(s), s, piece.t, s * piece.t])  # drifts of cell and friction are no noise
-    residual = residual - steady @ np.linalg.lstsq(steady, residual)[0]
     x, v = piece.path.x[piece.at], np.abs(piece.path.v[piece.at])
     coordinate = x if len(strokes(x)) > 1 else v  # where the motion reverses, strokes of speed differ in place
     for group in _comparable_strokes(strokes(coordinate), coordinate, v):
-        yield _unrepeated_residual(group, coordinate, residual), len(group)
+        left, later = (_unrepeated(group, coordinate, series) for series in (residual, piece.t))
+        drift = later * (left @ later) / (later @ later)
+        # a drift of the cell, or of friction, is no noise
+        yield left - drift if drift @ drift > MIN_DRIFT_SHARE * (left @ left) else left, len(group)
 
 
 def strokes(coordinate: Array) -> list[Rows]:
@@ -165,17 +166,17 @@ def _comparable_strokes(found: Sequence[Rows], coordinate: Array, speed: Array) 
             yield similar
 
 
-def _unrepeated_residual(group: Sequence[Rows], coordinate: Array, residual: Array) -> Array:
-    """A residual minus its mean over all strokes at the same position, without bias, in order of time."""
+def _unrepeated(group: Sequence[Rows], coordinate: Array, series: Array) -> Array:
+    """A series minus its mean over all strokes at the same position, without bias, in order of time."""
     low = max(float(coordinate[s].min()) for s in group)
     high = min(float(coordinate[s].max()) for s in group)
     low, high = low + STROKE_END_SHARE * (high - low), high - STROKE_END_SHARE * (high - low)
     at = np.linspace(low, high, STROKE_POINTS)
     rising = [s[np.argsort(coordinate[s])] for s in group]
-    mean = np.mean([np.interp(at, coordinate[s], residual[s]) for s in rising], axis=0)
+    mean = np.mean([np.interp(at, coordinate[s], series[s]) for s in rising], axis=0)
     unbiased = float(np.sqrt(len(group) / (len(group) - 1)))
     inside = [s[(coordinate[s] >= low) & (coordinate[s] <= high)] for s in group]
-    return np.concatenate([unbiased * (residual[s] - np.interp(coordinate[s], at, mean)) for s in inside])
+    return np.concatenate([unbiased * (series[s] - np.interp(coordinate[s], at, mean)) for s in inside])
 
 
 def _fewer_frames(response: PieceResponse, stride: int, block: int) -> MeasuredFrictionPiece:
