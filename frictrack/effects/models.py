@@ -312,8 +312,8 @@ class Model:
         if not path.upright or "gravity" not in self or "g" not in values["gravity"]:
             return path
         assert path.mass is not None
-        along = values["slope"]["F"] * np.divide(path.mass_ratio, path.mass) if "slope" in self else 0.0
-        return path.pressed(values["gravity"]["g"], along)
+        forward = values["slope"]["F"] * np.divide(path.mass_ratio, path.mass) if "slope" in self else 0.0
+        return path.pressed(values["gravity"]["g"], forward)
 
     def states(self, path: Path, values: Values) -> dict[str, Array]:
         """States (n, k) of the effects with memory along a path, by effect."""

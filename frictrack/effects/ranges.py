@@ -32,6 +32,7 @@ MAX_CLOCK_FACTOR = 2.0  # of one run's times: frame rates are set in such steps,
 WHOLE_FRAME = 0.25  # frames by which a lost or doubled frame may miss a whole number
 FLASH_STD_FRAMES = 0.1  # of a frame: timing error of a flash or a time stamp
 LEVEL_STD_RAD = np.deg2rad(0.05)  # angle error of a good spirit level
+ZERO_STD_N = 1e-3  # of the mean of a force record without load
 WEIGHT_RELATIVE_STD = 0.01  # of a known weight that is hung on the drive
 ACCELEROMETER_STD = 0.2  # m/s^2, noise of one sample
 N_STD_ACTIVE = 2.0  # standard deviations on either side of its middle within which a bell-shaped force acts

@@ -86,11 +86,8 @@ def _with_jitter_noise(displacement: Displacement) -> Displacement:
     if len(displacement) < MIN_ROWS or not sampling.is_even(displacement.t):
         return displacement
     interval, seen = float(np.median(np.diff(displacement.t))), displacement.valid  # others hold an earlier position
-    t, x, step = (
-        displacement.t[seen],
-        displacement.x[seen],
-        max(displacement.pixel_pitch or 0.0, displacement.resolution),
-    )
+    t, x = displacement.t[seen], displacement.x[seen]
+    step = max(displacement.pixel_pitch or 0.0, displacement.resolution)
     jitter, at_rest_noise = sampling.unevenness(t, x, 0.5 * step / interval)  # above it, rounding is white
     if not jitter:
         return displacement

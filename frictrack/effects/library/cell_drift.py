@@ -3,8 +3,7 @@
 import numpy as np
 
 from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
-
-ZERO_STD_N = 1e-3  # of the mean of a record at rest
+from frictrack.effects.ranges import ZERO_STD_N
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
@@ -23,7 +22,10 @@ varies_with = ""
 what = "The zero of the load cell moves while it records: it or its amplifier warms up, or its mount creeps."
 looks_like = "both directions move the same way with the time, by as much in newtons whatever the load and the speed"
 mistaken_for = "drift and thermal (runs of one direction), slope (whose force is constant), run_in"
-confirm = "Record the cell unloaded before and after a run: its zero has moved. Runs in both directions part the rest."
+confirm = (
+    "Record the cell unloaded before and after a run: its zero has moved. Runs in both directions tell it from "
+    "friction that drifts."
+)
 describe = Phrase("its zero moves by {k} N/s")
 invariant = "the zero of a cell moves with the time in the same direction whichever way the mass slides"
 settled_by = "record the cell unloaded before and after a run"

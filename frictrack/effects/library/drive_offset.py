@@ -3,8 +3,7 @@
 import numpy as np
 
 from frictrack.effects.definition import Array, DirectCheck, EffectInStudy, Nonlinear, Parameter, Path, Phrase
-
-ZERO_STD_N = 1e-3  # of the mean of a record without drive
+from frictrack.effects.ranges import ZERO_STD_N
 
 
 def columns(path: Path, nonlinear: Nonlinear) -> Array:
